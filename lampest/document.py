@@ -1,0 +1,156 @@
+"""YAML text ↔ validated objects: the only place that knows YAML. Errors name file, line and column."""
+
+import dataclasses
+import io
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from lampest.errors import InputError
+
+MOST_VALUES = 100_000
+MOST_BYTES = 5_000_000
+
+
+@dataclass(frozen=True)
+class Document:
+    """A parsed YAML text: its plain content, where it came from, and the positions of its keys."""
+
+    content: Any
+    source: str
+    marks: Any
+
+    def position(self, location: tuple[int | str, ...]) -> str:
+        """'file:line:column' of the deepest part of `location` that the text holds."""
+        node, line, column = self.marks, 0, 0
+        for part in location:
+            if isinstance(node, CommentedMap) and part in node:
+                line, column = node.lc.key(part)
+            elif isinstance(node, CommentedSeq) and isinstance(part, int) and part < len(node):
+                line, column = node.lc.item(part)
+            else:
+                continue
+            node = node[part]
+        return f"{self.source}:{line + 1}:{column + 1}"
+
+    def error(self, location: tuple[int | str, ...], message: str) -> InputError:
+        """The sentence for a fault at `location`, for the caller to raise."""
+        path = ".".join(str(part) for part in location)
+        return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
+
+    def with_value(self, path: tuple[str, ...], value: Any) -> "Document":
+        """A copy whose entry at `path` (mapping keys; missing mappings are made) is `value`."""
+        content = json.loads(json.dumps(self.content))
+        node = content
+        for key in path[:-1]:
+            child = node.setdefault(key, {}) if isinstance(node, dict) else None
+            if not isinstance(child, dict):
+                raise InputError(f"{self.source}: {'.'.join(path)} does not lead through mappings")
+            node = child
+        node[path[-1]] = value
+        return dataclasses.replace(self, content=content)
+
+
+def read_document(path: Path) -> Document:
+    """Parse a YAML file. Raises InputError where it cannot be read or parsed."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text in UTF-8") from error
+    return parse_document(text, str(path))
+
+
+def parse_document(text: str, source: str) -> Document:
+    """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
+    try:
+        marks = YAML(typ="rt").load(text)
+        content = _plain(marks)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
+        raise InputError(f"{where}: {' '.join(str(error.problem or error.context).split())}") from error
+    except (YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{source}: {' '.join(str(error).split())}") from error
+    return Document(content, source, marks)
+
+
+def parse_scalar(text: str) -> Any:
+    """The value that YAML 1.2 reads from a short text such as `1e-3`, `nodal` or `[1, 2]`."""
+    return parse_document(text, f"'{text}'").content
+
+
+def _plain(marks: Any) -> Any:
+    """The content as plain Python objects; refuses tags and texts that unfold without end."""
+    count = 0
+
+    def walk(node: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} values")
+        if isinstance(node, CommentedMap):
+            for key in node:
+                if not isinstance(key, str | int | float):
+                    raise ValueError("a key must be a plain word or number")
+            return {str(key): walk(node[key]) for key in node}
+        if isinstance(node, CommentedSeq):
+            return [walk(item) for item in node]
+        if node is None or isinstance(node, bool | int | float | str):
+            for kind in (bool, int, float, str):
+                if isinstance(node, kind):
+                    return kind(node)
+            return None
+        raise ValueError(f"a value of type {type(node).__name__} has no place here")
+
+    return walk(marks)
+
+
+@cache
+def adapter(kind: Any) -> TypeAdapter[Any]:
+    """The validator of a type."""
+    return TypeAdapter(kind)
+
+
+def validated(document: Document, kind: Any) -> Any:
+    """The document's content as an object of `kind`; unknown keys and wrong types are errors. Raises InputError."""
+    try:
+        return adapter(kind).validate_json(json.dumps(document.content), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        location = tuple(part for part in first["loc"] if not str(part).startswith("function-"))
+        message = first["msg"].removeprefix("Value error, ")
+        if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            message = "no such key"
+        raise document.error(location, message) from error
+
+
+def to_yaml(value: Any) -> str:
+    """YAML text of a dataclass, a mapping or a list; entries that are None are left out."""
+    stream = io.StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style = False
+    writer.width = 4096
+    writer.dump(plain(value), stream)
+    return stream.getvalue()
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses as mappings without their None entries, tuples as lists; everything else as it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value

@@ -1,0 +1,103 @@
+"""Kirchhoff's current law for a matrix of cells, stated once, and what follows from it in closed form.
+
+Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lampest.panel import Array
+
+
+def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
+    """Net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
+
+    Parameters
+    ----------
+    conductance : (rows, columns) siemens.
+    row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each current pattern.
+
+    Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike.
+    Source: paper, equation (2).
+    """
+    from_rows = (conductance @ np.ones(column_potential.shape)) * row_potential - conductance @ column_potential
+    from_columns = (conductance.T @ np.ones(row_potential.shape)) * column_potential - conductance.T @ row_potential
+    return from_rows, from_columns
+
+
+def laplacian(conductance: Array) -> Array:
+    """L with L·(u, v) = current_balance(g, u, v): (rows + columns)² siemens, singular; paper, equation (3)."""
+    rows = conductance.shape[0]
+    unit = np.eye(sum(conductance.shape))
+    return np.vstack(current_balance(conductance, unit[:rows], unit[rows:]))
+
+
+def grounding(two_point_resistance: Array) -> Array:
+    """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
+
+    (rows, columns) ohm → (rows + columns) siemens. A tie at a single line carries no current, so potential differences are
+    those of the paper's grounded line, equation (5), while the line can be chosen by the data.
+    """
+    admittance = 1 / two_point_resistance
+    total = np.concatenate([admittance.sum(axis=1), admittance.sum(axis=0)])
+    tie = np.zeros_like(total)
+    tie[np.argmax(total)] = total.max()
+    return tie
+
+
+@dataclass(frozen=True)
+class Network:
+    """A solved network: impedance Z = (L + diag(tie))⁻¹ (lines, lines) in ohm, of a given conductance (rows, columns)."""
+
+    conductance: Array
+    impedance: Array
+
+    @classmethod
+    def solve(cls, conductance: Array, tie: Array) -> "Network":
+        """Invert the tied Laplacian. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        return cls(conductance, np.linalg.inv(laplacian(conductance) + np.diag(tie)))
+
+    @property
+    def rows(self) -> int:
+        """Number of row lines."""
+        return int(self.conductance.shape[0])
+
+    def two_point_resistance(self) -> Array:
+        """R_jk = Z_jj + Z_kk − 2 Z_jk, (rows, columns) ohm: what is measured between a row and a column."""
+        return self.differences(self.impedance)
+
+    def differences(self, matrix: Array) -> Array:
+        """b_iᵀ K b_i for all cells i at once, b_i = the cell's ±1 incidence vector; K (lines, lines) symmetric."""
+        diagonal = np.diag(matrix)
+        return diagonal[: self.rows, None] + diagonal[None, self.rows :] - 2 * matrix[: self.rows, self.rows :]
+
+    def conductance_product(self, weights: Array) -> Array:
+        """(∂R/∂g)·w = −bᵀ Z L_w Z b, which is also (∂R/∂g)ᵀ·w; w (rows, columns), result likewise.
+
+        Costs (rows + columns)³ and never forms the matrix of cells × cells.
+        """
+        return -self.differences(self.impedance @ laplacian(weights) @ self.impedance)
+
+    def transfer(self) -> Array:
+        """D = Bᵀ Z B (cells, cells) ohm: ∂R_i/∂g_l = −D_il² and ∂R_i/∂r_l = (D_il/r_l)²."""
+        rows = self.rows
+        lower = self.impedance[:, :rows][:, :, None] - self.impedance[:, rows:][:, None, :]
+        between = lower[:rows, None] - lower[None, rows:]
+        return between.reshape(self.conductance.size, self.conductance.size)
+
+
+def two_point_resistance(cell_resistance: Array) -> Array:
+    """R = f(r): two-point resistances of a panel, (rows, columns) or (frames, rows, columns) ohm → the same shape.
+
+    Source: paper, equations (5)-(10).
+    """
+    if cell_resistance.ndim == 3:
+        return np.stack([two_point_resistance(frame) for frame in cell_resistance])
+    return Network.solve(1 / cell_resistance, grounding(cell_resistance)).two_point_resistance()
+
+
+def uniform_factor(rows: int, columns: int) -> float:
+    """R/r = (M + N − 1)/(MN) on a panel of equal cells."""
+    return (rows + columns - 1) / (rows * columns)

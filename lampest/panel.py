@@ -1,0 +1,71 @@
+"""The panel: rows × columns of cells, their numbering, and finite differences over them."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A matrix of rows · columns cells; cell (j, k) joins row line j and column line k and has the number j·columns + k.
+
+    Parameters
+    ----------
+    rows, columns : number of lines on either side, at least 1.
+    pitch_mm : distance between neighbouring cells in millimetre; positions and pictures use it, equations do not.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    rows: int
+    columns: int
+    pitch_mm: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.rows < 1 or self.columns < 1:
+            raise ValueError("a panel needs at least one row and one column")
+        if not 0 < self.pitch_mm < float("inf"):
+            raise ValueError("pitch_mm must be positive and finite")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.columns
+
+    @property
+    def cells(self) -> int:
+        """rows · columns."""
+        return self.rows * self.columns
+
+    def centres_mm(self) -> tuple[Array, Array]:
+        """x_k = k·pitch and y_j = j·pitch: the columns' and the rows' positions in millimetre."""
+        return np.arange(self.columns) * self.pitch_mm, np.arange(self.rows) * self.pitch_mm
+
+    def row_gradient(self) -> Array:
+        """D with (D x)_j = (x_{j+1} − x_{j−1})/2 inside and one-sided at the ends, (rows, rows), per unit cell."""
+        return difference_matrix(self.rows)
+
+    def column_gradient(self) -> Array:
+        """The same along a row, (columns, columns): the gradient of a matrix X is (D_row X, X D_columnᵀ)."""
+        return difference_matrix(self.columns)
+
+
+def difference_matrix(length: int) -> Array:
+    """D (length, length): central differences inside, one-sided at the border, zero for a single point.
+
+    Source: MATLAB's `gradient` with unit spacing, which the paper's equations (19)-(24) use.
+    """
+    difference = np.zeros((length, length))
+    if length == 1:
+        return difference
+    inner = np.arange(1, length - 1)
+    difference[inner, inner + 1] = 0.5
+    difference[inner, inner - 1] = -0.5
+    difference[0, :2] = -1.0, 1.0
+    difference[-1, -2:] = -1.0, 1.0
+    return difference

@@ -1,0 +1,68 @@
+"""What a measurement contains. An effect that a scene does not name does not exist in the model."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+from lampest.panel import Panel
+
+
+@dataclass(frozen=True)
+class TwoPointReadout:
+    """One row and one column are selected, all other lines float; a divider with a reference resistor is read by an ADC.
+
+    Parameters
+    ----------
+    supply_volt : divider supply and ADC reference in volt.
+    reference_ohm : reference resistor in ohm.
+    measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
+    adc_bits : resolution of the converter.
+    readings : conversions that are averaged for one cell.
+    noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    kind: Literal["two_point"] = "two_point"
+    supply_volt: float = 5.0
+    reference_ohm: float = 1000.0
+    measured_across: Literal["reference", "sensor"] = "reference"
+    adc_bits: int = 10
+    readings: int = 20
+    noise_lsb: float = 0.7
+
+    def __post_init__(self) -> None:
+        for name in ("supply_volt", "reference_ohm"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite")
+        if not 1 <= self.adc_bits <= 32:
+            raise ValueError("adc_bits must lie between 1 and 32")
+        if not 1 <= self.readings <= 65535:
+            raise ValueError("readings must lie between 1 and 65535")
+        if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
+            raise ValueError("noise_lsb must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The panel, how it is read, and what stands between the two.
+
+    Parameters
+    ----------
+    panel : rows, columns and pitch.
+    readout : the electronics; None where only resistances are known, and then their σ is unknown too.
+    series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    panel: Panel
+    readout: TwoPointReadout | None = None
+    series_resistance_ohm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
+            raise ValueError("series_resistance_ohm must be zero or positive, and finite")
