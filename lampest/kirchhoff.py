@@ -17,7 +17,7 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
     Parameters
     ----------
     conductance : (rows, columns) siemens.
-    row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each current pattern.
+    row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each pattern.
 
     Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike.
     Source: paper, equation (2).
@@ -37,8 +37,8 @@ def laplacian(conductance: Array) -> Array:
 def grounding(two_point_resistance: Array) -> Array:
     """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
 
-    (rows, columns) ohm → (rows + columns) siemens. A tie at a single line carries no current, so potential differences are
-    those of the paper's grounded line, equation (5), while the line can be chosen by the data.
+    (rows, columns) ohm → (rows + columns) siemens. A tie at a single line carries no current, so potential differences
+    are those of the paper's grounded line, equation (5), while the line can be chosen by the data.
     """
     admittance = 1 / two_point_resistance
     total = np.concatenate([admittance.sum(axis=1), admittance.sum(axis=0)])
@@ -49,7 +49,7 @@ def grounding(two_point_resistance: Array) -> Array:
 
 @dataclass(frozen=True)
 class Network:
-    """A solved network: impedance Z = (L + diag(tie))⁻¹ (lines, lines) in ohm, of a given conductance (rows, columns)."""
+    """A solved network: impedance Z = (L + diag(tie))⁻¹ (lines, lines) in ohm, of a conductance (rows, columns)."""
 
     conductance: Array
     impedance: Array

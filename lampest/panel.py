@@ -6,12 +6,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A matrix of rows · columns cells; cell (j, k) joins row line j and column line k and has the number j·columns + k.
+    """A matrix of rows · columns cells; cell (j, k) joins row j and column k and has the number j·columns + k.
 
     Parameters
     ----------

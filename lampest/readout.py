@@ -40,7 +40,8 @@ def lsb_volt(readout: TwoPointReadout) -> float:
 def code_from_voltage(readout: TwoPointReadout, volt: Array) -> NDArray[np.int64]:
     """code = ⌊V/Vcc · 2^bits⌋, held within 0 and 2^bits − 1; any shape."""
     code = np.floor(np.asarray(volt) / lsb_volt(readout))
-    return np.clip(code, 0, 2**readout.adc_bits - 1).astype(np.int64)
+    held: NDArray[np.int64] = np.clip(code, 0, 2**readout.adc_bits - 1).astype(np.int64)
+    return held
 
 
 def voltage_from_code(readout: TwoPointReadout, mean_code: Array) -> Array:

@@ -9,7 +9,7 @@ from lampest.panel import Panel
 
 @dataclass(frozen=True)
 class TwoPointReadout:
-    """One row and one column are selected, all other lines float; a divider with a reference resistor is read by an ADC.
+    """One row and one column are selected, all other lines float; an ADC reads a divider with a reference resistor.
 
     Parameters
     ----------

@@ -1,0 +1,155 @@
+"""Runs cases: skips what is done, isolates what fails, keeps what is finished."""
+
+import fcntl
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from lampest.config import Case, Run
+from lampest.errors import InputError
+from lampest.executors import Executor
+from lampest.recording import UNLOADED, Recording
+from lampest.results import CaseResult, read_results, write_results
+from lampest.sequence import Reconstruction, reconstruct
+from lampest.terms import term_kind
+
+RESULTS = "results.h5"
+LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a batch went: path of the results file, numbers of cases, and (case, sentence) of those that failed."""
+
+    results: Path
+    done: int
+    skipped: int
+    failed: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A case and the folder that takes its result."""
+
+    case: Case
+    folder: Path
+
+    @property
+    def file(self) -> Path:
+        """Where the case's result is kept."""
+        return self.folder / "cases" / f"{self.case.case_id}.h5"
+
+
+def run_batch(
+    run: Run, folder: Path, executor: Executor, fresh: bool = False, on_case: Callable[[int, int], None] | None = None
+) -> Report:
+    """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
+
+    A case that fails is named in the report and costs no other; an interruption keeps what is finished. Raises
+    InputError where the folder cannot be written or another run is using it.
+    """
+    with exclusive(folder):
+        tasks = [Task(case, folder) for case in run.cases]
+        for task in tasks:
+            if fresh:
+                task.file.unlink(missing_ok=True)
+        waiting = [task for task in tasks if not _is_done(task)]
+        failed: list[tuple[str, str]] = []
+        try:
+            for finished, (task, outcome) in enumerate(executor.results(solve_case, waiting), 1):
+                if isinstance(outcome, BaseException):
+                    failed.append((f"{task.case.recording} × {task.case.name}", " ".join(str(outcome).split())))
+                if on_case:
+                    on_case(finished, len(waiting))
+        finally:
+            done = [task for task in tasks if task.file.is_file()]
+            if done:
+                collect(folder / RESULTS, done, run)
+        return Report(folder / RESULTS, len(waiting) - len(failed), len(tasks) - len(waiting), tuple(failed))
+
+
+def solve_case(task: Task) -> None:
+    """Solve one case and write its result, whole or not at all."""
+    recording = Recording.load(task.case.path)
+    result = case_result(task.case, reconstruct(recording, task.case.estimator))
+    write_results(task.file, [result])
+
+
+def collect(path: Path, tasks: Sequence[Task], run: Run) -> None:
+    """Write the tasks' results into one file, in the order of the run."""
+    cases = [case for task in tasks for case in read_results(task.file).cases]
+    write_results(path, cases, run.published)
+
+
+def case_result(case: Case, found: Reconstruction) -> CaseResult:
+    """What the results file keeps of a reconstruction."""
+    recording = found.recording
+    truth = recording.truth_cell_resistance
+    unloaded = recording.role == UNLOADED
+    solutions = [step.solution for step in found.steps]
+    last = [
+        (solution.two_point_resistance[-1], solution.open_cell[-1], solution.at_lower[-1]) for solution in solutions
+    ]
+    return CaseResult(
+        recording=case.recording,
+        estimator=case.name,
+        case_id=case.case_id,
+        case_yaml=case.resolved,
+        versions={library: version(library) for library in LIBRARIES},
+        pitch_mm=recording.scene.panel.pitch_mm,
+        series_resistance_ohm=recording.scene.series_resistance_ohm,
+        frame=found.frame.astype(np.int64),
+        time=recording.time[found.frame],
+        measured=found.measured,
+        measured_baseline=found.measured_baseline,
+        cell_resistance=found.cell_resistance,
+        relative_change=found.relative_change,
+        two_point_model=np.stack([model for model, _, _ in last]),
+        open_cell=np.stack([flags for _, flags, _ in last]).astype(np.uint8),
+        at_lower_bound=np.stack([flags for _, _, flags in last]).astype(np.uint8),
+        baseline_resistance=found.baseline_resistance,
+        status=tuple(solution.status.value for solution in solutions),
+        iterations=np.array([solution.iterations for solution in solutions], dtype=np.int64),
+        solve_time=np.array([step.seconds for step in found.steps]),
+        objective=np.array([solution.objective for solution in solutions]),
+        kkt_residual=np.array([solution.kkt_residual for solution in solutions]),
+        costs={
+            term_kind(term): np.array([solution.costs[number] for solution in solutions])
+            for number, term in enumerate(case.estimator.terms)
+        },
+        baseline_status=found.baseline.solution.status.value,
+        baseline_solve_time=found.baseline.seconds,
+        joint_start=found.joint_start,
+        solved=np.array([solution.solved for solution in solutions]),
+        truth=None if truth is None else truth[found.frame],
+        truth_baseline=truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None,
+    )
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold the folder for one run. Raises InputError where it cannot be written or another run holds it."""
+    lock = folder / ".lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = lock.open("w")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{folder}: another run is using this folder") from error
+        yield
+
+
+def _is_done(task: Task) -> bool:
+    """Whether the case's result is there and readable; a damaged one is solved again."""
+    try:
+        return any(case.case_id == task.case.case_id for case in read_results(task.file).cases)
+    except InputError:
+        return False

@@ -1,0 +1,178 @@
+"""A run's YAML file → cases: every recording with every estimator, at every point of the sweep."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field, make_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from lampest import sweep
+from lampest.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
+from lampest.errors import InputError
+from lampest.estimator import Bounds, Estimator, FormulationName
+from lampest.recording import Recording
+from lampest.results import PublishedFigures, check_name
+from lampest.solvers.solution import Settings
+from lampest.terms import term_types
+
+FORBID: dict[str, Any] = {"extra": "forbid"}
+Terms = make_dataclass(
+    "Terms",
+    [(kind, term | None, field(default=None)) for kind, term in term_types().items()],
+    frozen=True,
+    namespace={"__pydantic_config__": FORBID, "__doc__": "The cost terms of an estimator, by kind."},
+)
+
+
+@dataclass(frozen=True)
+class EstimatorEntry:
+    """An estimator as a run's file writes it; solver and bounds override the run's key by key."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    terms: Terms  # type: ignore[valid-type]
+    formulation: FormulationName | None = None
+    solver: Settings | None = None
+    bounds: Bounds | None = None
+
+
+@dataclass(frozen=True)
+class RunFile:
+    """The content of a run's file. Raises ValueError where recordings or estimators are missing."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    recordings: list[str]
+    estimators: dict[str, EstimatorEntry]
+    formulation: FormulationName = "nodal"
+    solver: Settings = Settings()
+    bounds: Bounds = Bounds()
+    published: dict[str, PublishedFigures] | None = None
+    sweep: dict[str, list[Any]] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.recordings:
+            raise ValueError("recordings must name at least one file")
+        if not self.estimators:
+            raise ValueError("estimators must hold at least one")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording with one estimator.
+
+    resolved : all that decides the result, as YAML text, the recording's SHA-256 included. case_id : the hash of that.
+    """
+
+    path: Path
+    recording: str
+    name: str
+    estimator: Estimator
+    resolved: str
+    case_id: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """The cases of a run's file in its order, and figures published elsewhere."""
+
+    cases: tuple[Case, ...]
+    published: dict[str, PublishedFigures]
+
+
+def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
+    """Cases of a run's file with `PATH=VALUE` settings applied. Raises InputError for any fault, before any solve."""
+    document = read_document(path)
+    for setting in settings:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise InputError(f"'{setting}' is not of the form PATH=VALUE")
+        document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+    recordings: dict[Path, tuple[Recording, str]] = {}
+    cases: list[Case] = []
+    published: dict[str, PublishedFigures] = {}
+    for point in sweep.cases(document, lambda varied: validated(varied, RunFile)):
+        run: RunFile = point.value
+        published |= run.published or {}
+        for file in recording_paths(path, run.recordings):
+            if file not in recordings:
+                recordings[file] = Recording.load(file), hashlib.sha256(file.read_bytes()).hexdigest()
+            recording, sha256 = recordings[file]
+            for name in _affected(run, point.assignments):
+                estimator = resolve(point.document, run, name)
+                estimator.data(recording.network_resistance(), recording.sigma_or_none())
+                cases.append(_case(file, sha256, _varied_name(name, point.assignments), estimator))
+    return Run(_distinct(cases), published)
+
+
+def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
+    """The files that the patterns name, relative to the run's file; `*` stands for any part of a name.
+
+    Raises InputError where a pattern matches nothing or two files share a stem.
+    """
+    files: list[Path] = []
+    for pattern in patterns:
+        target = config.parent / pattern
+        found = sorted(target.parent.glob(target.name)) if "*" in target.name else [target]
+        if not found:
+            raise InputError(f"{config}: recordings: no file matches {pattern}")
+        files += found
+    stems = [file.stem for file in files]
+    for stem in stems:
+        check_name(stem, "recording")
+        if stems.count(stem) > 1:
+            raise InputError(f"{config}: recordings: two files are called {stem}")
+    return files
+
+
+def resolve(document: Document, run: RunFile, name: str) -> Estimator:
+    """An estimator with the run's formulation, solver and bounds where its own are silent."""
+    entry = run.estimators[name]
+    own = document.content["estimators"][name]
+    parts = {}
+    for part, kind in (("solver", Settings), ("bounds", Bounds)):
+        merged = (document.content.get(part) or {}) | (own.get(part) or {})
+        try:
+            parts[part] = adapter(kind).validate_python(merged)
+        except ValueError as error:
+            raise document.error(("estimators", name, part), "does not fit the run's") from error
+    terms = tuple(term for kind in term_types() if (term := getattr(entry.terms, kind)) is not None)
+    try:
+        check_name(name, "estimator")
+        return Estimator(terms, entry.formulation or run.formulation, parts["solver"], parts["bounds"])
+    except ValueError as error:
+        raise document.error(("estimators", name), str(error)) from error
+
+
+def _affected(run: RunFile, assignments: dict[str, Any]) -> list[str]:
+    """All estimators, or, where the sweep varies single ones, those."""
+    named = {path.split(".")[1] for path in assignments if path.startswith("estimators.")}
+    return [name for name in run.estimators if not named or name in named]
+
+
+def _varied_name(name: str, assignments: dict[str, Any]) -> str:
+    """The estimator's name with what the sweep set: LSR-gCR@gradient.weight=0.001."""
+    parts = []
+    for path, value in assignments.items():
+        short = path.removeprefix(f"estimators.{name}.").removeprefix("terms.")
+        text = value if isinstance(value, str) else json.dumps(value)
+        parts.append(f"{short}={text}".replace("/", "|"))
+    return name + ("@" + ",".join(parts) if parts else "")
+
+
+def _case(path: Path, sha256: str, name: str, estimator: Estimator) -> Case:
+    resolved = to_yaml(
+        {"recording": path.stem, "recording_sha256": sha256, "estimator": name, **plain(estimator), "case_format": 1}
+    )
+    return Case(path, path.stem, name, estimator, resolved, hashlib.sha256(resolved.encode()).hexdigest()[:24])
+
+
+def _distinct(cases: list[Case]) -> tuple[Case, ...]:
+    """Recordings in order, their estimators together, each case once."""
+    order = {case.recording: None for case in cases}
+    unique = {case.case_id: case for case in cases}
+    return tuple(case for recording in order for case in unique.values() if case.recording == recording)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a run's file, for editors."""
+    return adapter(RunFile).json_schema()

@@ -1,0 +1,111 @@
+"""One method of estimation: which terms, which formulation, which bounds."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lampest.errors import InputError
+from lampest.formulations import Formulation, Nodal, PerPixel
+from lampest.kirchhoff import uniform_factor
+from lampest.panel import Array, Panel
+from lampest.problem import Cost, Data
+from lampest.readout import resolution_limit
+from lampest.solvers.ipopt import Ipopt
+from lampest.solvers.solution import Settings
+from lampest.terms.term import Term
+
+FormulationName = Literal["nodal", "per_pixel"]
+FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
+FARTHEST = 1e9
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """lower : 'measured' (r ≥ R_m, paper, equation (12)), a resistance in ohm, or 'none'.
+
+    upper : 'resolution' (r ≤ R²/σ, beyond which a cell cannot be told from an open one, though never below twice the
+    cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_m, where double precision sees no difference).
+
+    Raises ValueError where a number is not positive and finite.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    lower: Literal["measured", "none"] | float = "measured"
+    upper: Literal["resolution", "none"] | float = "resolution"
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            value = getattr(self, name)
+            if not isinstance(value, str) and not (isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be a word or a positive, finite number of ohm")
+
+    def limits(self, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
+        """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
+
+        Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
+        """
+        if isinstance(self.lower, str):
+            lower = measured.copy() if self.lower == "measured" else measured / FARTHEST
+        else:
+            lower = np.full_like(measured, self.lower)
+        if self.upper == "resolution":
+            if sigma is None:
+                raise InputError(
+                    "bounds.upper: resolution needs the noise of the readings; add a readout to the scene or sigma to "
+                    "the recording, or set bounds.upper to a number of ohm or to none"
+                )
+            least = 2 * measured / uniform_factor(*measured.shape[-2:])
+            upper = np.maximum(resolution_limit(measured, sigma), least)
+        elif isinstance(self.upper, str):
+            upper = measured * FARTHEST
+        else:
+            upper = np.full_like(measured, self.upper)
+        if np.any(upper <= lower):
+            index = tuple(int(part) for part in np.argwhere(upper <= lower)[0])
+            raise InputError(
+                f"bounds leave no room for cell {index[-2:]}: "
+                f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
+            )
+        return lower, upper
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """Terms, formulation, solver settings and bounds. Raises ValueError without a term or with one of them twice."""
+
+    terms: tuple[Term, ...]
+    formulation: FormulationName = "nodal"
+    solver: Settings = Settings()
+    bounds: Bounds = Bounds()
+
+    def __post_init__(self) -> None:
+        if not self.terms:
+            raise ValueError("an estimator needs at least one term")
+
+    @property
+    def relative(self) -> bool:
+        """Whether a term reads the previous frame."""
+        return any(term.needs_previous for term in self.terms)
+
+    def needs_sigma(self) -> bool:
+        """Whether a term divides by the readings' standard deviation."""
+        return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
+
+    def data(self, measured: Array, sigma: Array | None, previous: Array | None = None) -> Data:
+        """What one solve is given, from readings (frames, rows, columns) ohm. Raises InputError as `Bounds.limits`."""
+        if sigma is None and self.needs_sigma():
+            raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
+        lower, upper = self.bounds.limits(measured, sigma)
+        return Data(measured, np.ones_like(measured) if sigma is None else sigma, lower, upper, previous)
+
+    def problem(self, panel: Panel, frames: int) -> Ipopt:
+        """The solver for one frame, or for two jointly; built once per process and kept."""
+        return _solver(Cost(Panel(*panel.shape), self.terms, frames), self.formulation, self.solver)
+
+
+@lru_cache(maxsize=32)
+def _solver(cost: Cost, formulation: str, settings: Settings) -> Ipopt:
+    return Ipopt(cost, FORMULATIONS[formulation], settings)

@@ -1,0 +1,128 @@
+"""How a solve ended, and what it found."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel import Array
+from lampest.problem import Cost, Data, Evaluation
+
+VERIFIED = 1e-6
+OPEN_FRACTION = 0.99
+
+
+class Status(Enum):
+    """Sentences; only the first one stands for an estimate."""
+
+    OPTIMUM = "optimum verified"
+    UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
+    ITERATIONS = "the iteration limit was reached before an optimum"
+    INFEASIBLE = "the solver found no point that satisfies the constraints"
+    BREAKDOWN = "the solver broke down numerically"
+    UNAVAILABLE = "the solver or its linear solver is not available"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    tolerance: float = 1e-8
+    max_iterations: int = 300
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 1:
+            raise ValueError("tolerance must lie between 0 and 1")
+        if not 1 <= self.max_iterations <= 1_000_000:
+            raise ValueError("max_iterations must lie between 1 and 1000000")
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a solver hands back before anybody checked it.
+
+    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1.
+    """
+
+    cell_resistance: Array
+    dual: Array
+    status: Status
+    iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM.
+
+    cell_resistance, two_point_resistance : (frames, rows, columns) ohm.
+    costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
+    """
+
+    cell_resistance: Array
+    two_point_resistance: Array
+    costs: Array
+    objective: float
+    kkt_residual: float
+    at_lower: NDArray[np.bool_]
+    open_cell: NDArray[np.bool_]
+    status: Status
+    iterations: int
+
+    @property
+    def solved(self) -> bool:
+        """Whether the optimum was verified."""
+        return self.status is Status.OPTIMUM
+
+
+def check(cost: Cost, data: Data, outcome: Outcome) -> Solution:
+    """Recompute cost and KKT residual outside the solver and keep only what holds: residual ≤ 1e-6.
+
+    Interior-point methods stop short of a bound; cells that press against one are also tried exactly at it.
+    """
+    cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
+    if not np.all(np.isfinite(cells)):
+        status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
+        return failure(cost, data, status, float("nan"), outcome)
+    evaluation = cost.evaluate(data, cells)
+    residual = evaluation.kkt_residual(outcome.dual)
+    slope = evaluation.log_gradient(outcome.dual)
+    at_bounds = np.where((cells >= data.upper * OPEN_FRACTION) & (slope < 0), data.upper, cells)
+    at_bounds = np.where((cells <= data.lower / OPEN_FRACTION) & (slope > 0), data.lower, at_bounds)
+    if np.any(at_bounds != cells):
+        candidate = cost.evaluate(data, at_bounds)
+        candidate_residual = candidate.kkt_residual(outcome.dual)
+        if candidate_residual < residual:
+            evaluation, residual = candidate, candidate_residual
+    if residual <= VERIFIED:
+        return _solution(evaluation, residual, outcome)
+    status = Status.UNVERIFIED if outcome.status is Status.OPTIMUM else outcome.status
+    return failure(cost, data, status, residual, outcome)
+
+
+def _solution(evaluation: Evaluation, residual: float, outcome: Outcome) -> Solution:
+    cells, data = evaluation.cell_resistance, evaluation.data
+    return Solution(
+        cells,
+        evaluation.two_point_resistance,
+        evaluation.costs,
+        evaluation.objective,
+        residual,
+        cells <= data.lower / OPEN_FRACTION,
+        cells >= data.upper * OPEN_FRACTION,
+        Status.OPTIMUM,
+        outcome.iterations,
+    )
+
+
+def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
+    """A solution that holds NaN and a status."""
+    nothing = np.full(data.measured.shape, np.nan)
+    flags = np.zeros(data.measured.shape, dtype=bool)
+    costs = np.full(len(cost.terms), np.nan)
+    return Solution(nothing, nothing, costs, float("nan"), residual, flags, flags, status, outcome.iterations)

@@ -1,0 +1,22 @@
+"""The cost terms. To add one: write its file, name it in `AnyTerm`."""
+
+from typing import get_args
+
+from lampest.terms.cell_resistance import CellResistance
+from lampest.terms.gradient import Gradient
+from lampest.terms.gradient_of_relative_change import GradientOfRelativeChange
+from lampest.terms.misfit import Misfit
+from lampest.terms.relative_change import RelativeChange
+from lampest.terms.term import Term
+
+AnyTerm = Misfit | CellResistance | RelativeChange | Gradient | GradientOfRelativeChange
+
+
+def term_kind(term: Term) -> str:
+    """The word that names the term in YAML and results."""
+    return str(type(term).__dataclass_fields__["kind"].default)
+
+
+def term_types() -> dict[str, type[Term]]:
+    """kind → class, for every member of the union, in its order."""
+    return {kind.__dataclass_fields__["kind"].default: kind for kind in get_args(AnyTerm)}

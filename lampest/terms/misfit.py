@@ -1,0 +1,20 @@
+"""The data term."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from lampest.terms.term import State, Term
+
+
+@dataclass(frozen=True)
+class Misfit(Term):
+    """f(r) − R_m in ohm, or (f(r) − R_m)/σ without unit where weighting is 'noise'; paper, equation (11)."""
+
+    unit: ClassVar[str] = "ohm"
+    kind: Literal["misfit"] = "misfit"
+    weighting: Literal["plain", "noise"] = "plain"
+
+    def residual(self, state: State) -> Any:
+        """Modelled minus measured two-point resistance, (cells, 1)."""
+        difference = state.two_point_resistance - state.measured
+        return difference / state.sigma if self.weighting == "noise" else difference

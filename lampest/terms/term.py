@@ -1,0 +1,75 @@
+"""What a cost term reads and what it must say. cost = weight · loss(residual)."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from math import isfinite
+from typing import Any, ClassVar
+
+import casadi
+
+from lampest.panel import Panel
+from lampest.terms.losses import Loss, Squared
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
+
+    Parameters
+    ----------
+    panel : shape of the panel.
+    cell_resistance : r, ohm.
+    two_point_resistance : R = f(r) as the model has it, ohm.
+    measured : R_m without the series resistance, ohm.
+    sigma : standard deviation of R_m, ohm.
+    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
+    """
+
+    panel: Panel
+    cell_resistance: Any
+    two_point_resistance: Any
+    measured: Any
+    sigma: Any
+    previous: Any = None
+
+    def relative_change(self) -> Any:
+        """100·(r − r0)/r0 in percent; paper, equation (15)."""
+        return 100 * (self.cell_resistance - self.previous) / self.previous
+
+    def gradient(self, values: Any) -> Any:
+        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D."""
+        return gradient_operator(self.panel.rows, self.panel.columns) @ values
+
+
+@cache
+def gradient_operator(rows: int, columns: int) -> casadi.DM:
+    """Sparse (2·cells, cells): the panel's finite differences for row-major columns."""
+    panel = Panel(rows, columns)
+    along_rows = casadi.sparsify(casadi.DM(panel.row_gradient()))
+    along_columns = casadi.sparsify(casadi.DM(panel.column_gradient()))
+    return casadi.vertcat(
+        casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
+    )
+
+
+@dataclass(frozen=True)
+class Term(ABC):
+    """A summand of the cost function: weight · loss(residual(state)).
+
+    Raises ValueError unless the weight is finite and not negative.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    needs_previous: ClassVar[bool] = False
+    unit: ClassVar[str]
+    weight: float = 1.0
+    loss: Loss = Squared()
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.weight) and self.weight >= 0):
+            raise ValueError("weight must be zero or positive, and finite")
+
+    @abstractmethod
+    def residual(self, state: State) -> Any:
+        """The column of residuals, in `unit`."""
