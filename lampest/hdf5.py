@@ -1,6 +1,5 @@
-"""HDF5 as lampest writes it: whole or not at all, readable by old libraries, fixed-length ASCII, units on everything."""
+"""HDF5 as lampest writes it: whole or not at all, in the oldest format, fixed-length ASCII, units on everything."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +9,12 @@ import h5py
 import numpy as np
 
 from lampest.errors import InputError
+from lampest.files import whole_file
 
 MOST_VALUES = 200_000_000
+MOST_TEXT_BYTES = 5_000_000
+MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
+BEST_COMPRESSION = 1100  # deflate's limit is 1032
 
 
 @contextmanager
@@ -20,18 +23,13 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
     Raises InputError where the folder cannot be written or the disk is full; nothing is left behind then.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(unfinished, "w") as file:
-            yield file
-        with open(unfinished, "rb") as handle:
-            os.fsync(handle.fileno())
-        os.replace(unfinished, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        unfinished.unlink(missing_ok=True)
+    # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
+    with h5py.File(str(path), "w", driver="core", backing_store=False, block_size=2**20) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(image)
 
 
 @contextmanager
@@ -83,22 +81,125 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
     group.create_dataset(name, data=ascii_array(text))
 
 
-def read_array(file: h5py.File, path: str, dimensions: int) -> Any:
-    """A numeric dataset of that many dimensions. Raises InputError where it is absent, of another shape, or absurdly large."""
-    dataset = file.get(path)
-    if not isinstance(dataset, h5py.Dataset):
-        raise InputError(f"{file.filename}: {path} is missing")
-    if dataset.ndim != dimensions or dataset.dtype.kind not in "iuf":
-        raise InputError(f"{file.filename}: {path} must be numeric with {dimensions} dimensions")
-    if dataset.size > MOST_VALUES:
-        raise InputError(f"{file.filename}: {path} claims {dataset.size} values; more than {MOST_VALUES} are not read")
-    return dataset[()]
+@contextmanager
+def located(file: h5py.File, path: str) -> Iterator[None]:
+    """Turns what the library says of a damaged place into one InputError that names it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (
+        OSError,
+        RuntimeError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        MemoryError,
+    ) as error:
+        raise InputError(f"{file.filename}: {path} is damaged ({' '.join(str(error).split())})") from error
+
+
+def read_array(file: h5py.File, path: str, dimensions: int, shape: tuple[int, ...] | None = None) -> Any:
+    """A numeric dataset of that many dimensions.
+
+    Raises InputError where it is absent, of another shape, damaged, or absurdly large.
+    """
+    with located(file, path):
+        dataset = file.get(path)
+        if not isinstance(dataset, h5py.Dataset):
+            raise InputError(f"{file.filename}: {path} is missing")
+        if dataset.ndim != dimensions or dataset.dtype.kind not in "iuf":
+            raise InputError(f"{file.filename}: {path} must be numeric with {dimensions} dimensions")
+        if shape is not None and dataset.shape != shape:
+            found, wanted = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
+            raise InputError(f"{file.filename}: {path} is {found}, not {wanted}")
+        if dataset.size > MOST_VALUES:
+            raise InputError(
+                f"{file.filename}: {path} claims {dataset.size} values; more than {MOST_VALUES} are not read"
+            )
+        stored = dataset.id.get_storage_size()
+        if dataset.nbytes > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
+            raise InputError(f"{file.filename}: {path} claims {dataset.nbytes} bytes, but holds only {stored}")
+        return dataset[()]
 
 
 def read_text(file: h5py.File, path: str) -> str:
     """A scalar text. Raises InputError where it is absent or no text."""
-    dataset = file.get(path)
-    if not isinstance(dataset, h5py.Dataset) or dataset.shape != () or dataset.dtype.kind not in "SO":
-        raise InputError(f"{file.filename}: {path} is missing or no text")
-    value = dataset[()]
+    with located(file, path):
+        dataset = file.get(path)
+        if not isinstance(dataset, h5py.Dataset) or dataset.shape != () or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or no text")
+        if dataset.dtype.itemsize > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
+        return _text(dataset[()])
+
+
+def read_texts(file: h5py.File, path: str, length: int) -> tuple[str, ...]:
+    """A list of that many texts. Raises InputError where it is absent, longer, shorter or no text."""
+    with located(file, path):
+        dataset = file.get(path)
+        if not isinstance(dataset, h5py.Dataset) or dataset.shape != (length,) or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or not {length} texts")
+        if dataset.dtype.itemsize * length > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * length} bytes")
+        return tuple(_text(value) for value in dataset[()])
+
+
+def read_attribute(file: h5py.File, path: str, name: str) -> Any:
+    """An attribute, text as str, or None where there is none. Raises InputError where it cannot be read."""
+    with located(file, f"{path}@{name}"):
+        attributes = _node(file, path).attrs
+        if name not in attributes:
+            return None
+        if attributes.get_id(name).get_storage_size() > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
+        value = attributes[name]
+        return _text(value) if isinstance(value, bytes | str) else value
+
+
+def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
+    """A numeric attribute, or `otherwise` where there is none or NaN. Raises InputError where it is not finite."""
+    value = read_attribute(file, path, name)
+    number = np.shape(value) == () and np.asarray(value).dtype.kind in "iuf"
+    if otherwise is not None and (value is None or (number and np.isnan(value))):
+        return otherwise
+    if not number or not np.isfinite(value):
+        raise InputError(f"{file.filename}: {path}@{name} is missing or no finite number")
+    return float(value)
+
+
+def attribute_names(file: h5py.File, path: str) -> list[str]:
+    """The names of a node's attributes. Raises InputError where there is no such node."""
+    with located(file, path):
+        return [str(name) for name in _node(file, path).attrs]
+
+
+def child_groups(file: h5py.File, path: str) -> list[str]:
+    """The names of the groups within a group, alphabetically. Raises InputError where there is no such group."""
+    return _children(file, path, h5py.Group)
+
+
+def child_datasets(file: h5py.File, path: str) -> list[str]:
+    """The names of the datasets within a group, alphabetically. Raises InputError where there is no such group."""
+    return _children(file, path, h5py.Dataset)
+
+
+def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
+    with located(file, path):
+        group = _node(file, path)
+        if not isinstance(group, h5py.Group):
+            raise InputError(f"{file.filename}: {path} is no group")
+        return [name for name in group if group.get(name, getclass=True) is kind]
+
+
+def _node(file: h5py.File, path: str) -> Any:
+    node = file.get(path)
+    if node is None:
+        raise InputError(f"{file.filename}: {path} is missing")
+    return node
+
+
+def _text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

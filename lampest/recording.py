@@ -32,6 +32,7 @@ class Recording:
     truth_cell_resistance, truth_pressure : (frames, rows, columns) ohm and kPa, or None.
     raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
     name : what results call it (the file's stem).
+    simulation : for simulated ones, all that made them, as YAML text, or None.
 
     Raises InputError where shapes disagree or a value is not positive and finite.
     """
@@ -46,6 +47,7 @@ class Recording:
     raw_sums: NDArray[np.uint16] | None = None
     raw_readings: int | None = None
     name: str = "recording"
+    simulation: str | None = None
 
     def __post_init__(self) -> None:
         frames, shape = len(self.resistance), self.scene.panel.shape
@@ -92,6 +94,7 @@ class Recording:
             }
             sums = hdf5.read_array(file, "/entry/raw/sums", 3) if "/entry/raw/sums" in file else None
             readings = int(file["/entry/raw"].attrs.get("readings", 0)) if sums is not None else None
+            simulation = hdf5.read_text(file, "/entry/truth/simulation") if "/entry/truth/simulation" in file else None
         return cls(
             scene,
             resistance,
@@ -103,6 +106,7 @@ class Recording:
             sums,
             readings,
             path.stem,
+            simulation,
         )
 
     def save(self, path: str | Path) -> None:
@@ -129,6 +133,8 @@ class Recording:
             hdf5.write_dataset(truth, "cell_resistance", cells, "ohm", "true cell resistance", axes)
             if self.truth_pressure is not None:
                 hdf5.write_dataset(truth, "pressure", self.truth_pressure, "kPa", "true pressure on the cells", axes)
+            if self.simulation is not None:
+                hdf5.write_text(truth, "simulation", self.simulation)
         if self.raw_sums is not None and self.raw_readings is not None:
             raw = self._frames_group(entry, "raw", "sums")
             hdf5.set_attributes(raw, readings=np.uint16(self.raw_readings))

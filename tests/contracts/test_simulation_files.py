@@ -1,0 +1,145 @@
+"""Simulation files: what they may say, where their faults are reported, and what a command leaves on the disk."""
+
+from pathlib import Path
+
+import pytest
+
+from lampest.document import parse_document, validated
+from lampest.errors import InputError
+from lampest.recording import Recording
+from lampest.simulate import Simulation, read_simulations, run
+
+ROOT = Path(__file__).parents[2]
+BASE = """\
+schema: 1
+seed: 4
+scene:
+  panel: {rows: 4, columns: 3, pitch_mm: 10}
+  readout: {kind: two_point}
+  series_resistance_ohm: 140
+frames: 2
+loads:
+  - {kind: oral_disc, centre_mm: [10, 10], diameter_mm: 25, rim_width_mm: 4, pressure_kpa: -10}
+  - {kind: rod, centre_mm: [20, 0], diameter_mm: 10, mass_g: 50}
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("frames: 2", "frmaes: 2", "7:1", "frmaes: no such key"),
+        ("rim_width_mm: 4", "rim_width_mm: 4, tlit: 0.1", "9:78", "tlit: no such key"),
+        ("mass_g: 50", "mass_g: 50, weight: 3", "10:66", "weight: no such key"),
+        ("mass_g: 50", "mass_g: -50", "10:5", "mass_g must be positive"),
+        ("mass_g: 50", "mass_g: heavy", "10:54", "number"),
+        ("kind: rod", "kind: rodd", "10:5", "rodd"),
+        ("pressure_kpa: -10", "pressure_kpa: 10", "9:5", "must be negative"),
+        ("rim_width_mm: 4", "rim_width_mm: 14", "9:5", "below half the diameter"),
+        ("rows: 4", "rows: 4.5", "4:11", "integer"),
+        ("seed: 4", "seed: -4", "1:1", "seed must lie"),
+        ("seed: 4", "seed: 4\nseed: 5", "3:1", "duplicate"),
+        ("mass_g: 50", "mass_g: {uniform: [5]}", "10:63", "two numbers"),
+        ("mass_g: 50", "mass_g: {uniform: [9, 5]}", "10:63", "lower one first"),
+        ("frames: 2", "frames: 2\nunmodelled: {outliers: 0.1}", "8:14", "no such key"),
+        ("frames: 2", "frames: 2\ncourse: {breathing_depth: 2}", "8:1", "below 1"),
+        ("frames: 2", "frames: 2\ncourse: {start_s: -1}", "1:1", "after the last unloaded frame"),
+        ("frames: 2", "frames: 2\nsweep: {sede: [1, 2]}", "8:9", "sweep.sede"),
+        ("frames: 2", "frames: 2\nsweep: {cells.spraed: [1, 2]}", "8:9", "spraed: no such key"),
+        ("frames: 2", "frames: 2\nsweep: {loads.2.mass_g: [1, 2]}", "8:9", "no such place"),
+        ("frames: 2", "frames: 2\nsweep: {loads.rod.mass_g: [1, 2]}", "8:9", "no such place"),
+        ("frames: 2", "frames: 2\nsweep: {loads.1.mass_g: [1, -2]}", "8:29", "must be positive"),
+        ("frames: 2", "frames: 2\nsweep: {seed: 5}", "8:9", "list of at least one"),
+        ("frames: 2", "frames: 2\nsweep: [5]", "8:1", "mapping"),
+        ("frames: 2", "frames: 2\nsweep: {seed: [1, 2]}\noutput: same.h5", "9:1", "two recordings"),
+        ("frames: 2", "frames: 2\noutput: 'a_{sede}.h5'", "8:1", "none of case, seed"),
+        ("frames: 2", "frames: 2\noutput: 'a_{seed.__class__}.h5'", "8:1", "braces"),
+        ("frames: 2", "frames: 2\noutput: a.txt", "8:1", "end in .h5"),
+    ],
+)
+def test_faults_are_reported_at_their_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
+    assert old in BASE
+    path = written(tmp_path, BASE.replace(old, new, 1))
+    with pytest.raises(InputError, match=words) as caught:
+        run(path, tmp_path / "out.h5")
+    assert str(caught.value).startswith(f"{path}:{place}: ")
+    assert list(tmp_path.iterdir()) == [path], "nothing written"
+
+
+def test_effects_of_the_electronics_need_electronics(tmp_path: Path) -> None:
+    text = BASE.replace("  readout: {kind: two_point}\n", "") + "unmodelled: {reference_tolerance: 0.01}\n"
+    with pytest.raises(InputError, match="need a readout"):
+        read_simulations(written(tmp_path, text))
+
+
+def test_negative_resistance_is_an_input_error(tmp_path: Path) -> None:
+    path = written(tmp_path, BASE + "unmodelled: {channel_spread_ohm: 10000}\n")
+    with pytest.raises(InputError, match="makes a resistance negative"):
+        run(path, tmp_path / "out.h5")
+    assert not (tmp_path / "out.h5").exists()
+
+
+def test_sweep_is_the_cartesian_product(tmp_path: Path) -> None:
+    sweep = "sweep: {seed: [1, 2], loads.0.pressure_kpa: [-5, -10, -20]}\noutput: 'out/s{seed:03d}_{pressure_kpa}.h5'\n"
+    found = read_simulations(written(tmp_path, BASE + sweep))
+    assert [name for name, _ in found] == [f"out/s{seed:03d}_{kpa}.h5" for seed in (1, 2) for kpa in (-5, -10, -20)]
+    assert [(simulation.seed, simulation.loads[0].pressure_kpa) for _, simulation in found] == [
+        (seed, kpa) for seed in (1, 2) for kpa in (-5, -10, -20)
+    ]
+
+
+def test_swept_files_go_into_a_folder(tmp_path: Path) -> None:
+    path = written(tmp_path, BASE + "sweep: {seed: [1, 2]}\n")
+    with pytest.raises(InputError, match=r"must be a folder, because .* makes 2 recordings"):
+        run(path, tmp_path / "one.h5")
+    with pytest.raises(InputError, match="must be a folder"):
+        run(path, path)
+    assert [made.name for made in run(path, tmp_path / "many")] == ["scene_001.h5", "scene_002.h5"]
+    assert sorted(made.name for made in (tmp_path / "many").iterdir()) == ["scene_001.h5", "scene_002.h5"]
+
+
+def test_one_file_goes_where_it_says(tmp_path: Path) -> None:
+    path = written(tmp_path, BASE + "output: made/here.h5\n")
+    assert run(path, None) == [tmp_path / "made" / "here.h5"]
+    with pytest.raises(InputError, match="is a folder"):
+        run(path, tmp_path)
+
+
+def test_recording_tells_how_it_was_made(tmp_path: Path) -> None:
+    text = BASE.replace("diameter_mm: 25", "diameter_mm: {uniform: [20, 25]}")
+    ((_, simulation),) = read_simulations(written(tmp_path, text))
+    (made,) = run(written(tmp_path, text), tmp_path / "a.h5")
+    told = Recording.load(made).simulation
+    assert told is not None
+    assert validated(parse_document(told, "told"), Simulation) == simulation
+    assert 20 <= simulation.loads[0].diameter_mm <= 25
+
+
+def test_further_drawn_numbers_leave_the_others_alone(tmp_path: Path) -> None:
+    once = BASE.replace("diameter_mm: 25", "diameter_mm: {uniform: [20, 25]}")
+    twice = once.replace("mass_g: 50", "mass_g: {uniform: [1, 50]}").replace("frames: 2", "frame_period_s: 2.0")
+    ((_, first),) = read_simulations(written(tmp_path, once))
+    ((_, second),) = read_simulations(written(tmp_path, twice))
+    assert first.loads[0] == second.loads[0]
+    assert first.loads[1] != second.loads[1]
+
+
+def test_cohort_is_thirty_different_lampreys() -> None:
+    cohort = read_simulations(ROOT / "configs" / "cohort.yaml")
+    assert len(cohort) == 30
+    assert cohort[6][0] == "../results/cohort/lamprey_07.h5"
+    mouths = [simulation.loads[0] for _, simulation in cohort]
+    assert all(20 <= mouth.diameter_mm <= 45 for mouth in mouths)
+    assert max(mouth.diameter_mm for mouth in mouths) > 40
+    assert min(mouth.diameter_mm for mouth in mouths) < 25
+    assert len({mouth.centre_mm for mouth in mouths}) == 30
+
+
+def test_every_configuration_for_a_shipped_recording_reads() -> None:
+    for path in sorted((ROOT / "data").glob("*.h5")):
+        assert len(read_simulations(ROOT / "configs" / f"{path.stem}.yaml")) == 1
