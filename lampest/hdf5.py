@@ -38,10 +38,18 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        with h5py.File(path, "r") as file:
+        with _opened(path) as file:
             yield file
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
+
+
+def _opened(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError:
+        # One that is being recorded, or whose recorder was killed, opens only as what it is.
+        return h5py.File(path, "r", swmr=True)
 
 
 def ascii_array(values: Any) -> Any:

@@ -1,0 +1,152 @@
+"""Tables and pictures of results: right numbers, every panel shape, the same bytes twice."""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import METHODS, invented_case
+
+from lampest.compare import compare, compare_files, csv_text, screen_table, write_csv
+from lampest.errors import InputError
+from lampest.info import describe
+from lampest.plot import contours, plot_results, save
+from lampest.plot.contours import strongest_frame
+from lampest.recording import Recording
+from lampest.results import PublishedFigures, Results, StepFigures, write_results
+from lampest.scene import Panel, Scene, TwoPointReadout
+
+PUBLISHED = {
+    "LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29)),
+    "LSR-dCR": PublishedFigures(initial=StepFigures(58.63, None, 1.19, 1.18), following=StepFigures(8.05, 0.88)),
+}
+
+
+def test_the_figures_are_what_they_are_called() -> None:
+    case = invented_case("LSM", failed=(1,))
+    (row,) = compare(Results((case,), PUBLISHED))
+    good = [0, 2]
+    data = 100 * np.abs(case.two_point_model[good] - case.measured[good]) / case.measured[good]
+    cell = 100 * np.abs(case.cell_resistance[good] - case.truth[good]) / case.truth[good]
+    assert (row.steps, row.frames, row.solved) == ("all", 3, 2)
+    assert row.data_error.mean == pytest.approx(data.mean()) and row.data_error.sd == pytest.approx(data.std(ddof=1))
+    assert row.cell_error.median == pytest.approx(np.median(cell))
+    assert row.cell_error.percentile_95 == pytest.approx(np.percentile(cell, 95))
+    assert row.solve_time.mean == pytest.approx(case.solve_time[good].mean())
+    assert row.worst_kkt_residual == case.kkt_residual[good].max()
+    assert row.open_cells == case.open_cell[good].sum()
+    assert row.published == PUBLISHED["LSM"].all
+
+
+def test_a_joint_start_is_told_apart() -> None:
+    initial, following = compare(Results((invented_case("LSR-dCR", shape=(4, 5, 6)),), PUBLISHED))
+    assert (initial.steps, initial.frames, initial.published.time_s) == ("initial", 1, 58.63)
+    assert (following.steps, following.frames, following.published.time_s) == ("following", 3, 8.05)
+    assert initial.solve_time.sd is None and initial.data_error.sd is not None
+    (alone,) = compare(Results((invented_case("LSR-dCR", shape=(1, 5, 6)),)))
+    assert alone.steps == "initial"
+
+
+def test_the_table_on_screen() -> None:
+    cases = [invented_case(name, failed=(0, 1, 2) if name == "LSR-CR" else ()) for name in METHODS]
+    table = screen_table(compare(Results(tuple(cases), PUBLISHED)))
+    assert all(len(line) == len(table.headers) for line in table.cells) and len(table.cells) == 7
+    line = dict(zip(table.headers, table.cells[0], strict=True))
+    assert line["published time [s]"] == "16.45 ± 0.4" and line["solved"] == "3/3" and " ± " in line["time [s]"]
+    assert dict(zip(table.headers, table.cells[1], strict=True))["time [s]"] == ""
+    bare = screen_table(compare(Results((invented_case(truth=False),))))
+    assert not any("cell error" in header or "published" in header for header in bare.headers)
+    assert screen_table([]).cells == ()
+
+
+def test_csv(tmp_path: Path) -> None:
+    for name in ("one.h5", "two.h5"):
+        write_results(tmp_path / name, [invented_case(method) for method in METHODS], PUBLISHED)
+    rows = compare_files([tmp_path / "one.h5", tmp_path / "two.h5"])
+    write_csv(tmp_path / "table.csv", rows)
+    lines = list(csv.DictReader((tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(lines) == 14 and lines[0]["results"].endswith("one.h5") and lines[7]["results"].endswith("two.h5")
+    assert float(lines[0]["data error mean [%]"]) == rows[0].data_error.mean
+    assert lines[0]["published time sd [s]"] == "0.4" and lines[1]["published time sd [s]"] == ""
+    assert csv_text(rows) == (tmp_path / "table.csv").read_text(encoding="utf-8")
+    assert "results" in screen_table(rows).headers
+    with pytest.raises(InputError, match="cannot be written"):
+        write_csv(tmp_path / "one.h5" / "table.csv", rows)
+
+
+def test_published_figures_are_checked() -> None:
+    with pytest.raises(ValueError, match="time_s must be zero or positive"):
+        StepFigures(time_s=-1.0)
+
+
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize(("rows", "columns"), [(10, 10), (5, 12), (1, 8), (8, 1), (1, 1), (2, 2)])
+def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None:
+    cases = tuple(invented_case(name, shape=(2, rows, columns), truth=truth) for name in METHODS[:2])
+    figure = contours(Results(cases), "mouth")
+    titles = [axes.get_title().split("\n")[0] for axes in figure.axes if axes.get_title()]
+    assert titles == ["(a) measured two-point", "(b) LSM", "(c) LSR-CR"] + ["(d) truth"] * truth
+    assert "frame 6 at 6 s" in figure.get_suptitle()
+
+
+def test_the_same_picture_twice(tmp_path: Path) -> None:
+    results = Results(tuple(invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS))
+    for name in ("one", "two"):
+        save(contours(results, "mouth", 7), tmp_path / f"{name}.png")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match=r"written as \.png or \.pdf"):
+        save(contours(results, "mouth"), tmp_path / "one.bmp")
+    with pytest.raises(InputError, match="frame 3 has no results; there are frames 5 to 7"):
+        contours(results, "mouth", 3)
+    with pytest.raises(InputError, match="no results of a recording 'ear'; there are mouth"):
+        contours(results, "ear")
+
+
+def test_the_frame_that_most_estimators_solved() -> None:
+    cases = [invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS]
+    assert strongest_frame(cases[1:]) == 2
+    assert strongest_frame(cases) == 1
+
+
+def test_where_pictures_go(tmp_path: Path) -> None:
+    write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
+    two = [invented_case("LSM", stem, (1, 3, 3)) for stem in ("a", "b")]
+    write_results(tmp_path / "two.h5", two)
+    assert plot_results(tmp_path / "one.h5") == [tmp_path / "contours_mouth.png"]
+    assert plot_results(tmp_path / "one.h5", tmp_path / "x.png") == [tmp_path / "x.png"]
+    names = [path.name for path in plot_results(tmp_path / "two.h5", tmp_path / "new")]
+    assert names == ["contours_a.png", "contours_b.png"] and (tmp_path / "new" / "contours_b.png").exists()
+    with pytest.raises(InputError, match="name a folder instead"):
+        plot_results(tmp_path / "two.h5", tmp_path / "x.png")
+
+
+def test_all_frames_failed(tmp_path: Path) -> None:
+    case = invented_case("LSM", failed=(0, 1, 2))
+    write_results(tmp_path / "r.h5", [dataclasses.replace(case, baseline_resistance=np.full((10, 10), np.nan))])
+    assert plot_results(tmp_path / "r.h5")
+    (row,) = compare_files([tmp_path / "r.h5"])
+    assert row.solved == 0 and row.data_error is None and row.worst_kkt_residual is None
+    assert any("solved 0/3" in line for line in describe(tmp_path / "r.h5"))
+
+
+def test_describe(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case(name) for name in METHODS], PUBLISHED)
+    lines = describe(tmp_path / "r.h5")
+    assert lines[0].endswith("results/1") and any("10 rows × 10 columns" in line for line in lines)
+    scene = Scene(Panel(30, 14), TwoPointReadout(), 140.0)
+    values = np.linspace(300, 400, 3 * 30 * 14).reshape(3, 30, 14)
+    Recording(scene, values, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8)).save(tmp_path / "rec.h5")
+    text = "\n".join(describe(tmp_path / "rec.h5"))
+    for part in (
+        "3: 1 unloaded, 2 measured; 0 to 2 s",
+        "300 to 400 ohm",
+        "140 ohm",
+        "10 bits",
+        "24 of 30 rows and 12 of 14",
+    ):
+        assert part in text
+    (tmp_path / "text.h5").write_text("text", encoding="utf-8")
+    with pytest.raises(InputError, match="not a readable HDF5 file"):
+        describe(tmp_path / "text.h5")

@@ -1,0 +1,278 @@
+"""Foreign measurements: every format gives the same frames, every fault is one sentence with its place."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from lampest.errors import InputError
+from lampest.importing import import_file, read_scene
+from lampest.panel import Panel
+from lampest.readout import voltage_from_resistance
+from lampest.scene import Scene, TwoPointReadout
+
+FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
+ROWS, COLUMNS = 3, 5
+SCENE = Scene(Panel(ROWS, COLUMNS), TwoPointReadout(), 140.0)
+
+
+def table(path: Path, values: np.ndarray, delimiter: str = ",", header: str = "", **options: str) -> Path:
+    np.savetxt(path, values, delimiter=delimiter, header=header, comments="", fmt="%.6f", **options)
+    return path
+
+
+def long_table(frames: np.ndarray, first: int = 0, frame: bool = True, swap: bool = False) -> np.ndarray:
+    index = np.indices(frames.shape).reshape(3, -1)
+    row, column = (index[2], index[1]) if swap else (index[1], index[2])
+    fields = [row + first, column + first, frames.ravel()] + [index[0]] * frame
+    return np.column_stack(fields)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   "])
+@pytest.mark.parametrize("header", [False, True])
+@pytest.mark.parametrize("time", [False, True])
+def test_one_frame_a_line(tmp_path: Path, delimiter: str, header: bool, time: bool) -> None:
+    values = FRAMES.reshape(4, -1)
+    names = ["time"] * time + [f"r{row}c{column}" for row in range(3) for column in range(5)]
+    if time:
+        values = np.column_stack([[0, 0.5, 1.25, 2], values])
+    path = table(tmp_path / "m.csv", values, delimiter, delimiter.join(names) if header else "")
+    recording, notes = import_file(path, ROWS, COLUMNS, baseline_frames=1)
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+    np.testing.assert_array_equal(recording.time, [0, 0.5, 1.25, 2] if time else np.arange(4))
+    np.testing.assert_array_equal(recording.role, [0, 1, 1, 1])
+    assert any("header" in note for note in notes) == header
+    assert any("row by row" in note for note in notes)
+
+
+def test_spreadsheet_ways(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    lines = [";".join(f"{value:.3f}".replace(".", ",") for value in frame.ravel()) for frame in FRAMES]
+    path.write_bytes("\ufeff# exported\r\n\r\n".encode() + "\r\n".join(lines).encode())
+    recording, notes = import_file(path, ROWS, COLUMNS)
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+    assert "decimal commas" in notes[0]
+    path.write_text("\n".join(",".join(f'"{value}"' for value in frame.ravel()) for frame in FRAMES), encoding="utf-8")
+    np.testing.assert_allclose(import_file(path, ROWS, COLUMNS)[0].resistance, FRAMES)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("swap", [False, True])
+def test_one_value_a_line(tmp_path: Path, first: int, swap: bool) -> None:
+    lines = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
+    path = table(tmp_path / "m.csv", lines)
+    recording, notes = import_file(path, ROWS, COLUMNS, transpose=swap)
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+    assert any(f"indices count from {first}" in note for note in notes)
+    one = table(tmp_path / "one.csv", long_table(FRAMES[:1], first, False)[:, ::-1], header="Resistance [ohm],Col,ROW")
+    np.testing.assert_allclose(import_file(one, ROWS, COLUMNS)[0].resistance, FRAMES[:1])
+
+
+@pytest.mark.parametrize(
+    ("array", "transpose"),
+    [(FRAMES, False), (FRAMES.reshape(4, -1), False), (FRAMES.transpose(0, 2, 1), True), (FRAMES.astype("f4"), False)],
+)
+def test_numpy(tmp_path: Path, array: np.ndarray, transpose: bool) -> None:
+    np.save(tmp_path / "m.npy", array)
+    recording, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS, transpose=transpose)
+    np.testing.assert_allclose(recording.resistance, FRAMES, rtol=1e-6)
+    assert notes[0].startswith("read as (frames")
+    np.save(tmp_path / "m.npy", array.reshape(4, *((5, 3) if transpose else (3, 5)))[0])
+    np.testing.assert_allclose(
+        import_file(tmp_path / "m.npy", ROWS, COLUMNS, transpose=transpose)[0].resistance, FRAMES[:1], rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (FRAMES.transpose(1, 2, 0), "(rows, columns, frames)"),
+        (FRAMES, "(frames, rows, columns)"),
+        (FRAMES[0], "(rows, columns)"),
+    ],
+)
+def test_matlab(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> None:
+    path = tmp_path / "m.mat"
+    content = {"note": "text", "fs": 1.0, "s": {"a": array}, "z": array * 1j, "R": array, "i": np.arange(3)}
+    scipy.io.savemat(path, content, do_compression=packed)
+    recording, notes = import_file(path, ROWS, COLUMNS)
+    np.testing.assert_array_equal(recording.resistance, FRAMES if array.ndim == 3 else FRAMES[:1])
+    assert notes[0] == f"array R read as {said}"
+    scipy.io.savemat(path, {"R": array, "S": array * 2})
+    with pytest.raises(InputError, match="R, S would all fit; say which with --variable"):
+        import_file(path, ROWS, COLUMNS)
+    assert import_file(path, ROWS, COLUMNS, variable="S")[0].resistance[0, 0, 0] == 2 * FRAMES[0, 0, 0]
+    with pytest.raises(InputError, match="no numeric array 'T'; there are R, S"):
+        import_file(path, ROWS, COLUMNS, variable="T")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_damaged_matlab_file(tmp_path: Path, packed: bool) -> None:
+    path = tmp_path / "m.mat"
+    scipy.io.savemat(path, {"R": FRAMES.transpose(1, 2, 0)}, do_compression=packed)
+    whole = path.read_bytes()
+    for seed in range(300):
+        generator = np.random.default_rng(seed)
+        data = bytearray(whole[: generator.integers(120, len(whole))] if seed % 3 == 0 else whole)
+        data[generator.integers(min(len(data), 300))] = generator.integers(256)
+        path.write_bytes(data)
+        try:
+            assert import_file(path, ROWS, COLUMNS)[0].resistance.shape == FRAMES.shape
+        except InputError as error:
+            assert "\n" not in str(error)
+
+
+def test_volts_and_codes(tmp_path: Path) -> None:
+    volts = voltage_from_resistance(SCENE.readout, FRAMES)
+    np.save(tmp_path / "v.npy", volts)
+    recording, _ = import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+    assert recording.scene is SCENE
+    np.save(tmp_path / "c.npy", np.floor(volts / 5 * 1024).astype(int))
+    recording, _ = import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "code")
+    np.testing.assert_allclose(recording.resistance, FRAMES, rtol=0.005)
+    for unit in ("volt", "code"):
+        with pytest.raises(InputError, match=f"{unit} values need a scene with a readout"):
+            import_file(tmp_path / "c.npy", ROWS, COLUMNS, None, unit)
+    with pytest.raises(InputError, match="the unit 'mV' is unknown"):
+        import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "mV")
+    for value, message in (
+        (0, "0 is a saturated code"),
+        (1023, "1023 is a saturated"),
+        (1024, "1024 is no code of a 10-bit"),
+    ):
+        codes = np.full((1, 3, 5), 500)
+        codes[0, 1, 2] = value
+        np.save(tmp_path / "c.npy", codes)
+        with pytest.raises(InputError, match=rf"c\.npy\[0, 1, 2\]: {message}"):
+            import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "code")
+    for value, message in ((0.0, "saturated"), (5.0, "saturated"), (5.5, "lies outside 0 to 5 V")):
+        volts[2, 1, 3] = value
+        path = table(tmp_path / "v.csv", volts.reshape(4, -1))
+        with pytest.raises(InputError, match=rf"v\.csv:3:9: .*{message}"):
+            import_file(path, ROWS, COLUMNS, SCENE, "volt")
+
+
+def lines_with(line: int, field: int, text: str) -> str:
+    lines = [[f"{value}" for value in frame.ravel()] for frame in FRAMES]
+    lines[line][field] = text
+    return "\n".join(",".join(fields) for fields in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no values"),
+        ("\n# only a comment\n", "holds no values"),
+        ("a,b,c\n", "holds a header but no values"),
+        (
+            "1,2\n3,4\n",
+            ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column",
+        ),
+        (lines_with(2, 6, "x3"), ":3:7: 'x3' is no number"),
+        (lines_with(0, 6, "x3"), ":1:7: 'x3' is no number"),
+        (lines_with(1, 3, ""), ":2:4: '' is no number"),
+        (lines_with(1, 3, "1_000"), ":2:4: '1_000' is no number"),
+        (lines_with(1, 3, "NaN"), ":2:4: nan is no finite number"),
+        (lines_with(1, 3, "1e999"), ":2:4: inf is no finite number"),
+        (lines_with(3, 14, "0"), ":4:15: 0 must be a positive resistance in ohm"),
+        (lines_with(3, 14, "-2"), ":4:15: -2 must be a positive resistance in ohm"),
+        (lines_with(3, 14, "1,2"), ":4: 16 fields, where line 1 has 15"),
+        (lines_with(3, 14, '"1'), ":4: "),
+        ("0,0,5\n0,0,6\n", ":2: the same cell as in line 1; several frames need a field"),
+        ("0,0,5\n0,1,6\n", "row 0, column 2 is missing"),
+        ("1,1,5\n3,6,6\n", ":2:2: column 6 is beyond the panel's 1 to 5"),
+        ("0,0,5\n3,0,6\n", ":2:1: row 3 is beyond the panel's 0 to 2"),
+        ("-1,0,5\n", ":1:1: row -1 is beyond"),
+        ("0,0.5,5\n", ":1:2: 0.5 is no index"),
+        ("frame,row,column,value\n4,0,0,5\n", "row 0, column 1 of frame 4 is missing"),
+        (",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16), ":2:1: times must be finite and grow"),
+    ],
+)
+def test_faults_in_tables(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        import_file(path, ROWS, COLUMNS)
+    assert str(caught.value).startswith(str(path)) and message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_place_of_a_transposed_value(tmp_path: Path) -> None:
+    lines = long_table(FRAMES, 1, swap=True)
+    lines[7, 2] = 0
+    with pytest.raises(InputError, match=r"m\.csv:8:3: 0 must be a positive"):
+        import_file(table(tmp_path / "m.csv", lines), ROWS, COLUMNS, transpose=True)
+
+
+GARBAGE = np.random.default_rng(3).bytes(4000)
+
+
+def sparse(path: Path) -> None:
+    with path.open("wb") as handle:
+        handle.truncate(600_000_000)
+
+
+def shortened(path: Path) -> None:
+    np.save(path, FRAMES)
+    path.write_bytes(path.read_bytes()[:-8])
+
+
+def boastful(path: Path) -> None:
+    np.save(path, FRAMES)
+    path.write_bytes(path.read_bytes().replace(b"(4, 3, 5), ", b"(400000000000, 3, 5), "))
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "message"),
+    [
+        ("m.csv", lambda path: path.write_bytes(GARBAGE), "no text table"),
+        ("m.csv", lambda path: path.write_bytes(b"1,2\n\xff\xfe,3"), ":2: no text table"),
+        ("m.csv", lambda path: path.write_bytes(b"1" * 2_000_000), ":1: longer than"),
+        ("m.csv", sparse, "more than 500000000 are not imported"),
+        ("m.csv", Path.mkdir, "no file"),
+        ("m.csv", lambda path: None, "No such file"),
+        ("m.npy", lambda path: path.write_bytes(GARBAGE), "no readable .npy file"),
+        ("m.npy", lambda path: path.write_bytes(b""), "no readable .npy file"),
+        ("m.npy", shortened, "no readable .npy file"),
+        ("m.npy", boastful, "no readable .npy file"),
+        ("m.npy", lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "no readable .npy"),
+        ("m.npy", lambda path: np.save(path, FRAMES.astype(complex)), "no plain array of real numbers"),
+        ("m.npy", lambda path: np.save(path, FRAMES.transpose(0, 2, 1)), "with --transpose it would"),
+        ("m.npy", lambda path: np.save(path, FRAMES[:, :2]), "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
+        ("m.mat", lambda path: path.write_bytes(GARBAGE), "no readable .mat file"),
+        ("m.mat", lambda path: path.write_bytes(b""), "no readable .mat file"),
+        ("m.mat", lambda path: scipy.io.savemat(path, {"x": np.ones((2, 2))}), "the numeric arrays are: x (2 × 2)"),
+        ("m.mat", lambda path: scipy.io.savemat(path, {"x": FRAMES * 1j}), "the numeric arrays are: none"),
+        ("m.mat", lambda path: path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600)), "save it with the option -v7"),
+    ],
+)
+def test_faults_in_files(tmp_path: Path, name: str, make: Callable[[Path], object], message: str) -> None:
+    path = tmp_path / name
+    make(path)
+    with pytest.raises(InputError) as caught:
+        import_file(path, ROWS, COLUMNS)
+    assert str(path) in str(caught.value) and message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_asked_for_must_fit(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", FRAMES)
+    with pytest.raises(InputError, match="the scene's panel has 3 × 5 cells, not 5 × 3"):
+        import_file(tmp_path / "m.npy", 5, 3, SCENE)
+    with pytest.raises(InputError, match="5 baseline frames asked for, but the file holds 4 frames"):
+        import_file(tmp_path / "m.npy", ROWS, COLUMNS, baseline_frames=5)
+    with pytest.raises(InputError, match="a panel needs at least one row"):
+        import_file(tmp_path / "m.npy", 0, 3)
+
+
+def test_a_scene_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
+    assert read_scene(path) == Scene(Panel(3, 5), None, 140.0)
+    path.write_text("seed: 1\nscene:\n  panel: {rows: 3, columns: 5}\n", encoding="utf-8")
+    assert read_scene(path) == Scene(Panel(3, 5))
+    path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"scene\.yaml:3:"):
+        read_scene(path)
