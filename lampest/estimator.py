@@ -7,24 +7,27 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from lampest.cost import Cost
 from lampest.errors import InputError
 from lampest.formulations import Formulation, Nodal, PerPixel
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
-from lampest.problem import Cost, Data
+from lampest.problem import Data
 from lampest.readout import resolution_limit
 from lampest.solvers.ipopt import Ipopt
-from lampest.solvers.solution import Settings
+from lampest.solvers.newton import Newton
+from lampest.solvers.solution import Settings, Solver
 from lampest.terms.term import Term
 
-FormulationName = Literal["nodal", "per_pixel"]
+FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
 FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
-FARTHEST = 1e9
+FARTHEST, NEAREST = 1e9, 1e-3
+NODAL_CELLS, NODAL_PERIOD = 144, 0.5
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """lower : 'measured' (r ≥ R_m, paper, equation (12)), a resistance in ohm, or 'none'.
+    """lower : 'measured' (r ≥ R_m, paper, equation (12)), a resistance in ohm, or 'none' (R_m/1000).
 
     upper : 'resolution' (r ≤ R²/σ, beyond which a cell cannot be told from an open one, though never below twice the
     cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_m, where double precision sees no difference).
@@ -48,7 +51,7 @@ class Bounds:
         Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
         """
         if isinstance(self.lower, str):
-            lower = measured.copy() if self.lower == "measured" else measured / FARTHEST
+            lower = measured.copy() if self.lower == "measured" else measured * NEAREST
         else:
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution":
@@ -101,11 +104,18 @@ class Estimator:
         lower, upper = self.bounds.limits(measured, sigma)
         return Data(measured, np.ones_like(measured) if sigma is None else sigma, lower, upper, previous)
 
-    def problem(self, panel: Panel, frames: int) -> Ipopt:
-        """The solver for one frame, or for two jointly; built once per process and kept."""
-        return _solver(Cost(Panel(*panel.shape), self.terms, frames), self.formulation, self.solver)
+    def problem(self, panel: Panel, frames: int, period: float) -> Solver:
+        """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.
+
+        formulation 'auto' is nodal on panels of up to 144 cells with at most two frames a second, else reduced.
+        """
+        small = panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
+        formulation = ("nodal" if small else "reduced") if self.formulation == "auto" else self.formulation
+        return _solver(Cost(Panel(*panel.shape), self.terms, frames), formulation, self.solver)
 
 
 @lru_cache(maxsize=32)
-def _solver(cost: Cost, formulation: str, settings: Settings) -> Ipopt:
-    return Ipopt(cost, FORMULATIONS[formulation], settings)
+def _solver(cost: Cost, formulation: str, settings: Settings) -> Solver:
+    if formulation in FORMULATIONS:
+        return Ipopt(cost, FORMULATIONS[formulation], settings)
+    return Newton(cost, settings)

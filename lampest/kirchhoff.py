@@ -22,8 +22,9 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
     Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike.
     Source: paper, equation (2).
     """
-    from_rows = (conductance @ np.ones(column_potential.shape)) * row_potential - conductance @ column_potential
-    from_columns = (conductance.T @ np.ones(row_potential.shape)) * column_potential - conductance.T @ row_potential
+    rows, columns = conductance.shape
+    from_rows = (conductance @ np.ones((columns, 1))) * row_potential - conductance @ column_potential
+    from_columns = (conductance.T @ np.ones((rows, 1))) * column_potential - conductance.T @ row_potential
     return from_rows, from_columns
 
 
@@ -66,26 +67,40 @@ class Network:
 
     def two_point_resistance(self) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk, (rows, columns) ohm: what is measured between a row and a column."""
-        return self.differences(self.impedance)
+        diagonal, rows = np.diag(self.impedance), self.rows
+        resistance: Array = diagonal[:rows, None] + diagonal[None, rows:] - 2 * self.impedance[:rows, rows:]
+        return resistance
 
-    def differences(self, matrix: Array) -> Array:
-        """b_iᵀ K b_i for all cells i at once, b_i = the cell's ±1 incidence vector; K (lines, lines) symmetric."""
-        diagonal = np.diag(matrix)
-        return diagonal[: self.rows, None] + diagonal[None, self.rows :] - 2 * matrix[: self.rows, self.rows :]
+    def injected(self, weights: Array, potentials: Array) -> Array:
+        """L_w·V: currents (lines, patterns) that conductances w (rows, columns) draw at potentials V."""
+        return np.vstack(current_balance(weights, potentials[: self.rows], potentials[self.rows :]))
+
+    def differences(self, left: Array, right: Array) -> Array:
+        """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i at once, b_i = the cell's ±1 incidence vector.
+
+        Only what is read is multiplied out: the diagonal and the blocks between rows and columns.
+        """
+        rows = self.rows
+        diagonal = np.einsum("ij,ji->i", left, right)
+        across = left[:rows] @ right[:, rows:] + (left[rows:] @ right[:, :rows]).T
+        return diagonal[:rows, None] + diagonal[None, rows:] - across
 
     def conductance_product(self, weights: Array) -> Array:
         """(∂R/∂g)·w = −bᵀ Z L_w Z b, which is also (∂R/∂g)ᵀ·w; w (rows, columns), result likewise.
 
         Costs (rows + columns)³ and never forms the matrix of cells × cells.
         """
-        return -self.differences(self.impedance @ laplacian(weights) @ self.impedance)
+        return -self.differences(self.impedance, self.injected(weights, self.impedance))
 
     def transfer(self) -> Array:
         """D = Bᵀ Z B (cells, cells) ohm: ∂R_i/∂g_l = −D_il² and ∂R_i/∂r_l = (D_il/r_l)²."""
-        rows = self.rows
-        lower = self.impedance[:, :rows][:, :, None] - self.impedance[:, rows:][:, None, :]
-        between = lower[:rows, None] - lower[None, rows:]
-        return between.reshape(self.conductance.size, self.conductance.size)
+        return self.between_cells(self.impedance)
+
+    def between_cells(self, matrix: Array) -> Array:
+        """Bᵀ K B (cells, cells), B = the incidence vectors of all cells; K (lines, lines)."""
+        rows, cells = self.rows, self.conductance.size
+        at_cells = matrix[:, :rows][:, :, None] - matrix[:, rows:][:, None, :]
+        return (at_cells[:rows, None] - at_cells[None, rows:]).reshape(cells, cells)
 
 
 def two_point_resistance(cell_resistance: Array) -> Array:

@@ -1,19 +1,16 @@
-"""The estimation problem: cost terms over one frame, or over a baseline and its first frame jointly.
+"""The estimation problem: lower ≤ r ≤ upper minimising φ(r), with f(r) from Kirchhoff's law eliminated in closed form.
 
-φ(r) = Σ_terms weight · loss(residual), lower ≤ r ≤ upper, with f(r) from Kirchhoff's law. This module holds what every
-solver shares: the data of a solve, the cost with its derivatives, and the test of optimality outside any solver.
+What every solver shares: the data of a solve, the cost at a point with its derivatives, and the test of optimality.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi
 import numpy as np
 
+from lampest.cost import Compiled, Cost
 from lampest.kirchhoff import Network, grounding
-from lampest.panel import Array, Panel
-from lampest.terms.losses import Absolute
-from lampest.terms.term import State, Term
+from lampest.panel import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,129 +34,88 @@ class Data:
         """Geometric mean of the measured resistances, ohm."""
         return float(np.exp(np.mean(np.log(self.measured))))
 
-
-@dataclass(frozen=True)
-class Cost:
-    """φ over `frames` frames of a panel, built once and evaluated for any data.
-
-    With two frames the first is the previous frame of the second; terms that need a previous frame skip the first.
-    An absolute loss enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
-    """
-
-    panel: Panel
-    terms: tuple[Term, ...]
-    frames: int = 1
-
-    @property
-    def needs_previous(self) -> bool:
-        """Whether a single frame needs a known previous one."""
-        return self.frames == 1 and any(term.needs_previous for term in self.terms)
-
-    def residuals(
-        self, cells: casadi.SX, two_point: casadi.SX, measured: casadi.SX, sigma: casadi.SX, previous: casadi.SX
-    ) -> list[tuple[Term, casadi.SX]]:
-        """(term, residual) pairs; arguments are (cells, frames) in ohm, previous (cells, 1)."""
-        pairs = []
-        for frame in range(self.frames):
-            before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
-            state = State(self.panel, cells[:, frame], two_point[:, frame], measured[:, frame], sigma[:, frame], before)
-            pairs += [
-                (term, term.residual(state)) for term in self.terms if before is not None or not term.needs_previous
-            ]
-        return pairs
-
-    def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames) and previous (cells, 1), in ohm."""
-        shape = (self.panel.cells, self.frames)
-        names = ("cells", "two_point", "measured", "sigma")
-        return [casadi.SX.sym(name, *shape) for name in names] + [casadi.SX.sym("previous", self.panel.cells)]
-
-    def parameters(self, data: Data) -> list[Array]:
-        """The last three of `symbols` as numbers."""
-        previous = np.ones(self.panel.cells) if data.previous is None else data.previous.ravel()
-        return [columns(data.measured), columns(data.sigma), previous]
+    @cached_property
+    def log_bounds(self) -> tuple[Array, Array]:
+        """Logarithms of the bounds."""
+        return np.log(self.lower), np.log(self.upper)
 
     @cached_property
-    def _functions(self) -> dict[str, casadi.Function]:
-        symbols = self.symbols()
-        pairs = self.residuals(*symbols)
-        costs = {id(term): casadi.SX(0) for term in self.terms}
-        for term, residual in pairs:
-            costs[id(term)] += term.weight * term.loss.cost(residual)
-        smooth, rough, slope = smooth_and_rough(pairs)
-        dual = casadi.SX.sym("dual", rough.shape[0])
-        lagrangian = smooth + casadi.dot(casadi.DM(slope) * dual, rough)
-        unknown = casadi.vertcat(casadi.vec(symbols[0]), casadi.vec(symbols[1]))
-        arguments = [*symbols, dual]
-        gradient = casadi.gradient(lagrangian, unknown)
-        hessian = casadi.jacobian(gradient, unknown, {"symmetric": True})
-        return {
-            "costs": casadi.Function("costs", symbols, [casadi.vertcat(*costs.values())]),
-            "gradient": casadi.Function("gradient", arguments, [gradient]),
-            "hessian": casadi.Function("hessian", arguments, [hessian]),
-            "rough": casadi.Function("rough", symbols, [rough, casadi.SX(casadi.DM(slope))]),
-        }
+    def ties(self) -> Array:
+        """(frames, rows + columns) siemens: each frame's tie to ground."""
+        return np.stack([grounding(measured) for measured in self.measured])
 
-    def evaluate(self, data: Data, cell_resistance: Array) -> "Evaluation":
-        """The cost and what it is made of at a cell resistance (frames, rows, columns) ohm."""
-        networks = tuple(
-            Network.solve(1 / cells, grounding(measured))
-            for cells, measured in zip(cell_resistance, data.measured, strict=True)
-        )
-        two_point = np.stack([network.two_point_resistance() for network in networks])
-        arguments = [columns(cell_resistance), columns(two_point), *self.parameters(data)]
-        return Evaluation(self, data, cell_resistance, two_point, networks, arguments)
+    @cached_property
+    def parameters(self) -> tuple[Array, Array, Array]:
+        """Measured and σ (frames · cells) and previous (cells), ohm, flat; ones where no previous is known."""
+        previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
+        return self.measured.ravel(), self.sigma.ravel(), previous
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """φ and its derivatives at one point."""
+    """φ and its derivatives at one point: cell and two-point resistance (frames, rows, columns) ohm."""
 
     cost: Cost
     data: Data
     cell_resistance: Array
     two_point_resistance: Array
     networks: tuple[Network, ...]
-    arguments: list[Array]
+
+    @classmethod
+    def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
+        """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
+        networks = tuple(Network.solve(1 / cells, tie) for cells, tie in zip(cell_resistance, data.ties, strict=True))
+        two_point = np.stack([network.two_point_resistance() for network in networks])
+        return cls(cost, data, cell_resistance, two_point, networks)
+
+    def call(self, function: Compiled, dual: Array) -> Array:
+        """One of the cost's functions at this point."""
+        return function(self.cell_resistance.ravel(), self.two_point_resistance.ravel(), *self.data.parameters, dual)
 
     @cached_property
     def costs(self) -> Array:
         """weight · loss of each term, summed over frames, in the order of the terms."""
-        return np.asarray(self.cost._functions["costs"](*self.arguments)).ravel()
+        return self.call(self.cost.functions.costs, self._no_dual)
 
     @property
     def objective(self) -> float:
         """φ."""
         return float(self.costs.sum())
 
+    @property
+    def _no_dual(self) -> Array:
+        return np.zeros(len(self.cost.functions.slope))
+
+    def partials(self, dual: Array) -> tuple[Array, Array]:
+        """(∂φ/∂r at fixed R, ∂φ/∂R), each (frames, rows, columns)."""
+        direct, through = np.split(self.call(self.cost.functions.gradient, dual), 2)
+        shape = self.cell_resistance.shape
+        return direct.reshape(shape), through.reshape(shape)
+
     def log_gradient(self, dual: Array) -> Array:
         """∂φ/∂log r, (frames, rows, columns): r·∂φ/∂r − g·(∂R/∂g)ᵀ ∂φ/∂R, in product form."""
-        both = np.asarray(self.cost._functions["gradient"](*self.arguments, dual)).ravel()
-        direct, through = (
-            part.reshape(self.cell_resistance.shape) for part in np.split(both, [self.cell_resistance.size])
-        )
+        direct, through = self.partials(dual)
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             gradient[frame] -= network.conductance * network.conductance_product(through[frame])
         return gradient
 
+    @cached_property
     def cost_scale(self) -> float:
         """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
-        blank = list(self.arguments)
-        blank[1] = np.zeros_like(blank[1])
-        without_model = float(np.asarray(self.cost._functions["costs"](*blank)).sum())
-        return (without_model / self.cell_resistance.size + self.objective) or 1.0
+        nothing = np.zeros(self.cell_resistance.size)
+        functions = self.cost.functions
+        blank = functions.costs(self.cell_resistance.ravel(), nothing, *self.data.parameters, self._no_dual)
+        return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property
-    def rough(self) -> tuple[Array, Array]:
-        """Residuals x with an absolute loss, and their weights."""
-        rough, slope = (np.asarray(part).ravel() for part in self.cost._functions["rough"](*self.arguments))
-        return rough, slope
+    def rough(self) -> Array:
+        """Residuals x with an absolute loss."""
+        return self.call(self.cost.functions.rough, self._no_dual)
 
     def dual_gap(self, dual: Array) -> float:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
-        rough, slope = self.rough
-        return float(np.sum(slope * (np.abs(rough) - dual * rough)))
+        return float(np.sum(self.cost.functions.slope * (np.abs(self.rough) - dual * self.rough)))
 
     def kkt_residual(self, dual: Array) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.
@@ -168,25 +124,11 @@ class Evaluation:
         come from the solver and are held to |z| ≤ 1 here.
         """
         dual = np.clip(dual, -1, 1)
-        scale = self.cost_scale()
+        gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
+        return self.projected_gradient(self.log_gradient(dual)) + gap
+
+    def projected_gradient(self, log_gradient: Array) -> float:
+        """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""
         position = np.log(self.cell_resistance)
-        target = position - self.log_gradient(dual) / scale
-        target = np.clip(target, np.log(self.data.lower), np.log(self.data.upper))
-        return float(np.max(np.abs(position - target)) + self.dual_gap(dual) / scale)
-
-
-def smooth_and_rough(pairs: list[tuple[Term, casadi.SX]]) -> tuple[casadi.SX, casadi.SX, Array]:
-    """Σ weight·loss over terms with a differentiable loss; the residuals with an absolute loss, and their weights."""
-    smooth, rough, slopes = casadi.SX(0), [casadi.SX(0, 1)], [np.zeros(0)]
-    for term, residual in pairs:
-        if isinstance(term.loss, Absolute):
-            rough.append(residual)
-            slopes.append(np.full(residual.shape[0], term.weight))
-        else:
-            smooth += term.weight * term.loss.cost(residual)
-    return smooth, casadi.vertcat(*rough), np.concatenate(slopes)
-
-
-def columns(frames: Array) -> Array:
-    """(frames, rows, columns) → (cells, frames), row-major cells: how CasADi symbols are laid out."""
-    return frames.reshape(len(frames), -1).T
+        target = np.clip(position - log_gradient / self.cost_scale, *self.data.log_bounds)
+        return float(np.max(np.abs(position - target)))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest import hdf5
+from lampest.acquisition import FRAME_FIELDS, Acquisition
 from lampest.document import parse_document, to_yaml, validated
 from lampest.errors import InputError
 from lampest.panel import Array
@@ -33,6 +34,7 @@ class Recording:
     raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
     name : what results call it (the file's stem).
     simulation : for simulated ones, all that made them, as YAML text, or None.
+    acquisition : for those from a board, its clocks, gaps and events, or None.
 
     Raises InputError where shapes disagree or a value is not positive and finite.
     """
@@ -48,6 +50,7 @@ class Recording:
     raw_readings: int | None = None
     name: str = "recording"
     simulation: str | None = None
+    acquisition: Acquisition | None = None
 
     def __post_init__(self) -> None:
         frames, shape = len(self.resistance), self.scene.panel.shape
@@ -69,32 +72,37 @@ class Recording:
         for truth, path in ((self.truth_cell_resistance, "cell_resistance"), (self.truth_pressure, "pressure")):
             if truth is not None and truth.shape != self.resistance.shape:
                 raise InputError(f"{self.name}: /entry/truth/{path} has another shape than the frames")
+        if self.acquisition is not None and len(self.acquisition.host_time) != frames:
+            raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
 
     @classmethod
     def load(cls, path: str | Path) -> "Recording":
-        """Read a recording file. Raises InputError with the dataset's path where something is wrong."""
+        """Read a recording file, finished or not. Raises InputError with the dataset's path where it is wrong."""
         path = Path(path)
         with hdf5.existing_file(path) as file:
             base = "/entry/two_point/"
             optional = {name: base + name in file for name in ("sigma", "time", "role")}
             resistance = np.asarray(hdf5.read_array(file, base + "resistance", 3), dtype=float)
+            kept = _whole_frames(file, resistance)
+            resistance = resistance[kept]
             frames = len(resistance)
             scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
             sigma = None
             if optional["sigma"]:
                 dimensions = getattr(file[base + "sigma"], "ndim", 3)
                 sigma = np.asarray(hdf5.read_array(file, base + "sigma", 2 if dimensions == 2 else 3), dtype=float)
-            time = hdf5.read_array(file, base + "time", 1) if optional["time"] else np.arange(frames)
-            role = hdf5.read_array(file, base + "role", 1) if optional["role"] else np.ones(frames)
+            time = hdf5.read_array(file, base + "time", 1)[kept] if optional["time"] else np.arange(frames)
+            role = hdf5.read_array(file, base + "role", 1)[kept] if optional["role"] else np.ones(frames)
             truth = {
                 name: np.asarray(hdf5.read_array(file, f"/entry/truth/{name}", 3), dtype=float)
                 if f"/entry/truth/{name}" in file
                 else None
                 for name in ("cell_resistance", "pressure")
             }
-            sums = hdf5.read_array(file, "/entry/raw/sums", 3) if "/entry/raw/sums" in file else None
+            sums = hdf5.read_array(file, "/entry/raw/sums", 3)[kept] if "/entry/raw/sums" in file else None
             readings = int(file["/entry/raw"].attrs.get("readings", 0)) if sums is not None else None
             simulation = hdf5.read_text(file, "/entry/truth/simulation") if "/entry/truth/simulation" in file else None
+            acquisition = Acquisition.read(file, kept)
         return cls(
             scene,
             resistance,
@@ -107,6 +115,7 @@ class Recording:
             readings,
             path.stem,
             simulation,
+            acquisition,
         )
 
     def save(self, path: str | Path) -> None:
@@ -139,6 +148,8 @@ class Recording:
             raw = self._frames_group(entry, "raw", "sums")
             hdf5.set_attributes(raw, readings=np.uint16(self.raw_readings))
             hdf5.write_dataset(raw, "sums", self.raw_sums.astype(np.uint16), "1", "sums of ADC codes", axes)
+        if self.acquisition is not None:
+            self.acquisition.write(entry, self.time)
 
     def _frames_group(self, entry: h5py.Group, name: str, signal: str) -> h5py.Group:
         group = entry.create_group(name)
@@ -171,6 +182,16 @@ class Recording:
         if self.scene.readout is None:
             return None
         return sigma_resistance(self.scene.readout, self.resistance)
+
+
+def _whole_frames(file: h5py.File, resistance: Array) -> slice:
+    """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
+    if "lampest_unfinished" not in file.attrs:
+        return slice(None)
+    paths = ("two_point/time", "two_point/role", "raw/sums", *(f"acquisition/{name}" for name, *_ in FRAME_FIELDS))
+    frames = min(len(hdf5.read_array(file, f"/entry/{path}", 3 if path == "raw/sums" else 1)) for path in paths)
+    torn = np.any(resistance[:frames] <= 0, axis=(1, 2))
+    return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(resistance)))
 
 
 def _check_positive(name: str, path: str, values: Array) -> None:

@@ -1,19 +1,25 @@
 """A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost import Cost
 from lampest.estimator import Estimator
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array
-from lampest.problem import Cost, Data, Evaluation
+from lampest.problem import Data, Evaluation
 from lampest.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.convex import convex_start
-from lampest.solvers.solution import Solution, check
+from lampest.solvers.newton import Newton
+from lampest.solvers.solution import VERIFIED, Settings, Solution, Solver, Status, check
+from lampest.terms.misfit import Misfit
+
+POLISHED = 0.1 * VERIFIED
+LAST_STEPS = Settings(max_iterations=20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,28 +123,73 @@ class _Sequence:
     resting_sigma: Array | None
 
     def single(self, measured: Array, sigma: Array | None, previous: Array | None) -> Step:
-        """One frame; starts at the cheapest of the convex estimate, the previous frame and a uniform panel."""
+        """One frame; starts from the previous one where that is known."""
         known = previous if self.estimator.relative else None
         data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
-        return self._solve(data, [] if previous is None else [previous[None]])
+        return self._solve(data, None if previous is None else previous[None])
 
     def joint(self, measured: Array, sigma: Array | None) -> Step:
         """The baseline and a frame together; paper, equations (15) and (21)."""
         both = None if sigma is None or self.resting_sigma is None else np.stack([self.resting_sigma, sigma])
-        return self._solve(self.estimator.data(np.stack([self.resting, measured]), both), [])
+        return self._solve(self.estimator.data(np.stack([self.resting, measured]), both), None)
 
-    def _solve(self, data: Data, starts: list[Array]) -> Step:
-        solver = self.estimator.problem(self.recording.scene.panel, len(data.measured))
+    def _solve(self, data: Data, previous: Array | None) -> Step:
+        panel = self.recording.scene.panel
+        solver = self.estimator.problem(panel, len(data.measured), self.period)
         solver.prepare()
         begin = perf_counter()
-        outcome = solver.solve(data, best_start(solver.cost, data, starts))
-        solution = check(solver.cost, data, outcome)
+        solution = best_solution(solver, data, previous)
         return Step(solution, perf_counter() - begin)
 
+    @property
+    def period(self) -> float:
+        """Median time between frames, s."""
+        return float(np.median(np.diff(self.recording.time))) if len(self.recording.time) > 1 else float("inf")
 
-def best_start(cost: Cost, data: Data, starts: list[Array]) -> Evaluation:
-    """The start of least cost among those given, the convex estimate of every frame, and r = R_m·MN/(M + N − 1)."""
-    convex = np.stack([convex_start(*pair) for pair in zip(data.measured, data.upper, strict=True)])
-    uniform = data.measured / uniform_factor(*data.measured.shape[1:])
-    evaluations = [cost.evaluate(data, np.clip(start, data.lower, data.upper)) for start in (*starts, convex, uniform)]
-    return min(evaluations, key=lambda evaluation: evaluation.objective)
+
+def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
+    """The solution from the cheapest start; where the cost has several minima and the solve was hard, of all starts.
+
+    Starts are the previous estimate, r = R_m·MN/(M + N − 1), and the convex one where it is near the answer: without a
+    previous frame, or without a penalty. A solve is hard that fails, takes many iterations or has no previous frame;
+    then the reduced solver tries all starts, and `solver` goes on from the best of them.
+    """
+    relative = any(term.needs_previous for term in solver.cost.terms)
+    plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
+    starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
+    starts += [convex(data)] if previous is None or plain else []
+    starts += [] if previous is None else [previous]
+    points = sorted((evaluated(solver.cost, data, start) for start in starts), key=lambda point: point.objective)
+    found = solved(solver, points[0])
+    if found.solved and not (relative and (previous is None or found.iterations > solver.easy)):
+        return found
+    points += [evaluated(solver.cost, data, convex(data))] if len(starts) < 3 and previous is not None else []
+    scouts = [solved(Newton(solver.cost, solver.settings), point) for point in points]
+    best = min((scout for scout in scouts if scout.solved), key=lambda scout: scout.objective, default=found)
+    if found.solved and not best.objective < found.objective * (1 - 1e-9):
+        return found
+    if isinstance(solver, Newton) or best is found:
+        return best
+    return solved(solver, evaluated(solver.cost, data, best.cell_resistance))
+
+
+def convex(data: Data) -> Array:
+    """The convex start of every frame."""
+    return np.stack([convex_start(*pair) for pair in zip(data.measured, data.upper, strict=True)])
+
+
+def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
+    """The cost at a start that is put within the bounds."""
+    return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
+
+
+def solved(solver: Solver, start: Evaluation) -> Solution:
+    """Solve from one start, and, where an interior-point method stopped short of its bounds, take the last steps."""
+    outcome = solver.solve(start.data, start)
+    solution = check(start, outcome)
+    if solution.kkt_residual <= POLISHED or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
+        return solution
+    near = evaluated(solver.cost, start.data, outcome.cell_resistance)
+    finished = Newton(solver.cost, LAST_STEPS).solve(start.data, near)
+    polished = check(start, replace(finished, iterations=outcome.iterations))
+    return polished if polished.solved else solution

@@ -17,7 +17,7 @@ class Nodal(Formulation):
 
     Z is symmetric, so only its half is unknown. Call the shorter side of the panel the driven one, the other the far
     one. What one far line sees when another far line is driven is read by no measurement and follows from the rest, so
-    it is no unknown either. With n driven and m far lines there remain n(n + 1)/2 + mn + m voltages, as many as equations.
+    it is no unknown either. With n driven and m far lines n(n + 1)/2 + mn + m voltages remain, as many as equations.
     """
 
     kind: Literal["nodal"] = "nodal"

@@ -6,37 +6,36 @@ log det (Boyd & Vandenberghe, Convex Optimization, 2004, section 3.1.5).
 """
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from lampest.kirchhoff import Network, grounding, uniform_factor
 from lampest.panel import Array
+from lampest.solvers.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 
-DENSE_CELLS = 1100
 MOST_ITERATIONS = 30
+LEAST_LENGTH = 1e-6
 
 
-def convex_start(measured: Array, upper: Array, tolerance: float = 1e-6) -> Array:
+def convex_start(measured: Array, upper: Array, tolerance: float = 1e-3) -> Array:
     """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
 
     Stops when no reading is missed by more than the tolerance, relative, or after 30 steps; the result is a start, not
-    an estimate. On panels of more than 1100 cells it is the uniform start R_m·MN/(M + N − 1).
+    an estimate. Starts at R_m·MN/(M + N − 1).
     """
     tie = grounding(measured)
-    least = 1 / upper
+    least: Array = 1 / upper
     conductance: Array = np.maximum(uniform_factor(*measured.shape) / measured, least)
-    if measured.size > DENSE_CELLS:
-        return 1 / conductance
     value, network = _value(measured, conductance, tie)
     for _ in range(MOST_ITERATIONS):
         gradient = measured - network.two_point_resistance()
-        free = ((conductance > least * (1 + 1e-12)) | (gradient < 0)).ravel()
-        if np.max(np.abs(gradient.ravel()[free] / measured.ravel()[free]), initial=0) < tolerance:
+        free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
+        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < tolerance:
             break
-        curvature = network.transfer()[np.ix_(free, free)] ** 2
-        step = np.zeros(measured.size)
-        step[free] = -np.linalg.solve(curvature, gradient.ravel()[free])
+        step = _step(network, measured, gradient, free)
         length = 1.0
-        while length > 1e-6:
-            trial = np.maximum(conductance + length * step.reshape(measured.shape), np.maximum(least, conductance / 10))
+        while length > LEAST_LENGTH:
+            trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = _value(measured, trial, tie)
             if trial_value <= value + 1e-4 * float(np.sum(gradient * (trial - conductance))):
                 break
@@ -44,7 +43,27 @@ def convex_start(measured: Array, upper: Array, tolerance: float = 1e-6) -> Arra
         else:
             break
         conductance, value, network = trial, trial_value, trial_network
-    return 1 / conductance
+    start: Array = 1 / conductance
+    return start
+
+
+def _step(network: Network, measured: Array, gradient: Array, free: NDArray[np.bool_]) -> Array:
+    """−(D∘D)⁻¹ ∇ on the free cells; (D∘D)·p = −(∂R/∂g)·p."""
+    step = np.zeros(measured.shape)
+    if measured.size <= DENSE_UNKNOWNS:
+        chosen = np.flatnonzero(free)
+        curvature = network.transfer()[np.ix_(chosen, chosen)] ** 2
+        step[free] = lapack.dposv(curvature, -gradient[free], lower=1)[1]
+        return step
+
+    def product(search: Array) -> Array:
+        whole = np.zeros(measured.shape)
+        whole[free] = search
+        return -network.conductance_product(whole)[free]
+
+    size = measured[free] ** 2
+    step[free], _ = conjugate_gradients(product, lambda residual: residual / size, -gradient[free], 0.05)
+    return step
 
 
 def _value(measured: Array, conductance: Array, tie: Array) -> tuple[float, Network]:

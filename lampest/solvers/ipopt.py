@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi
 import numpy as np
 
+from lampest.cost import Cost, huber_residuals
 from lampest.formulations import Formulation
-from lampest.kirchhoff import grounding
 from lampest.panel import Array
-from lampest.problem import Cost, Data, Evaluation
+from lampest.problem import Data, Evaluation
 from lampest.solvers.program import Program
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -35,6 +35,7 @@ OPTIONS = {
 class Ipopt:
     """One cost and formulation on one panel shape; the program is built once and kept."""
 
+    easy: ClassVar[int] = 15
     cost: Cost
     formulation: Formulation
     settings: Settings
@@ -46,39 +47,45 @@ class Ipopt:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         solver = self._solver
-        scale, cost_scale = data.resistance_scale, start.cost_scale()
-        rough, slope = start.rough
-        split_scale = max(float(np.max(np.abs(rough), initial=0)), 1e-12)
-        ties = np.stack([grounding(measured) * scale for measured in data.measured])
-        measured, sigma, previous = self.cost.parameters(data)
-        scales = [scale, cost_scale, split_scale]
+        scale, rough = data.resistance_scale, start.rough
+        huber = start.call(self.cost.functions.huber, np.zeros(len(rough)))
+        split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
+        measured, sigma, previous = data.parameters
+        scales = [scale, start.cost_scale, split_scale]
         result = solver(
-            x0=self._start(start, scale, rough / split_scale),
-            p=np.concatenate([measured.T.ravel(), sigma.T.ravel(), ties.ravel(), previous, scales]),
+            x0=self._start(start, scale, rough / split_scale, huber / split_scale),
+            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, scales]),
             lbg=0,
             ubg=0,
-            **self._bounds(data, scale, len(rough)),
+            **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
         )
         with np.errstate(divide="ignore"):
             cells = scale / np.asarray(result["x"]).ravel()[: data.measured.size]
         multipliers = np.asarray(result["lam_g"]).ravel()
-        weights = np.maximum(slope * split_scale / cost_scale, np.finfo(float).tiny)
+        weights = np.maximum(self.cost.functions.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
         dual = multipliers[len(multipliers) - len(rough) :] / weights
         stats = solver.stats()
         status = STATUS.get(stats["return_status"], Status.BREAKDOWN)
         return Outcome(cells.reshape(data.measured.shape), dual, status, int(stats["iter_count"]))
 
-    def _start(self, start: Evaluation, scale: float, rough: Array) -> Array:
+    def _start(self, start: Evaluation, scale: float, rough: Array, huber: Array) -> Array:
         conductance = scale / start.cell_resistance.ravel()
         potentials = [self.formulation.potentials(network) / scale for network in start.networks]
-        positive = np.maximum(rough, 0) + 0.01
-        return np.concatenate([conductance, *potentials, positive, positive - rough])
+        parts = [rough, *np.split(huber, np.cumsum(self._huber_sizes)[:-1])]
+        split = [side for part in parts for side in (np.maximum(part, 0) + 0.01, np.maximum(-part, 0) + 0.01)]
+        return np.concatenate([conductance, *potentials, *split])
 
-    def _bounds(self, data: Data, scale: float, rough: int) -> dict[str, Any]:
-        free = int(self._solver.size1_in("x0")) - data.measured.size - 2 * rough
-        lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(2 * rough)]
-        upper = [scale / data.lower.ravel(), np.full(free + 2 * rough, np.inf)]
+    def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
+        """Bounds of all unknowns; no network reads a cell below a thousandth of what is measured across it."""
+        free = int(self._solver.size1_in("x0")) - data.measured.size - split
+        least = np.maximum(data.lower, data.measured / 1000).ravel()
+        lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
+        upper = [scale / least, np.full(free + split, np.inf)]
         return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}
+
+    @cached_property
+    def _huber_sizes(self) -> list[int]:
+        return [part.shape[0] for *_, part in huber_residuals(self.cost.residuals(*self.cost.symbols()))]
 
     @cached_property
     def _solver(self) -> casadi.Function:

@@ -1,20 +1,24 @@
 """A cost in a formulation as a nonlinear program with exact, sparse derivatives.
 
-Unknowns are conductances s/r (s: geometric mean of the measured resistances), potentials in units of s, and p, q ≥ 0
-with p − q = x for every residual x with an absolute loss. The cost is divided by its size. Everything is of order one.
+Unknowns are conductances s/r (s: geometric mean of the measured resistances), potentials in units of s, and parts
+p, q ≥ 0 of every residual x whose loss has no second derivative: |x| = p + q with p − q = x, and Huber's loss is the
+least of (x − p + q)² + 2·corner·(p + q). The cost is divided by its size. Everything is of order one.
 """
 
 from dataclasses import dataclass
 
 import casadi
 
+from lampest.cost import Cost, huber_residuals, smooth_and_rough
 from lampest.formulations import Formulation
-from lampest.problem import Cost, smooth_and_rough
+from lampest.terms.losses import Huber
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
     """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
+
+    split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
 
     parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous (cells, 1) ohm,
     s in ohm, the size of the cost, the size of the absolute residuals.
@@ -55,14 +59,21 @@ class Program:
         ]
         two_point = scale * casadi.horzcat(*(network.two_point_resistance for network in networks))
         pairs = cost.residuals(scale / conductance, two_point, measured, sigma, previous)
-        smooth, rough, slope = smooth_and_rough(pairs)
+        smooth, rough, slope = smooth_and_rough([pair for pair in pairs if not isinstance(pair[0].loss, Huber)])
         positive, negative = (casadi.SX.sym(name, rough.shape[0]) for name in ("positive", "negative"))
         objective = smooth + split_scale * casadi.dot(casadi.DM(slope), positive + negative)
+        split = [positive, negative]
+        for weight, corner, residual in huber_residuals(pairs):
+            above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
+            inside = residual - split_scale * (above - below)
+            outside = 2 * corner * split_scale * casadi.sum1(above + below)
+            objective += weight * (casadi.sumsqr(inside) + outside)
+            split += [above, below]
         given = (measured, sigma, tie, previous, scale, cost_scale, split_scale)
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),
-            casadi.vertcat(positive, negative),
+            casadi.vertcat(*split),
             casadi.vertcat(*(network.balance for network in networks)),
             rough / split_scale - positive + negative,
             objective / cost_scale,

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost import Cost
 from lampest.panel import Array
-from lampest.problem import Cost, Data, Evaluation
+from lampest.problem import Data, Evaluation
 
 VERIFIED = 1e-6
 OPEN_FRACTION = 0.99
@@ -19,6 +20,7 @@ class Status(Enum):
 
     OPTIMUM = "optimum verified"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
+    WORSE = "the solver stopped at a point that costs more than its start"
     ITERATIONS = "the iteration limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
     BREAKDOWN = "the solver broke down numerically"
@@ -80,29 +82,40 @@ class Solution:
         return self.status is Status.OPTIMUM
 
 
-def check(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """Recompute cost and KKT residual outside the solver and keep only what holds: residual ≤ 1e-6.
+class Solver(Protocol):
+    """What a sequence asks of a solver. A solve that takes more than `easy` iterations deserves a second start."""
 
-    Interior-point methods stop short of a bound; cells that press against one are also tried exactly at it.
-    """
+    easy: ClassVar[int]
+
+    @property
+    def cost(self) -> Cost:
+        """What it minimises."""
+
+    @property
+    def settings(self) -> Settings:
+        """When it stops."""
+
+    def prepare(self) -> None:
+        """Build what can be built before the first solve."""
+
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise from `start`; never raises for a failed solve."""
+
+
+def check(start: Evaluation, outcome: Outcome) -> Solution:
+    """Recompute cost and KKT residual outside the solver; keep only a residual ≤ 1e-6 no worse than the start."""
+    cost, data = start.cost, start.data
     cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
-    evaluation = cost.evaluate(data, cells)
+    evaluation = Evaluation.at(cost, data, cells)
     residual = evaluation.kkt_residual(outcome.dual)
-    slope = evaluation.log_gradient(outcome.dual)
-    at_bounds = np.where((cells >= data.upper * OPEN_FRACTION) & (slope < 0), data.upper, cells)
-    at_bounds = np.where((cells <= data.lower / OPEN_FRACTION) & (slope > 0), data.lower, at_bounds)
-    if np.any(at_bounds != cells):
-        candidate = cost.evaluate(data, at_bounds)
-        candidate_residual = candidate.kkt_residual(outcome.dual)
-        if candidate_residual < residual:
-            evaluation, residual = candidate, candidate_residual
-    if residual <= VERIFIED:
+    worse = evaluation.objective - start.objective > 1e-9 * start.cost_scale
+    if residual <= VERIFIED and not worse:
         return _solution(evaluation, residual, outcome)
-    status = Status.UNVERIFIED if outcome.status is Status.OPTIMUM else outcome.status
-    return failure(cost, data, status, residual, outcome)
+    fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
+    return failure(cost, data, fault if outcome.status is Status.OPTIMUM else outcome.status, residual, outcome)
 
 
 def _solution(evaluation: Evaluation, residual: float, outcome: Outcome) -> Solution:

@@ -1,0 +1,59 @@
+# lampest: what a user and a tester type.
+#
+#   make run       set-up, then two lampreys with five methods: table on screen; table, results, pictures in results/table1/
+#   make install   set-up alone: .venv with the command .venv/bin/lampest
+#   make test      set-up with what tests need, then all tests
+#   make lint      style and types
+#   make clean     remove .venv, builds and caches; results/ stays
+
+PYTHON ?= python3
+VENV = .venv
+BIN = $(VENV)/bin
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input --constraint constraints.txt
+APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
+OUT = results/table1
+
+install: $(VENV)/.installed
+
+run: install
+	@$(BIN)/lampest run configs/table1.yaml --out $(OUT)
+	@$(BIN)/lampest compare $(OUT)/results.h5 --csv $(OUT)/table.csv
+	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
+
+test: $(VENV)/.installed-dev board-packages
+	@$(BIN)/python -m pytest -q
+
+lint: $(VENV)/.installed-dev
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	{ echo "lampest needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	{ test "$$(id -u)" = 0 && command -v apt-get >/dev/null && { $(APT) python3-venv; } >/dev/null; } || \
+	{ echo "Python cannot make environments here; install the package python3-venv first" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	@$(PIP) --editable '.[dev]'
+	@touch $@
+
+# What the tests of the board need besides Python: a cross compiler and a simulated microcontroller.
+board-packages:
+	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy; do command -v $$tool >/dev/null || missing=1; done; \
+	test -d /usr/share/arduino/hardware/arduino/avr/cores/arduino || missing=1; \
+	test -f /usr/include/simavr/sim_avr.h && test -f /usr/include/libelf.h || missing=1; \
+	if test -n "$$missing"; then \
+	packages=$$($(MAKE) --silent --no-print-directory -C firmware packages); \
+	if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then { $(APT) $$packages; } >/dev/null; \
+	else echo "The tests of the board need system packages; install them with: apt-get install $$packages" >&2; fi; fi
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@$(MAKE) --silent --no-print-directory -C firmware clean
+
+.PHONY: install run test lint board-packages clean

@@ -1,0 +1,11 @@
+/* Two-point resistances of a panel, by star-mesh elimination: shares no line and no method with the Python side. */
+#ifndef LAMPEST_NETWORK_H
+#define LAMPEST_NETWORK_H
+
+#define NETWORK_MOST_LINES 32
+
+/* Resistance between row line `row` and column line `column`, all other lines floating; `cells` is rows x columns in
+ * ohm, row by row; infinite cells are open. Returns ohm, INFINITY where nothing joins the two lines. */
+double network_resistance(const double *cells, int rows, int columns, int row, int column);
+
+#endif

@@ -1,0 +1,24 @@
+"""The truth of a recording as the text that simulated_board reads: python truth.py RECORDING > truth.txt"""
+
+import sys
+from pathlib import Path
+
+from lampest.recording import Recording
+
+
+def truth_text(time: object, cell_resistance: object) -> str:
+    """'frames rows columns', then a line for each frame: time in s, cells in ohm row by row."""
+    import numpy as np
+
+    cells = np.asarray(cell_resistance, dtype=float)
+    lines = [" ".join(str(size) for size in cells.shape)]
+    for moment, frame in zip(np.asarray(time, dtype=float), cells, strict=True):
+        lines.append(" ".join(repr(float(value)) for value in (moment, *frame.ravel())))
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    found = Recording.load(Path(sys.argv[1]))
+    if found.truth_cell_resistance is None:
+        sys.exit(f"{sys.argv[1]}: holds no /entry/truth/cell_resistance")
+    sys.stdout.write(truth_text(found.time, found.truth_cell_resistance))

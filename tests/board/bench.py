@@ -1,0 +1,82 @@
+"""The simulated board for the tests: built by firmware/Makefile, driven by a truth, behind a pseudo-terminal."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest.panel import Array, Panel
+from lampest.scene import Scene, TwoPointReadout
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+MULTIPLEXER_OHM = 70.0
+
+
+@cache
+def built() -> Path:
+    """The folder with what `make` in firmware/ builds; a missing package fails the test with the sentence about it."""
+    done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
+    if done.returncode:
+        pytest.fail(done.stderr.strip(), pytrace=False)
+    return FIRMWARE / "build"
+
+
+@dataclass
+class Bench:
+    """A running simulated board: the port to open, and its figures once it has stopped."""
+
+    port: str
+    process: "subprocess.Popen[str]"
+    figures: dict[str, float] = field(default_factory=dict)
+
+    def stop(self) -> dict[str, float]:
+        if not self.figures:
+            self.process.terminate()
+            self.figures = json.loads(self.process.communicate(timeout=20)[1])
+        return self.figures
+
+
+def truth_file(folder: Path, cells: Array, period: float = 1.0) -> Path:
+    sys.path.insert(0, str(FIRMWARE / "simulated_board"))
+    from truth import truth_text
+
+    path = folder / "truth.txt"
+    path.write_text(truth_text(np.arange(len(cells)) * period, cells))
+    return path
+
+
+@contextmanager
+def bench(folder: Path, cells: Array, *options: object, period: float = 1.0) -> Iterator[Bench]:
+    """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
+    words = [built() / "simulated_board", "--firmware", built() / "lampest_board.elf"]
+    words += ["--truth", truth_file(folder, cells, period), "--link", folder / "port", *options]
+    with subprocess.Popen(
+        [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        if not process.stdout.readline().startswith("port "):
+            pytest.fail(process.communicate()[1], pytrace=False)
+        running = Bench(str(folder / "port"), process)
+        try:
+            yield running
+        finally:
+            running.stop()
+
+
+def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
+    """What the simulated board is by default: two multiplexers of 70 ohm, noise of 0.7 LSB."""
+    readout = TwoPointReadout(readings=readings, noise_lsb=0.7)
+    return Scene(Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM))
+
+
+def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
+    """Pressed and stretched cells around 3 kΩ, another set in every frame."""
+    return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))

@@ -1,0 +1,103 @@
+"""What stands around the board: the sentence about missing packages, ports, keys, a board behind a network socket."""
+
+import os
+import socket
+import subprocess
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from board.bench import FIRMWARE, bench, scene, some_cells
+
+from lampest.acquire import port
+from lampest.acquire.framing import message
+from lampest.acquire.keys import pressed_keys
+from lampest.acquire.record import record
+from lampest.errors import InputError
+
+
+def test_missing_packages_are_named_in_one_sentence(tmp_path: Path) -> None:
+    words = ["make", "-s", "-C", str(FIRMWARE), "ARDUINO=/nowhere", f"BUILD={tmp_path / 'build'}"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode
+    first = done.stderr.splitlines()[0]
+    assert first.startswith("firmware: compilers for the board are missing; install them with: apt-get install gcc-avr")
+    packages = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "packages"], capture_output=True, text=True).stdout
+    assert first.endswith(packages.strip())
+
+
+def test_a_board_of_another_version_is_named() -> None:
+    with port.Board.open("loop://") as board:
+        board._port.write(message(bytes([9, 1, 0, 0])))
+        with pytest.raises(InputError, match="speaks version 9 of the protocol"):
+            board.messages()
+
+
+def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    modem = SimpleNamespace(device="/dev/ttyS0", description="modem", vid=None)
+    mega = SimpleNamespace(device="/dev/ttyACM0", description="Arduino Mega 2560", vid=0x2341)
+    other = SimpleNamespace(device="/dev/ttyUSB0", description="USB serial", vid=0x1A86)
+    for present, url in (([modem, mega], mega.device), ([modem], None), ([modem, mega, other], None)):
+        monkeypatch.setattr(port.list_ports, "comports", lambda present=present: present)
+        assert port.ports()[-1].url == modem.device
+        if url:
+            assert port.only_port() == url
+        else:
+            with pytest.raises(InputError, match="name one"):
+                port.only_port()
+
+
+def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    import termios
+
+    master, slave = os.openpty()
+    monkeypatch.setattr(os, "tcgetpgrp", lambda descriptor: os.getpgrp())
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        before = termios.tcgetattr(slave)
+        with pressed_keys() as keys:
+            assert keys() == ""
+            os.write(master, b"ab")
+            assert keys() == "ab"
+        assert termios.tcgetattr(slave) == before
+    os.close(master)
+
+
+def test_without_a_terminal_no_key_is_pressed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        with pressed_keys() as keys:
+            assert keys() == ""
+    monkeypatch.setattr("sys.stdin", None)
+    with pressed_keys() as keys:
+        assert keys() == ""
+
+
+def test_a_board_behind_a_network_socket(tmp_path: Path) -> None:
+    """socket://host:port, as serial-to-network bridges offer it."""
+    with (
+        bench(tmp_path, some_cells(np.random.default_rng(3), 1)) as board,
+        socket.create_server(("127.0.0.1", 0)) as door,
+    ):
+        line = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+
+        def to_board(guest: socket.socket) -> None:
+            while data := guest.recv(4096):
+                os.write(line, data)
+
+        def serve() -> None:
+            guest, _ = door.accept()
+            threading.Thread(target=to_board, args=(guest,), daemon=True).start()
+            with guest:
+                try:
+                    while True:
+                        guest.sendall(os.read(line, 4096))
+                except OSError:
+                    return
+
+        threading.Thread(target=serve, daemon=True).start()
+        url = f"socket://127.0.0.1:{door.getsockname()[1]}"
+        done = record(url, tmp_path / "r.h5", frames=4, scene=scene())
+    assert (done.frames, done.lost) == (4, 0)

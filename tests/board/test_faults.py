@@ -1,0 +1,198 @@
+"""What goes wrong with a board on a cable: damaged bytes, unplugging, resets, silence, a killed recorder, Ctrl-C."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from board.bench import Bench, bench, scene, some_cells
+
+from lampest.acquire.protocol import Frame, Receiver, frame_body
+from lampest.acquire.record import Progress, record, repair
+from lampest.errors import InputError
+from lampest.recording import Recording
+
+RECORDER = """
+import sys
+from pathlib import Path
+from lampest.acquire.record import record
+def tell(progress):
+    print(progress.frames, flush=True)
+print(record(sys.argv[1], Path(sys.argv[2]), on_progress=tell, period=float(sys.argv[3]), baseline=3).frames)
+"""
+
+
+def sent_frames(log: Path) -> list[tuple[Frame, bool]]:
+    """What the board sent according to the simulated line's log, and whether every byte of it arrived unharmed."""
+    pairs = np.frombuffer(log.read_bytes()[: 2 * (log.stat().st_size // 2)], np.uint8).reshape(-1, 2)
+    wire, hurt = pairs[:, 0].tobytes(), pairs[:, 1] != 0
+    zeros = np.flatnonzero(pairs[:, 0] == 0)
+    found = []
+    for begin, end in pairwise(zeros):
+        for item in Receiver().feed(wire[begin : end + 1])[1]:
+            if isinstance(item, Frame):
+                found.append((item, not hurt[begin : end + 1].any()))
+    return found
+
+
+def check_damaged_line(folder: Path, frames: int, period: float = 0.25) -> tuple[int, int, int]:
+    """Record until the board has sent `frames`, with 1 % of all bytes hurt: whole ones sent, received, wrong ones."""
+    cells = some_cells(np.random.default_rng(8), 40)
+    hurt = ("--flip", 0.004, "--drop", 0.003, "--duplicate", 0.003, "--loop", "--log", folder / "log")
+    with bench(folder, cells, *hurt) as board:
+        record(board.port, folder / "r.h5", scene=scene(readings=20), period=period, seconds=frames * period)
+    found = Recording.load(folder / "r.h5")
+    assert found.acquisition is not None and found.raw_sums is not None
+    last, got = found.acquisition.sequence[-1], found.acquisition.sequence.tolist()
+    assert not found.acquisition.session.any(), "damage must not look like a restart"
+    sent = [(frame, whole) for frame, whole in sent_frames(folder / "log") if frame.sequence <= last]
+    by_number = {frame.sequence: frame for frame, _ in sent}
+    wrong = sum(
+        frame_body(by_number[number]) != frame_body(Frame(20, number, device_ms, missed, sums))
+        for number, device_ms, missed, sums in zip(
+            got, found.acquisition.device_ms, found.acquisition.missed, found.raw_sums, strict=True
+        )
+    )
+    whole = {frame.sequence for frame, unharmed in sent if unharmed}
+    assert whole <= set(got), "a good frame was not kept"
+    assert sum(found.acquisition.lost) == last + 1 - len(got)
+    return len(whole), len(got), wrong
+
+
+def killed_while_recording(folder: Path, board: Bench, after: int) -> tuple[int, Recording]:
+    """Kill a recorder once it has told of `after` frames: how many it had told of by then, and what is left."""
+    out = folder / "killed.h5"
+    out.unlink(missing_ok=True)
+    words = [sys.executable, "-c", RECORDER, board.port, str(out), "0.25"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as recorder:
+        assert recorder.stdout is not None
+        told = 0
+        while told < after:
+            told = int(recorder.stdout.readline())
+        recorder.kill()
+        told = max([told, *(int(line) for line in recorder.stdout.read().splitlines()[:-1])])
+    return told, Recording.load(out)
+
+
+def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: Path) -> None:
+    whole, received, wrong = check_damaged_line(tmp_path, 400)
+    assert wrong == 0
+    assert 20 <= whole <= received
+
+
+def test_unplugging_marks_a_gap_and_goes_on_in_the_same_file(tmp_path: Path) -> None:
+    cells = some_cells(np.random.default_rng(9), 1)
+    states: list[str] = []
+
+    def listen(progress: Progress) -> None:
+        states.append(progress.state)
+
+    with bench(tmp_path, cells, "--unplug", "3:5", "--no-reset-on-open") as board:
+        done = record(board.port, tmp_path / "r.h5", frames=60, scene=scene(), period=0.25, on_progress=listen)
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    assert done.frames == 60 and done.restarts == found.acquisition.session[-1] >= 1
+    assert any("waiting" in state for state in states)
+    gap = int(np.argmax(found.acquisition.session > 0))
+    assert 0 < gap < 60 and found.acquisition.sequence[gap] == 0
+    assert np.all(np.diff(found.time) > 0)
+    assert np.all(np.abs(found.resistance / found.resistance[0] - 1) < 0.02)
+
+
+def test_a_board_that_resets_is_set_and_started_again(tmp_path: Path) -> None:
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1, 5, 5), "--reset", "5", "--no-reset-on-open") as board:
+        done = record(board.port, tmp_path / "r.h5", frames=40, scene=scene(5, 5), period=0.25)
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    assert (done.frames, done.restarts, found.acquisition.session[-1]) == (40, 1, 1)
+    assert found.resistance.shape == (40, 5, 5)
+
+
+def test_killed_at_any_moment_every_flushed_frame_is_readable(tmp_path: Path) -> None:
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        for after in (1, 7, 40):
+            told, left = killed_while_recording(tmp_path, board, after)
+            assert len(left.time) >= told
+            assert left.acquisition is not None and left.acquisition.sequence.tolist() == list(range(len(left.time)))
+    out = tmp_path / "killed.h5"
+    frames = len(left.time)
+    assert repair(out) == frames and repair(out) == frames
+    with h5py.File(out) as file:
+        assert "lampest_unfinished" not in file.attrs
+    repaired = Recording.load(out)
+    np.testing.assert_array_equal(repaired.resistance, left.resistance)
+    assert repaired.sigma is not None and repaired.role[:3].tolist() == [0, 0, 0]
+
+
+def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> None:
+    seen: list[int] = []
+    out = tmp_path / "r.h5"
+
+    def look(progress: Progress) -> None:
+        if progress.frames == 5:
+            reader = "import sys; from lampest.recording import Recording; print(len(Recording.load(sys.argv[1]).time))"
+            done = subprocess.run([sys.executable, "-c", reader, str(out)], capture_output=True, text=True, check=True)
+            seen.append(int(done.stdout))
+            with pytest.raises(InputError, match="still being recorded"):
+                repair(out)
+
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        record(board.port, out, frames=8, on_progress=look)
+    assert seen == [5]
+    assert len(Recording.load(out).time) == 8
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.frames == 6:
+            os.kill(os.getpid(), number)
+
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        done = record(board.port, tmp_path / "r.h5", on_progress=interrupt)
+    assert done.interrupted and done.frames == 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == 6
+    assert {path.name for path in tmp_path.iterdir()} <= {"r.h5", "truth.txt", "port"}
+
+
+def test_wrong_wishes_are_refused_and_leave_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "r.h5"
+    sensor = scene()
+    assert sensor.readout is not None
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        with pytest.raises(InputError, match=r"period of 0\.1 s is too short"):
+            record(board.port, out, scene=scene(), period=0.1, frames=1)
+        with pytest.raises(InputError, match=r"panel\.rows is 17"):
+            record(board.port, out, scene=scene(17, 10), frames=1)
+        with pytest.raises(InputError, match="measured_across is sensor, but the board says reference"):
+            changed = type(sensor.readout)(measured_across="sensor")
+            record(board.port, out, scene=type(sensor)(sensor.panel, changed), frames=1)
+        assert not out.exists()
+        out.write_text("precious")
+        with pytest.raises(InputError, match="exists already"):
+            record(board.port, out, frames=1)
+    with pytest.raises(InputError, match="cannot be opened"):
+        record(str(tmp_path / "no port"), tmp_path / "other.h5", frames=1)
+
+
+def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lampest.acquire.port.HELLO_SECONDS", 0.5)
+    with pytest.raises(InputError, match="no lampest board answered"):
+        record("loop://", tmp_path / "r.h5", frames=1)
+
+
+def test_in_real_time_a_second_takes_a_second(tmp_path: Path) -> None:
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1), "--real-time") as board:
+        began = time.monotonic()
+        record(board.port, tmp_path / "r.h5", frames=5, scene=scene(), period=0.25)
+        took = time.monotonic() - began
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    assert took > 1.2
+    assert np.ptp(found.acquisition.host_time) == pytest.approx(1.0, abs=0.1)

@@ -1,0 +1,233 @@
+"""The board's C and the host's Python say the same: numbers, framing, CRC, messages, scan order, answers."""
+
+import ctypes
+import re
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from board.bench import FIRMWARE, built
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lampest.acquire import protocol
+from lampest.acquire.framing import crc16, message, unstuffed
+from lampest.acquire.protocol import Answer, Frame, Hello, Kind, Receiver, Result, command, frame_body, hello_body
+
+EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
+
+
+class Settings(ctypes.Structure):
+    """lampest_settings_t"""
+
+    _fields_ = [
+        ("rows", ctypes.c_uint8),
+        ("columns", ctypes.c_uint8),
+        ("readings", ctypes.c_uint8),
+        ("running", ctypes.c_uint8),
+        ("settle_us", ctypes.c_uint16),
+        ("period_us", ctypes.c_uint32),
+    ]
+
+
+class Inbox(ctypes.Structure):
+    """lampest_inbox_t"""
+
+    _fields_ = [("bytes", ctypes.c_uint8 * 24), ("length", ctypes.c_uint8), ("overflow", ctypes.c_uint8)]
+
+
+@cache
+def c() -> ctypes.CDLL:
+    library = ctypes.CDLL(str(built() / "libprotocol.so"))
+    library.lampest_crc16.restype = ctypes.c_uint16
+    library.lampest_start_settings.restype = Settings
+    for name in ("lampest_receive", "lampest_command", "lampest_hello"):
+        getattr(library, name).restype = ctypes.c_uint8
+    for name in ("lampest_slices", "lampest_frame_bytes"):
+        getattr(library, name).restype = ctypes.c_uint16
+    for name in ("lampest_slice_ticks", "lampest_shortest_period_us"):
+        getattr(library, name).restype = ctypes.c_uint32
+    return library
+
+
+def constants() -> dict[str, int]:
+    """Every whole number that the two headers define under the name LAMPEST_..."""
+    text = "".join((FIRMWARE / "lampest_board" / name).read_text() for name in ("protocol.h", "pins.h"))
+    found = re.findall(r"^#define LAMPEST_(\w+) (\d+)(?:UL)?\b", text, re.MULTILINE)
+    return {name: int(value) for name, value in found}
+
+
+def sent_by_c(body: bytes) -> bytes:
+    wire = bytearray()
+    room = ctypes.create_string_buffer(body, len(body) + 2)
+    c().lampest_send(room, ctypes.c_uint16(len(body)), EMIT(wire.append))
+    return bytes(wire)
+
+
+def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ...]:
+    """What the board makes of these bytes: its answers, as the host reads them."""
+    inbox, found = Inbox(), []
+    for byte in wire:
+        length = c().lampest_receive(ctypes.byref(inbox), ctypes.c_uint8(byte))
+        if length:
+            room = ctypes.create_string_buffer(40)
+            size = c().lampest_command(ctypes.byref(settings), inbox.bytes, ctypes.c_uint8(length), room)
+            found += Receiver().feed(sent_by_c(room.raw[:size]))[1]
+    return tuple(found)
+
+
+def test_the_numbers_are_the_same() -> None:
+    header = constants()
+    assert header["PROTOCOL_VERSION"] == protocol.PROTOCOL_VERSION
+    assert header["BAUD"] == protocol.BAUD
+    assert header["MOST_ROWS"] == protocol.MOST_ROWS
+    assert header["MOST_COLUMNS"] == protocol.MOST_COLUMNS
+    assert header["MOST_READINGS"] == protocol.MOST_READINGS
+    assert 2 ** header["ADC_BITS"] - 1 == protocol.MOST_CODE
+    assert {kind.name: header[kind.name] for kind in Kind} == {kind.name: kind.value for kind in Kind}
+    assert [header[result.name] for result in protocol.RESULT_CODES] == list(range(len(Result)))
+    for place, across in enumerate(protocol.ACROSS):
+        assert header[f"ACROSS_{across.upper()}"] == place
+    sizes = (protocol._HELLO, protocol._FRAME, protocol._ANSWER, protocol._COMMAND)
+    names = ("HELLO_BYTES", "FRAME_HEADER_BYTES", "ANSWER_BYTES", "COMMAND_BYTES")
+    assert [header[name] for name in names] == [layout.size for layout in sizes]
+    assert "monitor_speed = " + str(protocol.BAUD) in (FIRMWARE / "platformio.ini").read_text()
+
+
+@given(st.binary(max_size=600))
+def test_crc_and_framing_are_the_same(body: bytes) -> None:
+    crc = 0xFFFF
+    for byte in body:
+        crc = c().lampest_crc16(ctypes.c_uint16(crc), ctypes.c_uint8(byte))
+    assert crc == crc16(body)
+    assert sent_by_c(body) == message(body)
+
+
+@given(st.integers(0, 10), st.integers(240, 270), st.integers(0, 3))
+def test_framing_is_the_same_around_its_longest_run(before: int, run: int, zeros: int) -> None:
+    body = bytes(before) + b"\x05" * run + bytes(zeros)
+    assert sent_by_c(body) == message(body)
+    assert unstuffed(sent_by_c(body)[1:-1]) == body + crc16(body).to_bytes(2, "big")
+
+
+def test_hello_is_the_same() -> None:
+    header = constants()
+    settings = c().lampest_start_settings()
+    room = ctypes.create_string_buffer(40)
+    size = c().lampest_hello(ctypes.byref(settings), room)
+    hello = Hello(
+        *(header[f"START_{name}"] for name in ("ROWS", "COLUMNS", "READINGS")),
+        *(header[f"MOST_{name}"] for name in ("ROWS", "COLUMNS", "READINGS")),
+        (header["FIRMWARE_MAJOR"], header["FIRMWARE_MINOR"]),
+        header["START_PERIOD_US"],
+        c().lampest_shortest_period_us(ctypes.byref(settings)),
+        header["START_SETTLE_US"],
+        header["SUPPLY_MILLIVOLT"],
+        header["REFERENCE_MILLIOHM"],
+        header["ADC_BITS"],
+        "reference",
+        False,
+    )
+    assert room.raw[:size] == hello_body(hello)
+    assert Receiver().feed(sent_by_c(room.raw[:size]))[1] == (hello,)
+
+
+@given(
+    st.integers(1, 16), st.integers(1, 16), st.integers(1, 64), *(st.integers(0, 2**bits - 1) for bits in (32, 32, 16))
+)
+def test_frames_are_the_same(
+    rows: int, columns: int, readings: int, sequence: int, device_ms: int, missed: int
+) -> None:
+    settings = Settings(rows, columns, readings, 1, 40, 1_000_000)
+    sums = np.arange(rows * columns, dtype=np.uint16).reshape(rows, columns)
+    room = ctypes.create_string_buffer(600)
+    c().lampest_frame_header(
+        ctypes.byref(settings), ctypes.c_uint32(sequence), ctypes.c_uint32(device_ms), ctypes.c_uint16(missed), room
+    )
+    assert room.raw[:15] + sums.tobytes() == frame_body(Frame(readings, sequence, device_ms, missed, sums))
+    longest = c().lampest_frame_bytes(ctypes.byref(settings))
+    assert len(sent_by_c(room.raw[:15] + b"\1" * (2 * sums.size))) <= longest
+
+
+@given(st.integers(1, 16), st.integers(1, 16))
+def test_the_scan_visits_every_cell_once_row_by_row(rows: int, columns: int) -> None:
+    row, column = ctypes.c_uint8(0), ctypes.c_uint8(0)
+    visited = []
+    while row.value < rows:
+        visited.append((row.value, column.value))
+        c().lampest_scan_next(ctypes.byref(row), ctypes.byref(column), ctypes.c_uint8(rows), ctypes.c_uint8(columns))
+    assert visited == list(np.ndindex(rows, columns))
+
+
+@given(st.integers(1000, 60_000_000))
+def test_a_period_is_made_of_equal_slices_that_the_timer_can_count(period_us: int) -> None:
+    slices, ticks = (getattr(c(), f"lampest_{name}")(ctypes.c_uint32(period_us)) for name in ("slices", "slice_ticks"))
+    assert 1 <= ticks <= 65536
+    # Half a tick of 4 us for every slice.
+    assert abs(4 * ticks * slices - period_us) <= 2 * slices + 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "result", "now"),
+    [
+        (Kind.SET_ROWS, 16, Result.DONE, 16),
+        (Kind.SET_ROWS, 0, Result.REFUSED_RANGE, 10),
+        (Kind.SET_COLUMNS, 17, Result.REFUSED_RANGE, 10),
+        (Kind.SET_COLUMNS, 258, Result.REFUSED_RANGE, 10),
+        (Kind.SET_READINGS, 64, Result.DONE, 64),
+        (Kind.SET_READINGS, 65, Result.REFUSED_RANGE, 20),
+        (Kind.SET_PERIOD, 2_000_000, Result.DONE, 2_000_000),
+        (Kind.SET_PERIOD, 100_000, Result.REFUSED_TOO_FAST, 1_000_000),
+        (Kind.SET_PERIOD, 60_000_001, Result.REFUSED_RANGE, 1_000_000),
+        (Kind.SET_SETTLE, 0, Result.DONE, 0),
+        (Kind.SET_SETTLE, 30_001, Result.REFUSED_RANGE, 40),
+        (Kind.START, 0, Result.DONE, 1),
+        (Kind.STOP, 0, Result.DONE, 0),
+    ],
+)
+def test_every_command_is_answered_or_refused(kind: Kind, value: int, result: Result, now: int) -> None:
+    settings = c().lampest_start_settings()
+    assert answered_by_c(settings, command(kind, 9, value)) == (Answer(kind, 9, result, now),)
+
+
+def test_while_it_runs_the_board_refuses_everything_but_stop_and_identify() -> None:
+    settings = c().lampest_start_settings()
+    answered_by_c(settings, command(Kind.START))
+    for kind in (Kind.SET_ROWS, Kind.SET_PERIOD, Kind.START):
+        assert answered_by_c(settings, command(kind, 1, 5))[0].result is Result.REFUSED_RUNNING
+    (hello,) = answered_by_c(settings, command(Kind.IDENTIFY))
+    assert isinstance(hello, Hello) and hello.running
+    assert answered_by_c(settings, command(Kind.STOP, 2)) == (Answer(Kind.STOP, 2, Result.DONE, 0),)
+
+
+def test_unknown_commands_and_versions_are_refused_by_name() -> None:
+    settings = c().lampest_start_settings()
+    (answer,) = answered_by_c(settings, message(bytes([1, 99, 7, 0, 0, 0, 0])))
+    assert (answer.tag, answer.result) == (7, Result.REFUSED_UNKNOWN)
+    (answer,) = answered_by_c(settings, message(bytes([1, Kind.START, 7])))
+    assert answer.result is Result.REFUSED_UNKNOWN
+    (answer,) = answered_by_c(settings, message(bytes([2, Kind.START, 7, 0, 0, 0, 0])))
+    assert answer.result is Result.REFUSED_VERSION
+    assert not settings.running
+
+
+@given(st.binary(max_size=200))
+def test_garbage_never_changes_the_board_and_never_hides_the_next_command(noise: bytes) -> None:
+    settings = c().lampest_start_settings()
+    before = bytes(settings)
+    found = answered_by_c(settings, noise + b"\0" + command(Kind.IDENTIFY))
+    assert bytes(settings) == before
+    assert isinstance(found[-1], Hello)
+
+
+@given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 2**32 - 1) | st.integers(0, 70)), max_size=30))
+def test_no_order_of_commands_leads_out_of_range(orders: list[tuple[int, int]]) -> None:
+    settings = c().lampest_start_settings()
+    answer: Callable[[bytes], tuple[protocol.Message, ...]] = lambda wire: answered_by_c(settings, wire)  # noqa: E731
+    for kind, value in orders:
+        assert len(answer(message(bytes([1, kind, 0]) + value.to_bytes(4, "little")))) == 1
+        assert 1 <= settings.rows <= 16 and 1 <= settings.columns <= 16 and 1 <= settings.readings <= 64
+        assert settings.settle_us <= 30_000 and settings.period_us <= 60_000_000
+        shortest = c().lampest_shortest_period_us(ctypes.byref(settings))
+        assert not settings.running or settings.period_us >= shortest - 4 * c().lampest_slices(settings.period_us)

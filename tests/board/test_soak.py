@@ -1,0 +1,53 @@
+"""The long versions: pytest tests/board -m soak -s; each prints its figures."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from board.bench import bench, scene, some_cells
+from board.test_faults import check_damaged_line, killed_while_recording
+
+from lampest.acquire.record import record
+from lampest.recording import Recording
+
+pytestmark = pytest.mark.soak
+
+
+def test_ten_thousand_frames_on_a_damaged_line(tmp_path: Path) -> None:
+    whole, received, wrong = check_damaged_line(tmp_path, 10_000)
+    print(f"\n10000 frames sent, 1 % of bytes hurt: {whole} arrived whole, {received} accepted, {wrong} of them wrong")
+    assert wrong == 0
+
+
+def test_fifty_killed_recorders(tmp_path: Path) -> None:
+    rng = np.random.default_rng(50)
+    told = kept = 0
+    with bench(tmp_path, some_cells(rng, 1)) as board:
+        for _ in range(50):
+            seen, left = killed_while_recording(tmp_path, board, int(rng.integers(1, 200)))
+            assert left.acquisition is not None and left.acquisition.sequence.tolist() == list(range(len(left.time)))
+            assert len(left.time) >= seen
+            told, kept = told + seen, kept + len(left.time)
+    print(f"\n50 recorders killed: {told} frames flushed by their word, {kept} readable, no file lost")
+
+
+def test_ten_minutes_at_thirty_frames_a_second(tmp_path: Path) -> None:
+    with bench(tmp_path, some_cells(np.random.default_rng(1), 1)) as board:
+        done = record(board.port, tmp_path / "r.h5", frames=18_000, scene=scene(readings=2), period=1 / 30)
+        figures = board.stop()
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    missed = int(found.acquisition.missed.sum())
+    print(
+        f"\n{done.frames} frames in {found.time[-1]:.1f} s of board time, {done.lost} lost, {missed} missed; {figures}"
+    )
+    assert (done.frames, done.lost, missed) == (18_000, 0, 0)
+
+
+def test_ten_seconds_at_thirty_frames_a_second_in_real_time(tmp_path: Path) -> None:
+    """In real time nothing waits for the host: what it does not take in time is lost."""
+    with bench(tmp_path, some_cells(np.random.default_rng(1), 1), "--real-time") as board:
+        done = record(board.port, tmp_path / "r.h5", frames=300, scene=scene(readings=2), period=1 / 30)
+        figures = board.stop()
+    print(f"\n{done.frames} frames in real time, {done.lost} lost; {figures}")
+    assert done.lost == 0 and figures["overrun"] == 0

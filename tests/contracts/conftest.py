@@ -1,0 +1,96 @@
+"""Small recordings and runs on the disk, written after the format's description and not by the package."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+COMMAND = Path(sys.executable).with_name("lampest")
+SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
+RUN = """\
+schema: 1
+recordings: [small.h5]
+estimators:
+  LSM: {terms: {misfit: {}}}
+  LSR-CR:
+    terms:
+      misfit: {}
+      cell_resistance: {weight: 1e-3}
+  LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
+"""
+
+
+def exact(cells: Any) -> Any:
+    """Two-point resistances of frames of cells."""
+    found = np.empty_like(cells)
+    for frame, panel in enumerate(cells):
+        rows = len(panel)
+        lines = np.zeros((sum(panel.shape),) * 2)
+        lines[:rows, rows:] = -1 / panel
+        lines += lines.T
+        np.fill_diagonal(lines, -lines.sum(axis=1))
+        inverse = np.linalg.pinv(lines)
+        diagonal = np.diag(inverse)
+        found[frame] = diagonal[:rows, None] + diagonal[None, rows:] - 2 * inverse[:rows, rows:]
+    return found
+
+
+def write_recording(path: Path, scene: str = SCENE, shape: tuple[int, int, int] = (3, 3, 4), **changes: Any) -> Path:
+    """One unloaded frame, the others measured; `changes` replace datasets, None leaves them out."""
+    rng = np.random.default_rng(1)
+    cells = 3000 * np.exp(0.2 * rng.standard_normal(shape))
+    datasets: dict[str, Any] = {
+        "resistance": exact(cells) + 140,
+        "time": np.arange(float(shape[0])),
+        "role": (np.arange(shape[0]) > 0).astype(np.uint8),
+    } | changes
+    with h5py.File(path, "w") as file:
+        file.attrs["lampest_format"] = np.bytes_("recording/1")
+        file["entry/scene"] = np.bytes_(scene)
+        for name, values in datasets.items():
+            if values is not None:
+                file[f"entry/two_point/{name}"] = values
+        file["entry/truth/cell_resistance"] = cells
+    return path
+
+
+def run_command(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The installed command in its own process."""
+    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **options)
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> SimpleNamespace:
+    """A folder with small.h5 and run.yaml, and what writes more of them."""
+    write_recording(tmp_path / "small.h5")
+    (tmp_path / "run.yaml").write_text(RUN)
+
+    def run(text: str = RUN, name: str = "run.yaml") -> Path:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    return SimpleNamespace(
+        folder=tmp_path, run=run, text=RUN, scene=SCENE, recording=write_recording, exact=exact, command=run_command
+    )
+
+
+@pytest.fixture
+def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., SimpleNamespace]:
+    """The command within this process: exit code, standard output, standard error."""
+    from lampest import cli
+
+    def call(*arguments: str | Path) -> SimpleNamespace:
+        monkeypatch.setattr(sys, "argv", ["lampest", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        written = capsys.readouterr()
+        return SimpleNamespace(code=ended.value.code or 0, out=written.out, err=written.err)
+
+    return call

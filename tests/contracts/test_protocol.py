@@ -1,0 +1,182 @@
+"""The wire: what is sent comes back, whole or in single bytes, garbage before and after; damage is never a frame."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lampest.acquire.framing import crc16, message, stuffed, stuffed_length, unstuffed
+from lampest.acquire.protocol import (
+    MOST_CODE,
+    MOST_STUFFED,
+    PROTOCOL_VERSION,
+    Answer,
+    Foreign,
+    Frame,
+    Garbage,
+    Hello,
+    Kind,
+    Message,
+    Receiver,
+    Result,
+    answer_body,
+    command,
+    frame_body,
+    hello_body,
+)
+
+HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)
+ANSWER = Answer(Kind.SET_ROWS, 7, Result.REFUSED_RANGE, 10)
+
+
+def frames() -> st.SearchStrategy[Frame]:
+    """Any frame that a board may send."""
+
+    @st.composite
+    def draw_frame(draw: st.DrawFn) -> Frame:
+        rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
+        readings = draw(st.integers(1, 64))
+        seed = draw(st.integers(0, 2**32 - 1))
+        most = readings * MOST_CODE if draw(st.booleans()) else 3
+        sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
+        counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
+        return Frame(readings, *counts, sums)
+
+    return draw_frame()
+
+
+def same(left: Message, right: Message) -> bool:
+    if isinstance(left, Frame) and isinstance(right, Frame):
+        return frame_body(left) == frame_body(right)
+    return left == right
+
+
+def received(data: bytes) -> tuple[Message, ...]:
+    return Receiver().feed(data)[1]
+
+
+def test_crc_has_the_check_value_of_its_catalogue() -> None:
+    assert crc16(b"123456789") == 0x29B1
+
+
+@pytest.mark.parametrize(
+    ("body", "wire"),
+    [
+        (b"\0", "0101"),
+        (b"\0\0", "010101"),
+        (b"\x11\x22\0\x33", "0311220233"),
+        (b"\x11\0\0\0", "0211010101"),
+        (bytes(range(1, 255)), "ff" + bytes(range(1, 255)).hex()),
+        (bytes(range(255)), "01ff" + bytes(range(1, 255)).hex()),
+        (bytes(range(1, 256)), "ff" + bytes(range(1, 255)).hex() + "02ff"),
+        (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
+        (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
+    ],
+)
+def test_cobs_examples_of_its_encyclopedia_article(body: bytes, wire: str) -> None:
+    assert stuffed(body).hex() == wire
+    assert unstuffed(bytes.fromhex(wire)) == body
+
+
+@given(st.binary(min_size=1, max_size=900))
+def test_cobs_takes_all_zeros_away_and_gives_them_back(body: bytes) -> None:
+    wire = stuffed(body)
+    assert 0 not in wire
+    assert len(wire) <= len(body) + len(body) // 254 + 1
+    assert unstuffed(wire) == body
+
+
+@given(frames())
+def test_a_frame_comes_back(frame: Frame) -> None:
+    wire = message(frame_body(frame))
+    assert len(wire) - 2 <= min(MOST_STUFFED, stuffed_length(len(frame_body(frame))))
+    (back,) = received(wire)
+    assert same(back, frame)
+
+
+@pytest.mark.parametrize("running", [False, True])
+def test_hello_and_answer_come_back(running: bool) -> None:
+    hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
+    assert received(message(hello_body(hello))) == (hello,)
+    assert received(message(answer_body(ANSWER))) == (ANSWER,)
+
+
+def test_a_board_never_mistakes_its_own_commands_for_messages() -> None:
+    assert all(isinstance(item, Garbage) for item in received(command(Kind.START, 3, 2**32 - 1)))
+
+
+@given(st.lists(frames(), min_size=1, max_size=4), st.binary(max_size=60), st.binary(max_size=60), st.data())
+@settings(max_examples=60)
+def test_cuts_and_garbage_around_do_not_matter(
+    sent: list[Frame], before: bytes, after: bytes, data: st.DataObject
+) -> None:
+    """However the line is cut into pieces, all frames arrive; the garbage before has no zero in it or it may be cut."""
+    wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
+    receiver, found = Receiver(), []
+    while wire:
+        cut = data.draw(st.sampled_from([1, 2, 17, 300, len(wire)]))
+        receiver, items = receiver.feed(wire[:cut])
+        found += [item for item in items if isinstance(item, Frame)]
+        wire = wire[cut:]
+    assert len(found) == len(sent)
+    assert all(same(got, want) for got, want in zip(found, sent, strict=True))
+
+
+def test_byte_by_byte_a_frame_is_complete_at_its_last_byte_and_not_before() -> None:
+    frame = Frame(20, 5, 5000, 0, np.full((10, 10), 9_000, dtype=np.uint16))
+    receiver = Receiver()
+    wire = message(frame_body(frame))
+    for byte in wire[:-1]:
+        receiver, items = receiver.feed(bytes([byte]))
+        assert items == ()
+    receiver, items = receiver.feed(wire[-1:])
+    assert same(items[0], frame)
+    assert receiver == Receiver()
+
+
+@given(st.binary(max_size=3000))
+def test_noise_is_never_a_frame_and_never_an_error(noise: bytes) -> None:
+    receiver, found = Receiver().feed(noise)
+    assert not any(isinstance(item, Frame) for item in found)
+    assert len(receiver.pending) <= MOST_STUFFED + 1
+
+
+@given(frames(), st.data())
+def test_up_to_three_flipped_bits_are_noticed(frame: Frame, data: st.DataObject) -> None:
+    """CRC-16/CCITT has a distance of 4 at these lengths; changed COBS codes almost never end with the data as well."""
+    wire = bytearray(message(frame_body(frame)))
+    bits = data.draw(st.sets(st.integers(8, 8 * len(wire) - 9), min_size=1, max_size=3))
+    for bit in bits:
+        wire[bit // 8] ^= 1 << bit % 8
+    assert not any(isinstance(item, Frame) for item in received(bytes(wire)))
+
+
+@given(frames(), frames(), st.data())
+def test_a_torn_frame_costs_only_itself(torn: Frame, whole: Frame, data: st.DataObject) -> None:
+    wire = message(frame_body(torn))
+    cut = data.draw(st.integers(1, len(wire) - 1))
+    found = received(wire[:cut] + message(frame_body(whole)))
+    assert same(found[-1], whole)
+
+
+@given(st.integers(0, 255).filter(lambda version: version != PROTOCOL_VERSION), frames())
+def test_another_version_is_named_and_not_read(version: int, frame: Frame) -> None:
+    assert received(message(bytes([version]) + frame_body(frame)[1:])) == (Foreign(version),)
+
+
+def test_impossible_content_with_a_right_crc_is_garbage() -> None:
+    frame = Frame(2, 0, 0, 0, np.full((2, 2), 2 * MOST_CODE, dtype=np.uint16))
+    body = frame_body(frame)
+    too_high = body[:-2] + (2 * MOST_CODE + 1).to_bytes(2, "little")
+    for wrong in (too_high, body + b"\0", body[:-1], body[:2] + b"\3" + body[3:], body[:1] + b"\x0e" + body[2:]):
+        assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
+
+
+def test_an_endless_message_fills_no_memory() -> None:
+    receiver = Receiver()
+    for _ in range(50):
+        receiver, items = receiver.feed(b"\x07" * 1000)
+        assert items == ()
+    assert len(receiver.pending) == MOST_STUFFED + 1
+    _, items = receiver.feed(message(frame_body(Frame(1, 0, 0, 0, np.zeros((1, 1), dtype=np.uint16)))))
+    assert isinstance(items[0], Garbage) and isinstance(items[1], Frame)

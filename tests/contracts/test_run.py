@@ -1,0 +1,398 @@
+"""A run from end to end: what is skipped, resumed, overridden and kept, in this process and in others."""
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from lampest.batch import exclusive, run_batch
+from lampest.config import read_run
+from lampest.executors import Processes, Serial
+from lampest.results import CaseResult, read_results
+from lampest.terms import term_types
+
+ROOT = Path(__file__).parents[2]
+COMMAND = Path(sys.executable).with_name("lampest")
+Command = Callable[..., SimpleNamespace]
+TIMES = ("solve_time", "baseline_solve_time")
+
+
+def same(one: CaseResult, other: CaseResult) -> None:
+    """Equal in everything but time."""
+    for field in dataclasses.fields(CaseResult):
+        if field.name not in TIMES:
+            ours, theirs = getattr(one, field.name), getattr(other, field.name)
+            np.testing.assert_equal(ours, theirs, err_msg=field.name)
+
+
+def cases(folder: Path) -> tuple[CaseResult, ...]:
+    return read_results(folder / "results.h5").cases
+
+
+def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> None:
+    out = disk.folder / "out"
+    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    assert "3 cases solved, 0 were done before, 0 failed" in ended.out
+    found = cases(out)
+    assert [(case.recording, case.estimator) for case in found] == [
+        ("small", name) for name in ("LSM", "LSR-CR", "LSR-dCR")
+    ]
+    for case in found:
+        assert case.status == ("optimum verified",) * 2
+        assert case.frame.tolist() == [1, 2]
+        assert case.time.tolist() == [1.0, 2.0]
+        assert case.series_resistance_ohm == 140
+        assert np.all(case.solve_time > 0)
+        assert np.all(case.kkt_residual < 1e-6)
+        assert case.objective == pytest.approx(sum(case.costs.values()))
+        np.testing.assert_allclose(disk.exact(case.cell_resistance), case.two_point_model, rtol=1e-9)
+        np.testing.assert_allclose(
+            case.relative_change, 100 * (case.cell_resistance / case.baseline_resistance - 1), rtol=1e-9
+        )
+        assert case.case_id in {path.stem for path in (out / "cases").iterdir()}
+        assert "recording_sha256" in case.case_yaml
+    np.testing.assert_allclose(found[0].cell_resistance, found[0].truth, rtol=1e-6)
+    assert [set(case.costs) for case in found] == [
+        {"misfit"},
+        {"misfit", "cell_resistance"},
+        {"misfit", "relative_change"},
+    ]
+    assert [case.joint_start for case in found] == [False, False, True]
+
+
+def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
+    run, out = disk.folder / "run.yaml", disk.folder / "out"
+    lampest("run", run, "--out", out, "--jobs", "1")
+    before = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    assert "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
+    assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == before
+    assert "3 cases solved, 0 were done before" in lampest("run", run, "--out", out, "--jobs", "1", "--fresh").out
+    after = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    assert after.keys() == before.keys()
+    assert all(after[path] > before[path] for path in before)
+
+
+def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
+    """Another weight: one case. Another recording of the same name: all. A damaged result: that one."""
+    out = disk.folder / "out"
+    lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    path = disk.run(disk.text.replace("weight: 1e-3", "weight: 2e-3"))
+    assert "1 cases solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    assert len(cases(out)) == 3
+    disk.recording(disk.folder / "small.h5", time=np.array([0.0, 1.0, 5.0]))
+    assert "3 cases solved, 0 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    damaged = out / "cases" / f"{cases(out)[1].case_id}.h5"
+    damaged.write_bytes(damaged.read_bytes()[:2000])
+    assert "1 cases solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+
+
+def test_order_of_keys_and_comments_change_nothing(disk: SimpleNamespace) -> None:
+    other = (
+        disk.text.replace("  LSM: {terms: {misfit: {}}}\n", "") + "  LSM: # plain\n    terms: {misfit: {weight: 1}}\n"
+    )
+    first = {case.name: case.case_id for case in read_run(disk.folder / "run.yaml").cases}
+    assert {case.name: case.case_id for case in read_run(disk.run(other, "other.yaml")).cases} == first
+    assert len(set(first.values())) == 3
+
+
+def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
+    """One iteration is too few: NaN and a sentence, in a finished case."""
+    path = disk.run(disk.text.replace("  LSM: {", "  LSM: {solver: {max_iterations: 1}, "))
+    ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1", "--set", "estimators.LSM.bounds.lower=1")
+    assert (ended.code, ended.err) == (0, "")
+    failed, *fine = cases(disk.folder / "out")
+    assert set(failed.status) == {"the iteration limit was reached before an optimum"}
+    assert not np.any(failed.solved)
+    for values in (failed.cell_resistance, failed.relative_change, failed.two_point_model, failed.objective):
+        assert np.all(np.isnan(values))
+    assert not np.any(failed.open_cell)
+    assert all(np.all(case.solved) for case in fine)
+
+
+def test_case_that_fails_stops_no_other(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lampest import batch
+
+    solve = batch.reconstruct
+
+    def sometimes(recording: Any, estimator: Any) -> Any:
+        if len(estimator.terms) == 1:
+            raise RuntimeError("out of\nluck")
+        return solve(recording, estimator)
+
+    out = disk.folder / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "reconstruct", sometimes)
+        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert ended.err == "lampest: small × LSM failed: out of luck\n"
+    assert "2 cases solved, 0 were done before, 1 failed" in ended.out
+    assert [case.estimator for case in cases(out)] == ["LSR-CR", "LSR-dCR"]
+    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    assert "1 cases solved, 2 were done before" in ended.out
+    assert [case.estimator for case in cases(out)] == ["LSM", "LSR-CR", "LSR-dCR"]
+
+
+def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
+    disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
+    path = disk.run(disk.text.replace("[small.h5]", '["*.h5"]'))
+    outs = disk.folder / "one", disk.folder / "two"
+    for out, jobs in zip(outs, (1, 2), strict=True):
+        ended = disk.command("run", path, "--out", out, "--jobs", jobs)
+        assert (ended.returncode, ended.stderr) == (0, "")
+    assert len(cases(outs[0])) == 6
+    for one, other in zip(*map(cases, outs), strict=True):
+        same(one, other)
+
+
+@pytest.mark.parametrize("executor", [Serial(), Processes(2)], ids=["serial", "processes"])
+def test_executor_isolates_errors(executor: Any) -> None:
+    found = {text: str(outcome) for text, outcome in executor.results(eval, ["1 + 1", "1 / 0", "2 + 2"])}
+    assert found == {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
+
+
+def test_dying_process_costs_only_its_own_task() -> None:
+    death = "__import__('os')._exit(9)"
+    found = {text: str(outcome) for text, outcome in Processes(2).results(eval, ["1 + 1", death, "2 + 2", "3 + 3"])}
+    assert found == {"1 + 1": "2", "2 + 2": "4", "3 + 3": "6", death: "its process died twice"}
+
+
+@pytest.fixture
+def long(disk: SimpleNamespace) -> SimpleNamespace:
+    """Forty cases of some tenths of a second."""
+    shape = (9, 8, 8)
+    disk.recording(disk.folder / "long.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), shape)
+    weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 40)]
+    sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {json.dumps(weights)}}}\n"
+    path = disk.run(disk.text.replace("small.h5", "long.h5") + sweep)
+    return SimpleNamespace(path=path, out=disk.folder / "out", count=40)
+
+
+def started(long: SimpleNamespace) -> subprocess.Popen[str]:
+    """The run in its own process, after it has finished two of its cases."""
+    run = subprocess.Popen(
+        [COMMAND, "run", str(long.path), "--out", str(long.out), "--jobs", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Shells start background jobs with Ctrl-C ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    deadline = time.monotonic() + 60
+    while len(list((long.out / "cases").glob("[!.]*.h5"))) < 2:
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return run
+
+
+def test_killed_run_resumes(long: SimpleNamespace, lampest: Command) -> None:
+    run = started(long)
+    run.kill()
+    run.communicate()
+    finished = len(list((long.out / "cases").glob("[!.]*.h5")))
+    assert 2 <= finished < long.count
+    ended = lampest("run", long.path, "--out", long.out, "--jobs", "1")
+    assert ended.code == 0
+    assert f"{long.count - finished} cases solved, {finished} were done before, 0 failed" in ended.out
+    assert len(cases(long.out)) == long.count
+
+
+def test_interrupted_run_keeps_what_is_finished(long: SimpleNamespace) -> None:
+    run = started(long)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert err == "lampest: interrupted; what was finished is kept\n"
+    assert out == ""
+    finished = cases(long.out)
+    assert 2 <= len(finished) < long.count
+    assert all(np.all(case.solved) for case in finished)
+    assert {case.case_id for case in finished} == {path.stem for path in (long.out / "cases").glob("[!.]*.h5")}
+
+
+def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
+    out = disk.folder / "out"
+    with exclusive(out):
+        busy = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+        assert (busy.code, busy.out) == (2, "")
+        assert busy.err == f"lampest: {out}: another run is using this folder\n"
+        assert [path.name for path in out.iterdir()] == [".lock"]
+    assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
+
+
+def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
+    """Either one waits for none and refuses, or it comes late and finds all done; the results are whole."""
+    command = [COMMAND, "run", str(disk.folder / "run.yaml"), "--out", str(disk.folder / "out"), "--jobs", "2"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    both = [subprocess.Popen(command, **pipes) for _ in range(2)]
+    written = [run.communicate(timeout=120) for run in both]
+    for run, (out, err) in zip(both, written, strict=True):
+        if run.returncode:
+            assert (run.returncode, out) == (2, "")
+            assert err == f"lampest: {disk.folder / 'out'}: another run is using this folder\n"
+    assert 0 in [run.returncode for run in both]
+    assert [case.estimator for case in cases(disk.folder / "out")] == ["LSM", "LSR-CR", "LSR-dCR"]
+
+
+def test_sweep_is_every_combination_of_those_it_names(disk: SimpleNamespace) -> None:
+    sweep = "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n"
+    run = read_run(disk.run(disk.text + sweep))
+    assert [case.name for case in run.cases] == [
+        f"LSR-CR@cell_resistance.weight={weight},bounds.lower={lower}"
+        for weight in ("0.0001", "0.01")
+        for lower in ("measured", "1")
+    ]
+    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in run.cases]
+    assert found == [(1e-4, "measured"), (1e-4, 1), (1e-2, "measured"), (1e-2, 1)]
+    assert len({case.case_id for case in run.cases}) == 4
+
+
+def test_sweep_of_what_all_share_varies_all(disk: SimpleNamespace) -> None:
+    run = read_run(disk.run(disk.text + "sweep: {formulation: [nodal, per_pixel]}\n"))
+    names = ("LSM", "LSR-CR", "LSR-dCR")
+    forms = ("nodal", "per_pixel")
+    assert [case.name for case in run.cases] == [f"{name}@formulation={form}" for form in forms for name in names]
+    assert [case.estimator.formulation for case in run.cases] == [form for form in forms for _ in names]
+
+
+def test_estimators_override_the_run_key_by_key(disk: SimpleNamespace) -> None:
+    shared = "formulation: per_pixel\nsolver: {tolerance: 1e-9, max_iterations: 77}\nbounds: {upper: none}\n"
+    own = "  LSM: {formulation: nodal, solver: {max_iterations: 5}, bounds: {lower: 2}, "
+    run = read_run(disk.run(disk.text.replace("  LSM: {", own) + shared))
+    first, second, _ = (case.estimator for case in run.cases)
+    assert (first.formulation, second.formulation) == ("nodal", "per_pixel")
+    assert (first.solver.tolerance, first.solver.max_iterations) == (1e-9, 5)
+    assert (second.solver.tolerance, second.solver.max_iterations) == (1e-9, 77)
+    assert (first.bounds.lower, first.bounds.upper) == (2, "none")
+    assert (second.bounds.lower, second.bounds.upper) == ("measured", "none")
+
+
+def test_settings_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
+    path = disk.folder / "run.yaml"
+    run = read_run(path, ("solver.max_iterations=9", "estimators.LSR-CR.terms.cell_resistance.weight=5e-2"))
+    assert {case.estimator.solver.max_iterations for case in run.cases} == {9}
+    assert run.cases[1].estimator.terms[1].weight == 0.05
+    out = disk.folder / "out"
+    arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
+    assert lampest("run", path, "--out", out, "--jobs", "1", *arguments).code == 0
+    assert "formulation: per_pixel" in cases(out)[1].case_yaml
+    assert "weight: 3" in cases(out)[0].case_yaml
+
+
+def test_recordings_are_found_relative_to_the_file(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the results where the command is called, in results/<name of the file>."""
+    (disk.folder / "configs").mkdir()
+    (disk.folder / "configs" / "mine.yaml").write_text(disk.text.replace("small.h5", "../small.h5"))
+    monkeypatch.chdir(disk.folder)
+    assert lampest("run", "configs/mine.yaml", "--jobs", "1").code == 0
+    assert len(cases(disk.folder / "results" / "mine")) == 3
+
+
+def test_published_figures_travel_along(disk: SimpleNamespace) -> None:
+    figures = "published: {LSM: {all: {time_s: 16.45, error_percent: 1.33}}, LSR-dCR: {initial: {time_s: 58.63}}}\n"
+    report = run_batch(read_run(disk.run(disk.text + figures)), disk.folder / "out", Serial())
+    published = read_results(report.results).published
+    assert published["LSM"].all.time_s == 16.45
+    assert published["LSR-dCR"].initial.time_s == 58.63
+    assert published["LSR-dCR"].following is None
+
+
+def test_single_row_runs(disk: SimpleNamespace, lampest: Command) -> None:
+    scene = disk.scene.replace("rows: 3", "rows: 1")
+    disk.recording(disk.folder / "small.h5", scene, (3, 1, 4))
+    out = disk.folder / "out"
+    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    np.testing.assert_allclose(cases(out)[0].cell_resistance, cases(out)[0].truth, rtol=1e-6)
+    assert lampest("info", disk.folder / "small.h5").code == 0
+
+
+def test_help_is_quick_because_it_imports_little(tmp_path: Path) -> None:
+    program = (
+        "import sys\nfrom lampest import cli\nsys.argv = ['lampest', '--help']\n"
+        "try:\n    cli.main()\nexcept SystemExit as end:\n    assert not end.code\n"
+        "heavy = {'casadi', 'numpy', 'scipy', 'h5py', 'pydantic', 'ruamel', 'matplotlib', 'serial'}\n"
+        "print('loaded:', sorted(heavy & set(sys.modules)))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[-1] == "loaded: []"
+    for command in ("run", "simulate", "import", "compare", "plot", "terms", "schema", "info"):
+        assert command in ended.stdout
+
+
+def test_terms_lists_all(lampest: Command) -> None:
+    ended = lampest("terms")
+    assert (ended.code, ended.err) == (0, "")
+    for kind, term in term_types().items():
+        (line,) = (line for line in ended.out.splitlines() if line.strip().startswith(f"{kind} "))
+        assert term.unit in line
+        assert f"weight: {term().weight}" in line
+
+
+def test_schema_is_the_shipped_one(lampest: Command) -> None:
+    ended = lampest("schema")
+    assert (ended.code, ended.err) == (0, "")
+    shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
+    assert ended.out == shipped, "lampest schema > configs/lampest.schema.json"
+    text = json.dumps(json.loads(shipped))
+    for word in (*term_types(), "huber", "per_pixel", "resolution", "sweep", "published"):
+        assert f'"{word}"' in text
+
+
+@pytest.mark.parametrize("name", ["table1", "all_scenes"])
+def test_shipped_runs_are_in_order(name: str) -> None:
+    path = ROOT / "configs" / f"{name}.yaml"
+    run = read_run(path)
+    recordings = {case.recording for case in run.cases}
+    assert len(run.cases) == 5 * len(recordings)
+    assert len(recordings) == {"table1": 2, "all_scenes": 8}[name]
+    assert path.read_text(encoding="utf-8").startswith("# yaml-language-server: $schema=lampest.schema.json\n")
+    weights = {case.name: [(type(term).__name__, term.weight) for term in case.estimator.terms] for case in run.cases}
+    assert weights == {
+        "LSM": [("Misfit", 1)],
+        "LSR-CR": [("Misfit", 1), ("CellResistance", 1e-3)],
+        "LSR-dCR": [("Misfit", 1), ("RelativeChange", 10)],
+        "LSR-gCR": [("Misfit", 1), ("Gradient", 1e-3)],
+        "LSR-gdCR": [("Misfit", 1), ("GradientOfRelativeChange", 10)],
+    }
+
+
+def test_library_in_five_lines() -> None:
+    import lampest
+
+    recording = lampest.Recording.load(ROOT / "data" / "lamprey_35mm.h5")
+    found = lampest.reconstruct(recording, terms=[lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    assert found.cell_resistance.shape == found.relative_change.shape == (21, 10, 10)
+    assert np.median(np.abs(found.cell_resistance / recording.truth_cell_resistance[3:] - 1)) < 0.25
+    assert all(getattr(lampest, name) is not None for name in lampest.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'reconstrcut'"):
+        lampest.reconstrcut  # noqa: B018
+
+
+def test_results_are_plain_hdf5(disk: SimpleNamespace, lampest: Command) -> None:
+    out = disk.folder / "out"
+    lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    with h5py.File(out / "results.h5") as file:
+        group = file["entry/small/LSR-CR"]
+        assert group.attrs["signal"] == b"cell_resistance"
+        assert group["cell_resistance"].shape == (2, 3, 4)
+        assert group["cell_resistance"].attrs["units"] == b"ohm"
+        assert group["status"][0] == b"optimum verified"
+        assert group["cost/cell_resistance"].shape == (2,)

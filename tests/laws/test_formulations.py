@@ -1,0 +1,57 @@
+"""Every formulation says the same: its equations hold in a solved network and give its two-point resistance."""
+
+import casadi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.estimator import FORMULATIONS
+from lampest.kirchhoff import Network, grounding, two_point_resistance
+from lampest.panel import Array, Panel
+
+SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]
+
+
+def functions(kind: str, shape: tuple[int, int]) -> casadi.Function:
+    """(conductance, tie, potentials) → (balance, two-point resistance, ∂balance/∂potentials)."""
+    conductance, tie = casadi.SX.sym("conductance", *shape), casadi.SX.sym("tie", sum(shape))
+    network = FORMULATIONS[kind].network(Panel(*shape), conductance, tie, "test_")
+    slope = casadi.jacobian(network.balance, network.potentials)
+    arguments = [conductance, tie, network.potentials]
+    return casadi.Function("formulation", arguments, [network.balance, network.two_point_resistance, slope])
+
+
+def solved(shape: tuple[int, int]) -> tuple[Array, Array, Network]:
+    """Cells, a tie at some line, and the solved network, in units in which all are of order one."""
+    cells = 10 ** np.random.default_rng(7).uniform(-0.5, 0.5, shape)
+    tie = grounding(two_point_resistance(cells))
+    return cells, tie, Network.solve(1 / cells, tie)
+
+
+@pytest.mark.parametrize("kind", FORMULATIONS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_equations_hold_in_a_solved_network(kind: str, shape: tuple[int, int]) -> None:
+    cells, tie, network = solved(shape)
+    balance, resistance, _ = functions(kind, shape)(1 / cells, tie, FORMULATIONS[kind].potentials(network))
+    assert_allclose(np.asarray(balance), 0, atol=1e-12)
+    assert_allclose(np.asarray(resistance).reshape(shape), network.two_point_resistance(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", FORMULATIONS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_equations_leave_no_freedom(kind: str, shape: tuple[int, int]) -> None:
+    """As many equations as potentials, linear and regular: solved for the potentials they give R = f(r)."""
+    cells, tie, _ = solved(shape)
+    function = functions(kind, shape)
+    count = function.size1_in(2)
+    constant, _, slope = (np.asarray(part) for part in function(1 / cells, tie, np.zeros(count)))
+    potentials = np.linalg.solve(slope, -constant)
+    _, resistance, slope_there = function(1 / cells, tie, potentials)
+    assert_allclose(np.asarray(slope_there), slope, rtol=1e-14)
+    assert_allclose(np.asarray(resistance).reshape(shape), two_point_resistance(cells), rtol=1e-11)
+
+
+def test_nodal_needs_fewer_unknowns() -> None:
+    """10 × 10: unit currents into lines, not into cells."""
+    unknowns = {kind: functions(kind, (10, 10)).size1_in(2) for kind in FORMULATIONS}
+    assert unknowns == {"nodal": 165, "per_pixel": 2000}

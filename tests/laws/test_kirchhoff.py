@@ -1,0 +1,248 @@
+"""Identities that the two-point resistances of any matrix of cells obey. Tolerances are those of mild contrast."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lampest.kirchhoff import Network, current_balance, grounding, laplacian, two_point_resistance, uniform_factor
+from lampest.panel import Array
+
+QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
+SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7), (10, 10)]
+panels = st.builds(
+    lambda rows, columns, seed, decades: random_panel((rows, columns), seed, decades),
+    st.integers(1, 7),
+    st.integers(1, 7),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.2, 1.0, 3.0]),
+)
+
+
+def random_panel(shape: tuple[int, int], seed: int = 0, decades: float = 1.0) -> Array:
+    """Cells log-uniform around 3 kilohm."""
+    return 3000 * 10 ** np.random.default_rng(seed).uniform(-decades / 2, decades / 2, shape)
+
+
+def network(cells: Array) -> Network:
+    return Network.solve(1 / cells, grounding(cells))
+
+
+def jacobian(cells: Array) -> Array:
+    """∂R/∂r (cells, cells) from the transfer matrix."""
+    return (network(cells).transfer() / cells.ravel()) ** 2
+
+
+def complex_step(cells: Array, cell: tuple[int, ...]) -> Array:
+    """∂R/∂g of one cell, by an imaginary increment: no cancellation, hence exact to rounding."""
+    step = 1e-30
+    conductance = (1 / cells).astype(complex)
+    conductance[cell] += 1j * step
+    return np.asarray(Network.solve(conductance, grounding(cells)).two_point_resistance().imag / step)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_uniform_panel(shape: tuple[int, int]) -> None:
+    rows, columns = shape
+    expected = 3050 * (rows + columns - 1) / (rows * columns)
+    assert_allclose(two_point_resistance(np.full(shape, 3050.0)), expected, rtol=1e-13)
+    assert uniform_factor(rows, columns) * 3050 == pytest.approx(expected, rel=1e-15)
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
+@QUICK
+def test_rank_one_panel(rows: int, columns: int, seed: int) -> None:
+    """g = a_j·b_k: R = 1/(a_j B) + 1/(b_k A) − 1/(A B)."""
+    rng = np.random.default_rng(seed)
+    a, b = 10 ** rng.uniform(-1, 1, rows), 10 ** rng.uniform(-1, 1, columns)
+    expected = 1 / (a[:, None] * b.sum()) + 1 / (b[None, :] * a.sum()) - 1 / (a.sum() * b.sum())
+    assert_allclose(two_point_resistance(1 / np.outer(a, b)), expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 8])
+def test_two_rows(columns: int) -> None:
+    """R_1k = r_1k ∥ (r_2k + 1/Σ_{q≠k} 1/(r_1q + r_2q))."""
+    cells = random_panel((2, columns), 3)
+    expected = np.empty((2, columns))
+    for row in range(2):
+        for column in range(columns):
+            others = 1 / np.delete(cells.sum(axis=0), column)
+            around = np.inf if columns == 1 else cells[1 - row, column] + 1 / others.sum()
+            expected[row, column] = 1 / (1 / cells[row, column] + 1 / around)
+    assert_allclose(two_point_resistance(cells), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
+def test_single_line_shows_its_cells(shape: tuple[int, int]) -> None:
+    cells = random_panel(shape, 4, 4.0)
+    assert_allclose(two_point_resistance(cells), cells, rtol=1e-12)
+
+
+@given(panels)
+@QUICK
+def test_foster(cells: Array) -> None:
+    """Σ g R = M + N − 1."""
+    assert np.sum(two_point_resistance(cells) / cells) == pytest.approx(sum(cells.shape) - 1, rel=1e-11)
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (2, 2), (3, 5), (6, 4)])
+def test_gradient_of_log_determinant(shape: tuple[int, int]) -> None:
+    """R = ∇_g log det C, C the Laplacian without one line; the derivative by an imaginary increment."""
+    cells = random_panel(shape, 5)
+    expected = np.empty(shape)
+    for cell in np.ndindex(shape):
+        conductance = (1 / cells).astype(complex)
+        conductance[cell] += 1e-30j
+        sign, _ = np.linalg.slogdet(laplacian(conductance)[1:, 1:])
+        expected[cell] = np.angle(sign) / 1e-30
+    assert_allclose(two_point_resistance(cells), expected, rtol=1e-11)
+
+
+@given(panels)
+@QUICK
+def test_euler(cells: Array) -> None:
+    """J r = R, since R is homogeneous of degree one."""
+    assert_allclose(jacobian(cells) @ cells.ravel(), two_point_resistance(cells).ravel(), rtol=1e-10)
+
+
+@pytest.mark.parametrize("shape", SHAPES[:-1])
+def test_product_form_is_the_jacobian_is_the_derivative(shape: tuple[int, int]) -> None:
+    cells = random_panel(shape, 6)
+    solved = network(cells)
+    expected = np.array([complex_step(cells, cell).ravel() for cell in np.ndindex(shape)])
+    units = np.eye(cells.size).reshape(cells.size, *shape)
+    products = np.array([solved.conductance_product(unit).ravel() for unit in units])
+    size = np.max(np.abs(expected))
+    assert_allclose(products, expected, rtol=1e-9, atol=1e-12 * size)
+    assert_allclose(-(solved.transfer() ** 2), expected, rtol=1e-9, atol=1e-12 * size)
+
+
+@given(panels, st.integers(0, 2**32 - 1))
+@QUICK
+def test_product_form_is_linear_and_its_own_transpose(cells: Array, seed: int) -> None:
+    """Reciprocity, ∂R_i/∂g_l = ∂R_l/∂g_i: eᵀ(∂R/∂g)p = pᵀ(∂R/∂g)e."""
+    solved = network(cells)
+    e, p = np.random.default_rng(seed).standard_normal((2, *cells.shape))
+    along_e, along_p = solved.conductance_product(e), solved.conductance_product(p)
+    size = np.sqrt(np.sum(e**2) * np.sum(along_p**2))
+    assert abs(np.sum(e * along_p) - np.sum(p * along_e)) < 1e-11 * size
+    both = solved.conductance_product(2 * e - 3 * p)
+    assert_allclose(both, 2 * along_e - 3 * along_p, atol=1e-10 * np.max(np.abs([along_e, along_p])))
+
+
+@given(panels)
+@QUICK
+def test_sensitivities_lie_between_zero_and_one(cells: Array) -> None:
+    sensitivity = jacobian(cells)
+    assert np.min(sensitivity) >= 0
+    assert np.max(sensitivity) <= 1 + 1e-12
+
+
+@given(panels)
+@QUICK
+def test_bounds_of_two_point_resistance(cells: Array) -> None:
+    """1/(g + ab/(a + b)) ≤ R ≤ r, a and b the rest of the row's and of the column's conductance."""
+    conductance, resistance = 1 / cells, two_point_resistance(cells)
+    row = conductance.sum(axis=1, keepdims=True) - conductance
+    column = conductance.sum(axis=0, keepdims=True) - conductance
+    with np.errstate(invalid="ignore"):
+        around = np.where((row > 0) & (column > 0), row * column / (row + column), 0.0)
+    assert np.all(resistance <= cells * (1 + 1e-12))
+    assert np.all(resistance >= (1 - 1e-12) / (conductance + around))
+
+
+@given(panels)
+@QUICK
+def test_way_round_is_no_shorter(cells: Array) -> None:
+    """R_jk ≤ R_jq + R_pq + R_pk: resistance distance is a metric."""
+    resistance = two_point_resistance(cells)
+    rows, columns = cells.shape
+    j, p, q, k = np.ix_(range(rows), range(rows), range(columns), range(columns))
+    round_trip = resistance[j, q] + resistance[p, q] + resistance[p, k]
+    assert np.all(resistance[j, k] <= round_trip * (1 + 1e-12))
+
+
+@given(panels, st.integers(0, 2**32 - 1))
+@QUICK
+def test_rayleigh_monotonicity(cells: Array, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    larger = cells * np.where(rng.random(cells.shape) < 0.3, rng.uniform(1, 100, cells.shape), 1.0)
+    assert np.all(two_point_resistance(larger) >= two_point_resistance(cells) * (1 - 1e-12))
+
+
+@given(panels, st.integers(-40, 40))
+@QUICK
+def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
+    assert_array_equal(two_point_resistance(cells * 2.0**power), two_point_resistance(cells) * 2.0**power)
+
+
+@given(panels, st.randoms(use_true_random=False))
+@QUICK
+def test_permutation_and_transposition(cells: Array, random: object) -> None:
+    rng = np.random.default_rng(random.randrange(2**32))  # type: ignore[attr-defined]
+    rows, columns = (rng.permutation(size) for size in cells.shape)
+    resistance = two_point_resistance(cells)
+    assert_allclose(two_point_resistance(cells[rows][:, columns]), resistance[rows][:, columns], rtol=1e-11)
+    assert_allclose(two_point_resistance(cells.T), resistance.T, rtol=1e-11)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 5), (6, 4)])
+def test_eigenvalues_of_the_uniform_jacobian(shape: tuple[int, int]) -> None:
+    """(M+N−1)/MN once; 1/N, M − 1 times; 1/M, N − 1 times; 2/MN, (M − 1)(N − 1) times."""
+    m, n = shape
+    expected = [(m + n - 1) / (m * n)] + [1 / n] * (m - 1) + [1 / m] * (n - 1) + [2 / (m * n)] * ((m - 1) * (n - 1))
+    found = np.linalg.eigvalsh(jacobian(np.full(shape, 3050.0)))
+    assert_allclose(found, np.sort(expected), rtol=1e-11)
+
+
+def test_open_cell_is_no_cell() -> None:
+    """2 × 2 without cell (0, 0): its place shows the other three in series, each other place its own cell alone."""
+    cells = np.array([[1e200, 100.0], [20.0, 3.0]])
+    assert_allclose(two_point_resistance(cells), [[123.0, 100.0], [20.0, 3.0]], rtol=1e-13)
+    panel = random_panel((4, 5), 8)
+    without = 1 / panel
+    without[1, 2] = 0
+    panel[1, 2] = 1e200
+    assert_array_equal(two_point_resistance(panel), Network.solve(without, grounding(panel)).two_point_resistance())
+
+
+def test_unconnected_line_is_an_error() -> None:
+    conductance = 1 / random_panel((3, 4), 9)
+    tie = grounding(1 / conductance)
+    conductance[2] = 0
+    tie[2] = 0
+    tie[0] = 1.0
+    with pytest.raises(np.linalg.LinAlgError):
+        Network.solve(conductance, tie)
+
+
+@given(panels)
+@QUICK
+def test_current_is_conserved_and_equal_potentials_carry_none(cells: Array) -> None:
+    conductance, (rows, columns) = 1 / cells, cells.shape
+    rng = np.random.default_rng(1)
+    from_rows, from_columns = current_balance(
+        conductance, rng.standard_normal((rows, 3)), rng.standard_normal((columns, 3))
+    )
+    assert_allclose(from_rows.sum(axis=0) + from_columns.sum(axis=0), 0, atol=1e-13 * conductance.sum())
+    resting = current_balance(conductance, np.ones((rows, 1)), np.ones((columns, 1)))
+    assert_allclose(np.vstack(resting), 0, atol=1e-13 * conductance.sum())
+    matrix = laplacian(conductance)
+    assert_array_equal(matrix, matrix.T)
+
+
+@given(panels)
+@QUICK
+def test_any_line_may_be_grounded(cells: Array) -> None:
+    """Paper, equation (5): potential differences do not know which line is tied to ground, nor how well."""
+    resistance = two_point_resistance(cells)
+    for line in range(sum(cells.shape)):
+        tie = np.zeros(sum(cells.shape))
+        tie[line] = 3 * np.max(1 / cells)
+        assert_allclose(Network.solve(1 / cells, tie).two_point_resistance(), resistance, rtol=1e-10)
+
+
+def test_frames_are_solved_one_by_one() -> None:
+    frames = np.stack([random_panel((3, 4), seed) for seed in range(3)])
+    assert_array_equal(two_point_resistance(frames), [two_point_resistance(frame) for frame in frames])

@@ -1,0 +1,286 @@
+"""What holds for every cost term with every loss. The tests walk the unions: a new term is tested as it is."""
+
+import dataclasses
+from itertools import product
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import casadi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lampest.cost import Cost
+from lampest.estimator import FORMULATIONS, Bounds, Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.problem import Data, Evaluation
+from lampest.recording import Recording
+from lampest.scene import Scene
+from lampest.sequence import reconstruct
+from lampest.solvers.curvature import Curvature
+from lampest.solvers.program import Program
+from lampest.solvers.smoothing import Smoothing
+from lampest.terms import Misfit, term_kind, term_types
+from lampest.terms.losses import Absolute, Huber, Loss, Squared
+from lampest.terms.term import State, Term
+
+PANEL = Panel(3, 4)
+CORNER = 40.0
+LOSSES = [loss() if loss is not Huber else Huber(corner=CORNER) for loss in get_args(Loss)]
+
+
+def options(term: type[Term]) -> list[dict[str, Any]]:
+    """Every combination of a term's choices of words, such as misfit's weighting."""
+    choices = {
+        name: get_args(hint)
+        for name, hint in get_type_hints(term).items()
+        if get_origin(hint) is Literal and name != "kind"
+    }
+    return [dict(zip(choices, words, strict=True)) for words in product(*choices.values())]
+
+
+VARIANTS = [
+    pytest.param(term, words, id="-".join([kind, *words.values()]))
+    for kind, term in term_types().items()
+    for words in options(term)
+]
+
+
+def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
+    """Data of the panel, and cells near those that made them."""
+    rng = np.random.default_rng(seed)
+    truth = 3000 * np.exp(0.4 * rng.standard_normal((frames, *PANEL.shape)))
+    measured = two_point_resistance(truth) * np.exp(0.05 * rng.standard_normal(truth.shape))
+    sigma = 10.0 * np.exp(0.3 * rng.standard_normal(truth.shape))
+    previous = 3000 * np.exp(0.4 * rng.standard_normal(PANEL.shape))
+    cells = truth * np.exp(0.2 * rng.standard_normal(truth.shape))
+    return Data(measured, sigma, measured / 10, measured * 1e3, previous if frames == 1 else None), cells
+
+
+def state(data: Data, cells: Array, scale: float = 1.0) -> State:
+    """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's matrices."""
+    values = (cells, two_point_resistance(cells), data.measured, data.sigma)
+    frame = [casadi.DM(scale * value[0].ravel()) for value in values]
+    return State(PANEL, *frame, casadi.DM(scale * data.previous.ravel()))
+
+
+def residual(term: Term, where: State) -> Array:
+    return np.asarray(casadi.DM(term.residual(where))).ravel()
+
+
+def test_each_has_a_kind_a_unit_and_a_formula() -> None:
+    for kind, term in term_types().items():
+        assert term_kind(term()) == kind
+        assert term.unit
+        assert (term.__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("weight", [-1e-9, float("nan"), float("inf")])
+@pytest.mark.parametrize("kind", term_types())
+def test_weight_must_be_finite_and_not_negative(kind: str, weight: float) -> None:
+    with pytest.raises(ValueError, match="weight must be"):
+        term_types()[kind](weight=weight)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, frames: int) -> None:
+    """∂φ/∂log r along random directions against central differences of φ."""
+    cost = Cost(PANEL, (term(weight=0.7, loss=loss, **words),), frames)
+    data, cells = example(frames)
+    here = Evaluation.at(cost, data, cells)
+    gradient = here.log_gradient(np.sign(here.rough))
+    rng, step = np.random.default_rng(1), 1e-5
+    for _ in range(4):
+        direction = rng.standard_normal(cells.shape)
+        ends = [Evaluation.at(cost, data, cells * np.exp(sign * step * direction)).objective for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * step)
+        size = np.sum(np.abs(gradient * direction))
+        # An absolute loss is no parabola, but the step is far smaller than the distance to any corner.
+        assert slope == pytest.approx(np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * here.objective)
+    if loss.kind == "absolute":
+        assert np.min(np.abs(here.rough)) > 1e-3 * np.max(np.abs(here.rough))
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int) -> None:
+    """The program's Hessian of its Lagrangian against central differences of the Lagrangian's gradient."""
+    program = Program.build(
+        Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames), FORMULATIONS[formulation]
+    )
+    nlp, multiplier = program.nlp, casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
+    lagrangian = 1.3 * nlp["f"] + casadi.dot(multiplier, nlp["g"])
+    gradient = casadi.Function("gradient", [nlp["x"], nlp["p"], multiplier], [casadi.gradient(lagrangian, nlp["x"])])
+    rng = np.random.default_rng(2)
+    x, p, multipliers = (
+        np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (nlp["x"], nlp["p"], multiplier)
+    )
+    # Resistances of the size of Huber's corner, so that residuals fall on either side of it.
+    cells = PANEL.cells
+    for ohms in (slice(0, cells * frames), slice(-3 - cells, -2)):
+        p[ohms] *= CORNER
+    upper = np.asarray(program.hessian()(x, p, 1.3, multipliers))
+    assert_array_equal(np.tril(upper, -1), 0)
+    hessian = upper + np.triu(upper, 1).T
+    step = 1e-6
+    for _ in range(3):
+        direction = rng.standard_normal(len(x))
+        ends = [np.asarray(gradient(x + sign * step * direction, p, multipliers)).ravel() for sign in (1, -1)]
+        product_ = hessian @ direction
+        assert_allclose((ends[0] - ends[1]) / (2 * step), product_, atol=1e-6 * np.max(np.abs(product_)))
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_second_derivative_without_potentials(term: type[Term], words: dict[str, Any], loss: Loss, frames: int) -> None:
+    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute losses are smoothed."""
+    cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
+    data, cells = example(frames)
+    rng, width, step = np.random.default_rng(4), 50.0, 1e-5
+
+    def curvature(where: Array) -> Curvature:
+        at = Evaluation.at(cost, data, where)
+        return Curvature(at, Smoothing(width, Smoothing(width, np.zeros(len(at.rough))).slope(at.rough)))
+
+    here = curvature(cells)
+    matrix = here.matrix
+    assert_allclose(matrix, matrix.T, atol=1e-12 * np.max(np.abs(matrix)))
+    for _ in range(3):
+        direction = rng.standard_normal(cells.size)
+        moved = [cells * np.exp(sign * step * direction.reshape(cells.shape)) for sign in (1, -1)]
+        ends = [curvature(where).gradient for where in moved]
+        expected = (ends[0] - ends[1]) / (2 * step)
+        assert_allclose(matrix @ direction, expected, atol=1e-6 * np.max(np.abs(expected)))
+        assert_allclose(here.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_zero_weight_is_absence(term: type[Term], words: dict[str, Any], loss: Loss) -> None:
+    data, cells = example(1)
+    other = next(kind for kind in term_types().values() if kind is not term)()
+    with_it = Evaluation.at(Cost(PANEL, (other, term(weight=0.0, loss=loss, **words))), data, cells)
+    without = Evaluation.at(Cost(PANEL, (other,)), data, cells)
+    assert with_it.objective == without.objective
+    assert with_it.costs[1] == 0
+    assert_allclose(with_it.log_gradient(np.zeros(len(with_it.rough))), without.log_gradient(np.zeros(0)), rtol=1e-14)
+
+
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_weights_multiply_and_terms_add(term: type[Term], words: dict[str, Any], loss: Loss) -> None:
+    data, cells = example(1)
+    one = Evaluation.at(Cost(PANEL, (term(weight=1.0, loss=loss, **words),)), data, cells).objective
+    assert one > 0
+    expected = Evaluation.at(Cost(PANEL, (Misfit(),)), data, cells).objective + 2.5 * one
+    both = Evaluation.at(Cost(PANEL, (Misfit(), term(weight=2.5, loss=loss, **words))), data, cells)
+    assert both.objective == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any]) -> None:
+    """With all resistances doubled a residual in ohm doubles, one in percent or in standard deviations stays."""
+    data, cells = example(1)
+    chosen = term(**words)
+    plain = not chosen.unit.startswith("percent") and words.get("weighting") != "noise"
+    factor = 2.0 if plain else 1.0
+    assert_array_equal(residual(chosen, state(data, cells, 2.0)), factor * residual(chosen, state(data, cells)))
+
+
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_terms_of_change_vanish_without_change(term: type[Term], words: dict[str, Any]) -> None:
+    data, cells = example(1)
+    same = dataclasses.replace(data, previous=cells[0])
+    found = residual(term(**words), state(same, cells))
+    if term.needs_previous:
+        assert_array_equal(found, 0)
+    else:
+        assert_array_equal(found, residual(term(**words), state(data, cells)))
+        assert np.any(found != 0)
+
+
+def test_misfit_vanishes_at_the_model_only() -> None:
+    data, cells = example(1)
+    exact = dataclasses.replace(data, measured=two_point_resistance(cells))
+    assert_array_equal(residual(Misfit(), state(exact, cells)), 0)
+    found = residual(Misfit(weighting="noise"), state(data, cells))
+    expected = (two_point_resistance(cells) - data.measured) / data.sigma
+    assert_allclose(found, expected.ravel(), rtol=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (2, 3), (6, 4)])
+def test_gradient_is_numpys_and_matlabs(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(3).standard_normal(shape)
+    where = State(Panel(*shape), None, None, None, None)
+    found = np.asarray(where.gradient(casadi.DM(values.ravel()))).reshape(2, *shape)
+    for axis, size in enumerate(shape):
+        expected = np.gradient(values, axis=axis) if size > 1 else np.zeros(shape)
+        assert_allclose(found[axis], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["cell_resistance", "gradient"])
+def test_estimates_of_unit_free_methods_scale_with_the_data(kind: str) -> None:
+    """LSR-CR and LSR-∇CR: in kiloohm the answer is the same in kiloohm."""
+    data, _ = example(2)
+    estimator = Estimator((Misfit(), term_types()[kind](weight=1e-3)), bounds=Bounds(upper="none"))
+    found = [
+        reconstruct(
+            Recording(Scene(PANEL), data.measured * scale, np.arange(2.0), np.ones(2, np.uint8)), estimator
+        ).cell_resistance
+        for scale in (1.0, 2.0**-10)
+    ]
+    assert_allclose(found[1] * 2.0**10, found[0], rtol=1e-9)
+
+
+def values(loss: Loss, x: Array) -> Array:
+    """The loss of each of many numbers."""
+    return np.array([float(loss.cost(casadi.DM(value))) for value in x])
+
+
+def slopes(loss: Loss, x: Array) -> Array:
+    symbol = casadi.SX.sym("x")
+    slope = casadi.Function("slope", [symbol], [casadi.gradient(loss.cost(symbol), symbol)])
+    return np.array([float(slope(value)) for value in x])
+
+
+GRID = np.linspace(-3, 3, 121) * CORNER
+
+
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+def test_losses_are_even_convex_and_zero_at_zero(loss: Loss) -> None:
+    found = values(loss, GRID)
+    assert float(loss.cost(casadi.DM(0.0))) == 0
+    assert np.all(found[np.abs(GRID) > 1e-9] > 0)
+    assert_allclose(found, found[::-1], rtol=1e-12)
+    assert np.all(np.diff(found, 2) > -1e-9 * found.max())
+    column = casadi.DM(GRID)
+    assert float(loss.cost(column)) == pytest.approx(found.sum(), rel=1e-12)
+
+
+def test_losses_are_what_they_say() -> None:
+    outside = np.abs(GRID) > CORNER
+    assert_allclose(values(Squared(), GRID), GRID**2, rtol=1e-14)
+    assert_allclose(values(Absolute(), GRID), np.abs(GRID), rtol=1e-14)
+    huber = values(Huber(corner=CORNER), GRID)
+    assert_allclose(huber[~outside], GRID[~outside] ** 2, rtol=1e-12)
+    assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=1e-12)
+
+
+def test_huber_is_once_differentiable_at_its_corners() -> None:
+    huber = Huber(corner=CORNER)
+    for corner in (-CORNER, CORNER):
+        either_side = corner * np.array([1 - 1e-9, 1 + 1e-9])
+        assert_allclose(values(huber, either_side), CORNER**2, rtol=1e-8)
+        assert_allclose(slopes(huber, either_side), 2 * corner, rtol=1e-8)
+    assert_allclose(slopes(huber, GRID), 2 * np.clip(GRID, -CORNER, CORNER), atol=1e-9)
+
+
+@pytest.mark.parametrize("corner", [0.0, -1.0, float("nan"), float("inf")])
+def test_corner_must_be_positive_and_finite(corner: float) -> None:
+    with pytest.raises(ValueError, match="corner must be"):
+        Huber(corner=corner)

@@ -1,0 +1,456 @@
+"""Estimates against optima that a second statement of the equations and another solver find."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+
+from lampest.cost import Cost
+from lampest.estimator import Bounds, Estimator, FormulationName
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.problem import Data, Evaluation
+from lampest.readout import resolution_limit
+from lampest.recording import Recording
+from lampest.scene import Scene
+from lampest.sequence import Reconstruction, reconstruct
+from lampest.terms import Gradient, Misfit, term_types
+from lampest.terms.losses import Absolute, Huber, Loss, Squared
+
+WEIGHTS = {
+    "misfit": 0.0,
+    "cell_resistance": 1e-3,
+    "relative_change": 10.0,
+    "gradient": 1e-3,
+    "gradient_of_relative_change": 10.0,
+}
+FORMULATIONS = get_args(FormulationName)
+ABSOLUTE = ("misfit", "cell_resistance", "gradient")
+RELATIVE = ("relative_change", "gradient_of_relative_change")
+
+
+def estimator(method: str, **options: Any) -> Estimator:
+    terms = [Misfit()] if method == "misfit" else [Misfit(), term_types()[method](weight=WEIGHTS[method])]
+    return Estimator(tuple(terms), **options)
+
+
+def truth(shape: tuple[int, int], frames: int, seed: int, spread: float = 0.3) -> Array:
+    """Cells of 3 kilohm, scattered, of which a patch falls from frame to frame."""
+    rng = np.random.default_rng(seed)
+    resting = 3000 * np.exp(spread * rng.standard_normal(shape))
+    pressed = rng.random(shape) < 0.25
+    steps = [resting * np.where(pressed, 0.8**frame, 1.02**frame) for frame in range(frames)]
+    return np.stack(steps)
+
+
+def recording(cells: Array, noise: float, seed: int = 0, unloaded: int = 0) -> Recording:
+    """Two-point resistances with that relative noise, of which σ tells."""
+    exact = two_point_resistance(cells)
+    rng = np.random.default_rng(seed)
+    resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
+    role = (np.arange(len(cells)) >= unloaded).astype(np.uint8)
+    sigma = exact * max(noise, 1e-4)
+    return Recording(Scene(Panel(*cells.shape[1:])), resistance, np.arange(float(len(cells))), role, sigma)
+
+
+def limits(readings: Array, sigma: Array) -> tuple[Array, Array]:
+    """Paper, equation (12), and R²/σ, though at least twice the cell of a uniform panel."""
+    rows, columns = readings.shape[-2:]
+    return readings, np.maximum(readings**2 / sigma, 2 * readings * rows * columns / (rows + columns - 1))
+
+
+def optimality(paper: SimpleNamespace, gradient: Array, cells: Array, lower: Array, upper: Array, size: float) -> float:
+    """max |u − Π(u − ∇φ/size)| over u = log r: how far the first-order conditions are from being met."""
+    position = np.log(cells)
+    step = np.clip(position - gradient * cells / size, np.log(lower), np.log(upper))
+    return float(np.max(np.abs(step - position)))
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (3, 5), (5, 3), (4, 4)])
+@pytest.mark.parametrize("method", WEIGHTS)
+def test_objective_is_the_papers(paper: SimpleNamespace, method: str, shape: tuple[int, int]) -> None:
+    """Equations (11), (13), (17), (19) and (23) at points that are no optima; penalties one by one."""
+    weight = 0.37
+    term = term_types()[method]
+    terms = (Misfit(),) if method == "misfit" else (Misfit(), term(weight=weight))
+    cells, before = truth(shape, 2, 1)
+    measured = 0.9 * two_point_resistance(cells)
+    known = before if term.needs_previous else None
+    data = Data(measured[None], np.ones((1, *shape)), measured[None], 1e9 * measured[None], known)
+    found = Evaluation.at(Cost(Panel(*shape), terms), data, cells[None])
+    expected = paper.misfits(cells, measured, method, weight, before)
+    assert found.objective == pytest.approx(np.sum(expected**2), rel=1e-12)
+    assert found.costs[0] == pytest.approx(np.sum(expected[: cells.size] ** 2), rel=1e-12)
+    slope = 2 * expected @ paper.misfits_jacobian(cells, method, weight, before) * cells.ravel()
+    assert_allclose(found.log_gradient(np.zeros(0)).ravel(), slope, atol=1e-11 * np.max(np.abs(slope)))
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (3, 5), (4, 4)])
+@pytest.mark.parametrize("method", RELATIVE)
+def test_joint_objective_is_the_papers(paper: SimpleNamespace, method: str, shape: tuple[int, int]) -> None:
+    """Equations (15) and (21)."""
+    cells = truth(shape, 2, 2)
+    measured = two_point_resistance(cells)[::-1] * 1.1
+    data = Data(measured, np.ones_like(measured), measured, 1e9 * measured)
+    terms = (Misfit(), term_types()[method](weight=0.37))
+    found = Evaluation.at(Cost(Panel(*shape), terms, 2), data, cells)
+    expected = paper.pair_misfits(cells, measured, method, 0.37)
+    assert found.objective == pytest.approx(np.sum(expected**2), rel=1e-12)
+    slope = 2 * expected @ paper.pair_jacobian(cells, method, 0.37) * cells.ravel()
+    assert_allclose(found.log_gradient(np.zeros(0)).ravel(), slope, atol=1e-11 * np.max(np.abs(slope)))
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (5, 8), (8, 4)])
+@pytest.mark.parametrize("method", WEIGHTS)
+def test_formulations_agree(method: str, shape: tuple[int, int]) -> None:
+    recorded = recording(truth(shape, 3, 3), 2e-3, unloaded=1)
+    first, *others = (reconstruct(recorded, estimator(method, formulation=name)) for name in FORMULATIONS)
+    assert others
+    # Plain least squares fits most readings to rounding: its objective is compared with the readings' size.
+    floor = 1e-12 * np.sum(recorded.resistance[0] ** 2)
+    for other in others:
+        for ours, theirs in zip(first.steps, other.steps, strict=True):
+            assert ours.solution.solved
+            assert theirs.solution.solved
+            assert theirs.solution.objective == pytest.approx(ours.solution.objective, rel=1e-6, abs=floor)
+        assert_allclose(other.cell_resistance, first.cell_resistance, rtol=1e-4)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("shape", [(2, 2), (4, 6), (7, 3)])
+def test_exact_data_give_the_cells_back(shape: tuple[int, int], formulation: Any) -> None:
+    cells = truth(shape, 3, 4, spread=0.5)
+    found = reconstruct(recording(cells, 0.0, unloaded=1), estimator("misfit", formulation=formulation))
+    assert_allclose(found.cell_resistance, cells[1:], rtol=1e-6)
+    assert_allclose(found.baseline_resistance, cells[0], rtol=1e-6)
+    assert_allclose(found.relative_change, 100 * (cells[1:] / cells[0] - 1), atol=1e-3)
+
+
+def test_ten_by_ten_gives_the_cells_back() -> None:
+    cells = truth((10, 10), 1, 5, spread=0.2)
+    assert_allclose(reconstruct(recording(cells, 0.0), estimator("misfit")).cell_resistance, cells, rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(5, 12), (7, 7)])
+@pytest.mark.parametrize("method", ABSOLUTE)
+def test_absolute_methods_against_trust_region(paper: SimpleNamespace, method: str, shape: tuple[int, int]) -> None:
+    recorded = recording(truth(shape, 1, 6), 3e-3, seed=6)
+    found = reconstruct(recorded, estimator(method)).steps[0].solution
+    measured, sigma = recorded.resistance[0], recorded.sigma[0]
+    lower, upper = limits(measured, sigma)
+    cells = paper.minimise(
+        lambda x: paper.misfits(x, measured, method, WEIGHTS[method], None),
+        lambda x: paper.misfits_jacobian(x, method, WEIGHTS[method], None),
+        measured * measured.size / (sum(shape) - 1),
+        lower,
+        upper,
+    )
+    expected = np.sum(paper.misfits(cells, measured, method, WEIGHTS[method], None) ** 2)
+    assert found.objective == pytest.approx(expected, rel=1e-7, abs=1e-12 * np.sum(measured**2))
+    assert_allclose(found.cell_resistance[0], cells, rtol=1e-4)
+    assert_allclose(found.two_point_resistance[0], paper.forward(found.cell_resistance[0]).resistance, rtol=1e-10)
+
+
+@pytest.mark.parametrize("shape", [(5, 12), (7, 7)])
+@pytest.mark.parametrize("method", RELATIVE)
+def test_relative_methods_against_trust_region(paper: SimpleNamespace, method: str, shape: tuple[int, int]) -> None:
+    """The joint first pair and the step after it, each started elsewhere than the package starts: from the truth."""
+    cells, weight = truth(shape, 3, 7), WEIGHTS[method]
+    recorded = recording(cells, 1e-3, seed=7, unloaded=1)
+    found = reconstruct(recorded, estimator(method))
+    lower, upper = limits(recorded.resistance, recorded.sigma)
+    pair = paper.minimise(
+        lambda x: paper.pair_misfits(x, recorded.resistance[:2], method, weight),
+        lambda x: paper.pair_jacobian(x, method, weight),
+        cells[:2],
+        lower[:2],
+        upper[:2],
+    )
+    expected = np.sum(paper.pair_misfits(pair, recorded.resistance[:2], method, weight) ** 2)
+    assert found.joint_start
+    assert found.steps[0].solution.objective == pytest.approx(expected, rel=1e-7)
+    assert_allclose(found.baseline_resistance, pair[0], rtol=1e-4)
+    assert_allclose(found.cell_resistance[0], pair[1], rtol=1e-4)
+
+    following = paper.minimise(
+        lambda x: paper.misfits(x, recorded.resistance[2], method, weight, pair[1]),
+        lambda x: paper.misfits_jacobian(x, method, weight, pair[1]),
+        cells[2],
+        lower[2],
+        upper[2],
+    )
+    expected = np.sum(paper.misfits(following, recorded.resistance[2], method, weight, pair[1]) ** 2)
+    assert found.steps[1].solution.objective == pytest.approx(expected, rel=1e-6)
+    assert_allclose(found.cell_resistance[1], following, rtol=1e-4)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("method", WEIGHTS)
+def test_optimality_conditions_hold(paper: SimpleNamespace, method: str, formulation: Any) -> None:
+    """The KKT residual of every step of a warm sequence, from dense plain-numpy derivatives."""
+    recorded = recording(truth((4, 6), 4, 8), 3e-3, seed=8, unloaded=1)
+    found = reconstruct(recorded, estimator(method, formulation=formulation))
+    weight, before = WEIGHTS[method], None
+    for frame, step in zip(found.frame, found.steps, strict=True):
+        cells = step.solution.cell_resistance
+        readings, sigma = recorded.resistance[frame], recorded.sigma[frame]
+        if len(cells) == 2:
+            readings, sigma = recorded.resistance[:2], recorded.sigma[:2]
+            residuals = paper.pair_misfits(cells, readings, method, weight)
+            gradient = 2 * residuals @ paper.pair_jacobian(cells, method, weight)
+        else:
+            residuals = paper.misfits(cells[0], readings, method, weight, before)
+            gradient = 2 * residuals @ paper.misfits_jacobian(cells[0], method, weight, before)
+        lower, upper = limits(readings, sigma)
+        assert np.all((cells >= lower) & (cells <= upper))
+        size = np.sum(residuals**2) + np.mean(readings**2)
+        shape = np.broadcast_shapes(cells.shape, readings.shape)
+        conditions = optimality(paper, gradient.reshape(shape), cells, lower, upper, size)
+        assert conditions < 2e-6
+        assert step.solution.kkt_residual < 1e-6
+        assert step.solution.objective == pytest.approx(np.sum(residuals**2), rel=1e-9, abs=1e-14 * np.sum(readings**2))
+        before = cells[-1]
+    assert found.joint_start == (method in RELATIVE)
+
+
+def test_optimality_residual_tells_optima_from_other_points() -> None:
+    recorded = recording(truth((4, 6), 1, 9), 3e-3)
+    chosen = estimator("gradient")
+    data = chosen.data(recorded.resistance, recorded.sigma)
+    cost = Cost(Panel(4, 6), chosen.terms)
+    optimum = reconstruct(recorded, chosen).cell_resistance
+    assert Evaluation.at(cost, data, optimum).kkt_residual(np.zeros(0)) < 1e-8
+    for cell in ((0, 0, 0), (0, 2, 3)):
+        aside = optimum.copy()
+        aside[cell] *= 1.001
+        assert Evaluation.at(cost, data, aside).kkt_residual(np.zeros(0)) > 1e-6
+
+
+def smoothed(
+    paper: SimpleNamespace, measured: Array, data_loss: Loss, penalty_loss: Loss, weight: float, corner: float
+) -> Callable[[Array], tuple[float, Array]]:
+    """φ and ∇φ in log r of misfit and gradient with losses; |x| is rounded to √(x² + corner²) within the corner."""
+
+    def shaped(x: Array, loss: Loss) -> tuple[float, Array]:
+        if isinstance(loss, Huber):
+            inside = np.abs(x) <= loss.corner
+            value = np.where(inside, x**2, 2 * loss.corner * np.abs(x) - loss.corner**2)
+            return value.sum(), 2 * np.clip(x, -loss.corner, loss.corner)
+        if isinstance(loss, Absolute):
+            root = np.sqrt(x**2 + corner**2)
+            return root.sum(), x / root
+        return np.sum(x**2), 2 * x
+
+    def both(position: Array) -> tuple[float, Array]:
+        cells = np.exp(position).reshape(measured.shape)
+        residuals = paper.misfits(cells, measured, "gradient", 1.0, None)
+        jacobian = paper.misfits_jacobian(cells, "gradient", 1.0, None)
+        data, data_slope = shaped(residuals[: cells.size], data_loss)
+        rest, rest_slope = shaped(residuals[cells.size :], penalty_loss)
+        slope = np.concatenate([data_slope, weight * rest_slope]) @ jacobian
+        return data + weight * rest, slope * cells.ravel()
+
+    return both
+
+
+LOSSES = [
+    (Huber(corner=2.0), Squared(), 1e-3),
+    (Huber(corner=2.0), Huber(corner=100.0), 1e-3),
+    (Huber(corner=2.0), Absolute(), 0.05),
+    (Absolute(), Huber(corner=100.0), 1e-4),
+    (Absolute(), Absolute(), 1e-2),
+]
+
+
+@pytest.mark.parametrize(("data_loss", "penalty_loss", "weight"), LOSSES)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_other_losses_against_a_smoothed_descent(
+    paper: SimpleNamespace, data_loss: Loss, penalty_loss: Loss, weight: float, formulation: Any
+) -> None:
+    """min Σ√(x² + ε²) − (number of residuals)·weight·ε ≤ min Σ|x| ≤ Σ|x| anywhere; Huber's loss needs no smoothing."""
+    recorded = recording(truth((3, 5), 1, 10), 5e-3, seed=10)
+    measured = recorded.resistance[0]
+    terms = (Misfit(loss=data_loss), Gradient(weight=weight, loss=penalty_loss))
+    found = reconstruct(recorded, Estimator(terms, formulation=formulation)).steps[0].solution
+    assert found.solved
+    lower, upper = limits(measured, recorded.sigma[0])
+    bounds = np.log(np.stack([lower.ravel(), upper.ravel()], axis=1))
+    position = np.log(measured.ravel() * 15 / 7)
+    corner = 100.0
+    while corner > 1e-4:
+        result = minimize(
+            smoothed(paper, measured, data_loss, penalty_loss, weight, corner),
+            position,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": 5000, "maxfun": 10000, "ftol": 1e-15, "gtol": 1e-10, "maxcor": 30},
+        )
+        position, corner = result.x, corner / 10
+    exact = smoothed(paper, measured, data_loss, penalty_loss, weight, 0.0)
+    with np.errstate(invalid="ignore"):
+        there, _ = exact(position)
+    rounding = sum(
+        size * scale * corner * 10
+        for loss, size, scale in ((data_loss, 15, 1.0), (penalty_loss, 30, weight))
+        if isinstance(loss, Absolute)
+    )
+    assert found.objective <= there * (1 + 1e-9)
+    assert found.objective >= result.fun - rounding - 1e-5 * there
+    with np.errstate(invalid="ignore"):
+        ours, _ = exact(np.log(found.cell_resistance).ravel())
+    assert found.objective == pytest.approx(ours, rel=1e-9)
+    assert_allclose(found.cell_resistance.ravel(), np.exp(position), rtol=0.01)
+
+
+def test_outlier_spoils_squares_but_not_absolute_values() -> None:
+    """One reading of thirty is 20 % off on an even panel: who believes it, sees a cell that is not there."""
+    cells = truth((5, 6), 1, 11, spread=0.02)
+    recorded = recording(cells, 1e-4)
+    recorded.resistance[0, 2, 3] *= 1.2
+    errors = {}
+    for loss in (Huber(corner=5.0), Absolute(), Squared()):
+        found = reconstruct(recorded, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))).cell_resistance
+        errors[loss.kind] = np.max(np.abs(found / cells - 1))
+    assert errors["squared"] > 0.5
+    assert errors["absolute"] < 0.05
+    assert errors["huber"] < 0.15
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_cell_without_finite_optimum_ends_at_the_resolution(paper: SimpleNamespace, formulation: Any) -> None:
+    """Plain least squares with 3 % noise: where the misfit falls all the way to an open cell, it is called open."""
+    recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
+    found = reconstruct(recorded, estimator("misfit", formulation=formulation)).steps[0].solution
+    assert found.solved
+    upper = resolution_limit(recorded.resistance, recorded.sigma)
+    assert np.sum(found.open_cell) == 3
+    assert np.array_equal(found.open_cell, found.cell_resistance >= 0.99 * upper)
+    assert_allclose(found.cell_resistance[found.open_cell], upper[found.open_cell], rtol=1e-6)
+    cells = found.cell_resistance[0]
+    residuals = paper.misfits(cells, recorded.resistance[0], "misfit", 0.0, None)
+    slope = 2 * residuals @ paper.misfits_jacobian(cells, "misfit", 0.0, None)
+    assert np.all(slope[found.open_cell.ravel()] < 0)
+
+
+@pytest.mark.parametrize("lower", ["none", 1e-3, 1.0])
+def test_single_row_has_a_closed_form(lower: Any) -> None:
+    """1 × N: f(r) = r, so LSM gives R and LSR-CR gives R/(1 + λ)."""
+    recorded = recording(truth((1, 6), 2, 13), 1e-3, unloaded=1)
+    bounds = Bounds(lower, "none")
+    plain = reconstruct(recorded, estimator("misfit", bounds=bounds))
+    assert_allclose(plain.cell_resistance[0], recorded.resistance[1], rtol=1e-6)
+    tikhonov = reconstruct(recorded, estimator("cell_resistance", bounds=bounds))
+    assert_allclose(tikhonov.cell_resistance[0], recorded.resistance[1] / (1 + 1e-3), rtol=1e-6)
+
+
+def test_single_row_follows_its_previous_frame() -> None:
+    """(r − R)² + λ·10⁴·(r − r0)²/r0² is least at (R + c·r0)/(1 + c), c = λ·10⁴/r0²."""
+    recorded = recording(truth((1, 6), 3, 14), 1e-3, unloaded=1)
+    found = reconstruct(recorded, estimator("relative_change", bounds=Bounds(1.0, "none"))).cell_resistance
+    pull = 10.0 * 1e4 / found[0] ** 2
+    assert_allclose(found[1], (recorded.resistance[2] + pull * found[0]) / (1 + pull), rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (4, 1)])
+@pytest.mark.parametrize("method", WEIGHTS)
+def test_single_line_is_solved_at_its_bounds(method: str, shape: tuple[int, int]) -> None:
+    """Where f(r) = r, equation (12) presses the cells against R from above, some of them hardly."""
+    recorded = recording(truth(shape, 3, 15), 1e-3, unloaded=1)
+    found = reconstruct(recorded, estimator(method))
+    assert [step.solution.status.value for step in found.steps] == ["optimum verified"] * 2
+    readings = recorded.resistance[1:]
+    assert np.all(found.cell_resistance >= readings)
+    if method in ("misfit", "cell_resistance"):
+        assert_allclose(found.cell_resistance, readings, rtol=1e-6)
+        assert all(np.all(step.solution.at_lower) for step in found.steps)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("method", ABSOLUTE)
+def test_optimum_without_bounds_is_no_worse_than_with_them(method: str, formulation: Any) -> None:
+    recorded = recording(truth((4, 5), 1, 13), 1e-3)
+    bounded, free = (
+        reconstruct(recorded, estimator(method, formulation=formulation, bounds=bounds)).steps[0].solution
+        for bounds in (Bounds(), Bounds("none", "none"))
+    )
+    assert free.solved
+    assert free.objective <= bounded.objective + 1e-9 * np.sum(recorded.resistance**2)
+
+
+@pytest.mark.parametrize("method", WEIGHTS)
+def test_sequence_is_its_frames_one_by_one(method: str) -> None:
+    """Warm or cold, with frames before it or without: absolute methods know no history."""
+    recorded = recording(truth((4, 5), 4, 15), 2e-3, unloaded=1)
+    found = reconstruct(recorded, estimator(method))
+    assert len(found.steps) == 3
+    assert list(found.frame) == [1, 2, 3]
+    alone = single(recorded, 3, estimator(method))
+    if method in RELATIVE:
+        assert np.max(np.abs(alone.cell_resistance[-1] / found.cell_resistance[-1] - 1)) > 1e-3
+    else:
+        assert_allclose(alone.cell_resistance[-1], found.cell_resistance[-1], rtol=1e-6)
+
+
+def single(recorded: Recording, frame: int, chosen: Estimator) -> Reconstruction:
+    """The baseline and one frame of a recording."""
+    kept = [0, frame]
+    return reconstruct(
+        Recording(
+            recorded.scene,
+            recorded.resistance[kept],
+            recorded.time[kept],
+            recorded.role[kept],
+            None if recorded.sigma is None else recorded.sigma[kept],
+        ),
+        chosen,
+    )
+
+
+@pytest.mark.parametrize("method", ["misfit", "relative_change"])
+def test_baseline_is_the_mean_of_the_unloaded_frames(method: str) -> None:
+    cells = truth((3, 4), 2, 16)
+    frames = np.stack([0.98 * cells[0], 1.02 * cells[0], cells[1]])
+    recorded = recording(frames, 0.0, unloaded=2)
+    found = reconstruct(recorded, estimator(method))
+    expected = single(recording(cells, 0.0, unloaded=1), 1, estimator(method))
+    assert_allclose(found.measured_baseline, two_point_resistance(cells[0]), rtol=1e-12)
+    assert_allclose(found.baseline_resistance, expected.baseline_resistance, rtol=1e-6)
+    assert_allclose(found.cell_resistance, expected.cell_resistance, rtol=1e-6)
+
+
+def test_noise_weighting_divides_by_sigma(paper: SimpleNamespace) -> None:
+    """Readings of little trust pull less: the optimum of Σ (misfit/σ)² + λ Σ r²."""
+    recorded = recording(truth((3, 4), 1, 17), 1e-2, seed=17)
+    sigma = recorded.sigma * np.random.default_rng(17).uniform(0.3, 3, recorded.sigma.shape)
+    recorded = Recording(recorded.scene, recorded.resistance, recorded.time, recorded.role, sigma)
+    weight = 1e-5
+    terms = (Misfit(weighting="noise"), term_types()["cell_resistance"](weight=weight))
+    found = reconstruct(recorded, Estimator(terms)).cell_resistance[0]
+    divisor = np.concatenate([sigma.ravel(), np.ones(sigma.size)])
+    lower, upper = limits(recorded.resistance[0], sigma[0])
+    expected = paper.minimise(
+        lambda x: paper.misfits(x, recorded.resistance[0], "cell_resistance", weight, None) / divisor,
+        lambda x: paper.misfits_jacobian(x, "cell_resistance", weight, None) / divisor[:, None],
+        recorded.resistance[0] * 2,
+        lower,
+        upper,
+    )
+    assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_mean_of_unloaded_frames_is_trusted_more(paper: SimpleNamespace) -> None:
+    """σ of the mean of n frames is √Σσ²/n: the misfit of a joint pair, weighted by noise, term by term."""
+    recorded = recording(truth((3, 4), 4, 18), 5e-3, seed=18, unloaded=3)
+    terms = (Misfit(weighting="noise"), term_types()["relative_change"](weight=1e-2))
+    found = reconstruct(recorded, Estimator(terms))
+    sigma = np.sqrt(np.sum(recorded.sigma[:3] ** 2, axis=0)) / 3
+    resting = paper.forward(found.baseline_resistance).resistance - recorded.resistance[:3].mean(axis=0)
+    loaded = paper.forward(found.cell_resistance[0]).resistance - recorded.resistance[3]
+    expected = np.sum((resting / sigma) ** 2) + np.sum((loaded / recorded.sigma[3]) ** 2)
+    assert expected > 0.1
+    assert found.steps[0].solution.costs[0] == pytest.approx(expected, rel=1e-6)
