@@ -13,7 +13,7 @@ from lampest.executors import ONE_THREAD
 if TYPE_CHECKING:
     from lampest.compare import Table
 
-FINE, WRONG_INPUT, SOME_FAILED, INTERRUPTED = 0, 2, 3, 130
+WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 
 app = typer.Typer(
     help="Cell resistances of passive resistive matrix sensors from two-point measurements.",
@@ -189,9 +189,7 @@ def main() -> None:
     except InputError as error:
         print(f"lampest: {error}", file=sys.stderr)
         sys.exit(WRONG_INPUT)
-    except KeyboardInterrupt:
-        print("lampest: interrupted; what was finished is kept", file=sys.stderr)
-        sys.exit(INTERRUPTED)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(FINE)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            print("lampest: interrupted; what was finished is kept", file=sys.stderr)
+        raise

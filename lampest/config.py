@@ -97,6 +97,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
             if file not in recordings:
                 recordings[file] = Recording.load(file), hashlib.sha256(file.read_bytes()).hexdigest()
             recording, sha256 = recordings[file]
+            recording.measured_frames()
             for name in _affected(run, point.assignments):
                 estimator = resolve(point.document, run, name)
                 estimator.data(recording.network_resistance(), recording.sigma_or_none())

@@ -17,6 +17,7 @@ from lampest.errors import InputError
 
 MOST_VALUES = 100_000
 MOST_BYTES = 5_000_000
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ def _plain(marks: Any) -> Any:
         count += 1
         if count > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values")
+        if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
+            raise ValueError(f"the tag {node.tag.value} has no place here")
         if isinstance(node, CommentedMap):
             for key in node:
                 if not isinstance(key, str | int | float):
@@ -127,10 +130,12 @@ def validated(document: Document, kind: Any) -> Any:
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        faults = error.errors(include_url=False)
+        # A misspelt key also leaves its field missing; the key is what the user can see.
+        first = next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), faults[0])
         location = tuple(part for part in first["loc"] if not str(part).startswith("function-"))
         message = first["msg"].removeprefix("Value error, ")
-        if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        if first["type"] in UNKNOWN_KEY:
             message = "no such key"
         raise document.error(location, message) from error
 

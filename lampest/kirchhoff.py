@@ -83,7 +83,8 @@ class Network:
         rows = self.rows
         diagonal = np.einsum("ij,ji->i", left, right)
         across = left[:rows] @ right[:, rows:] + (left[rows:] @ right[:, :rows]).T
-        return diagonal[:rows, None] + diagonal[None, rows:] - across
+        differences: Array = diagonal[:rows, None] + diagonal[None, rows:] - across
+        return differences
 
     def conductance_product(self, weights: Array) -> Array:
         """(∂R/∂g)·w = −bᵀ Z L_w Z b, which is also (∂R/∂g)ᵀ·w; w (rows, columns), result likewise.

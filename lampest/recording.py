@@ -175,6 +175,13 @@ class Recording:
             )
         return network
 
+    def measured_frames(self) -> NDArray[np.intp]:
+        """Indices of the frames with role 1. Raises InputError where there is none."""
+        frames = np.flatnonzero(self.role == MEASURED)
+        if len(frames) == 0:
+            raise InputError(f"{self.name}: /entry/two_point/role has no measured frame (role 1)")
+        return frames
+
     def sigma_or_none(self) -> Array | None:
         """σ of every reading, (frames, rows, columns) ohm: the file's, else the readout's, else None."""
         if self.sigma is not None:

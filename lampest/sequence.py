@@ -12,7 +12,7 @@ from lampest.estimator import Estimator
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array
 from lampest.problem import Data, Evaluation
-from lampest.recording import MEASURED, UNLOADED, Recording
+from lampest.recording import UNLOADED, Recording
 from lampest.solvers.convex import convex_start
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import VERIFIED, Settings, Solution, Solver, Status, check
@@ -76,7 +76,7 @@ def reconstruct(
     resting = network[unloaded].mean(axis=0)
     resting_sigma = None if sigma is None else np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded)
     sequence = _Sequence(estimator, recording, resting, resting_sigma)
-    frames = np.flatnonzero(recording.role == MEASURED)
+    frames = recording.measured_frames()
     baseline = None if estimator.relative else sequence.single(resting, resting_sigma, None)
     previous = None if baseline is None else _estimate(baseline, 0)
     base_estimate = previous

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import isfinite, pi
 from typing import Annotated, Any, ClassVar, Literal
 
-from lampest.simulate.tagged import ByKind
+from lampest.tagged import ByKind
 
 GRAVITY = 9.81
 KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY

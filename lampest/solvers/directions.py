@@ -23,6 +23,8 @@ def direction(
     """
     slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
     chosen = np.flatnonzero(free)
+    if len(chosen) == 0:
+        return known, damping
     if len(free) <= DENSE_UNKNOWNS:
         found, damping = _by_factorisation(curvature, chosen, slope[chosen], damping)
     else:

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi
+
+from lampest.tagged import ByKind
 
 
 @dataclass(frozen=True)
@@ -53,4 +55,4 @@ class Absolute:
         return casadi.sum1(casadi.fabs(residual))
 
 
-Loss = Squared | Huber | Absolute
+Loss = Annotated[Squared | Huber | Absolute, ByKind()]

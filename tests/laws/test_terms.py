@@ -26,7 +26,7 @@ from lampest.terms.term import State, Term
 
 PANEL = Panel(3, 4)
 CORNER = 40.0
-LOSSES = [loss() if loss is not Huber else Huber(corner=CORNER) for loss in get_args(Loss)]
+LOSSES = [loss() if loss is not Huber else Huber(corner=CORNER) for loss in get_args(get_args(Loss)[0])]
 
 
 def options(term: type[Term]) -> list[dict[str, Any]]:
