@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost import Cost
 from lampest.estimator import Estimator
 from lampest.kirchhoff import uniform_factor
-from lampest.panel import Array
+from lampest.panel import Array, Panel
 from lampest.problem import Data, Evaluation
 from lampest.recording import UNLOADED, Recording
 from lampest.solvers.convex import convex_start
@@ -75,38 +75,29 @@ def reconstruct(
         unloaded = np.array([0])
     resting = network[unloaded].mean(axis=0)
     resting_sigma = None if sigma is None else np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded)
-    sequence = _Sequence(estimator, recording, resting, resting_sigma)
+    stream = Stream.begin(estimator, recording.scene.panel, frame_period(recording), resting, resting_sigma)
     frames = recording.measured_frames()
-    baseline = None if estimator.relative else sequence.single(resting, resting_sigma, None)
-    previous = None if baseline is None else _estimate(baseline, 0)
-    base_estimate = previous
     steps: list[Step] = []
     for frame in frames:
-        frame_sigma = None if sigma is None else sigma[frame]
-        if estimator.relative and base_estimate is None:
-            step = sequence.joint(network[frame], frame_sigma)
-            base_estimate, baseline = _estimate(step, 0), step
-        else:
-            step = sequence.single(network[frame], frame_sigma, previous)
+        stream, step = stream.push(network[frame], None if sigma is None else sigma[frame])
         steps.append(step)
-        found = _estimate(step, -1)
-        previous = previous if found is None else found
         on_frame()
-    if baseline is None:
-        baseline = sequence.joint(resting, resting_sigma)
-        base_estimate = _estimate(baseline, 0)
-    nothing = np.full(resting.shape, np.nan)
     return Reconstruction(
         recording,
         estimator,
         frames,
         network[frames],
         resting,
-        nothing if base_estimate is None else base_estimate,
-        baseline,
+        stream.baseline_resistance,
+        stream.baseline or steps[0],
         tuple(steps),
         estimator.relative,
     )
+
+
+def frame_period(recording: Recording) -> float:
+    """Median time between frames, s."""
+    return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")
 
 
 def _estimate(step: Step, frame: int) -> Array | None:
@@ -114,37 +105,74 @@ def _estimate(step: Step, frame: int) -> Array | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sequence:
-    """The solves that a sequence is made of."""
+class Stream:
+    """Where a sequence of frames stands. Pushing a frame gives the next stream and how the frame was solved.
+
+    Parameters
+    ----------
+    estimator, panel : the method and the panel. period : s between frames.
+    resting, resting_sigma : (rows, columns) ohm, the unloaded readings and their σ or None.
+    baseline : how the baseline was solved; None for a relative method until a frame was.
+    previous : (rows, columns) ohm, the last estimate, or None.
+    """
 
     estimator: Estimator
-    recording: Recording
+    panel: Panel
+    period: float
     resting: Array
     resting_sigma: Array | None
+    baseline: Step | None = None
+    previous: Array | None = None
 
-    def single(self, measured: Array, sigma: Array | None, previous: Array | None) -> Step:
+    @classmethod
+    def begin(
+        cls, estimator: Estimator, panel: Panel, period: float, resting: Array, resting_sigma: Array | None
+    ) -> "Stream":
+        """Before the first frame; an absolute method solves its baseline now.
+
+        Raises InputError where the noise is needed and unknown, or bounds leave no room.
+        """
+        stream = cls(estimator, panel, period, resting, resting_sigma)
+        if estimator.relative:
+            return stream
+        baseline = stream._single(resting, resting_sigma)
+        return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
+
+    def push(self, measured: Array, sigma: Array | None) -> tuple["Stream", Step]:
+        """Solve one frame, (rows, columns) ohm, series resistance taken off; a failed one leaves the stream as it was.
+
+        Raises InputError as `begin`.
+        """
+        joint = self.estimator.relative and (self.baseline is None or not self.baseline.solution.solved)
+        step = self._joint(measured, sigma) if joint else self._single(measured, sigma)
+        found = _estimate(step, -1)
+        return replace(
+            self, baseline=step if joint else self.baseline, previous=self.previous if found is None else found
+        ), step
+
+    @property
+    def baseline_resistance(self) -> Array:
+        """(rows, columns) ohm; NaN where the baseline is not solved."""
+        found = None if self.baseline is None else _estimate(self.baseline, 0)
+        return np.full(self.panel.shape, np.nan) if found is None else found
+
+    def _single(self, measured: Array, sigma: Array | None) -> Step:
         """One frame; starts from the previous one where that is known."""
-        known = previous if self.estimator.relative else None
+        known = self.previous if self.estimator.relative else None
         data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
-        return self._solve(data, None if previous is None else previous[None])
+        return self._solve(data, None if self.previous is None else self.previous[None])
 
-    def joint(self, measured: Array, sigma: Array | None) -> Step:
+    def _joint(self, measured: Array, sigma: Array | None) -> Step:
         """The baseline and a frame together; paper, equations (15) and (21)."""
         both = None if sigma is None or self.resting_sigma is None else np.stack([self.resting_sigma, sigma])
         return self._solve(self.estimator.data(np.stack([self.resting, measured]), both), None)
 
     def _solve(self, data: Data, previous: Array | None) -> Step:
-        panel = self.recording.scene.panel
-        solver = self.estimator.problem(panel, len(data.measured), self.period)
+        solver = self.estimator.problem(self.panel, len(data.measured), self.period)
         solver.prepare()
         begin = perf_counter()
         solution = best_solution(solver, data, previous)
         return Step(solution, perf_counter() - begin)
-
-    @property
-    def period(self) -> float:
-        """Median time between frames, s."""
-        return float(np.median(np.diff(self.recording.time))) if len(self.recording.time) > 1 else float("inf")
 
 
 def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
