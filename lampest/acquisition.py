@@ -72,16 +72,14 @@ class Acquisition:
     @classmethod
     def read(cls, file: h5py.File, kept: slice) -> "Acquisition | None":
         """The group of an open file, the kept frames of it; None where there is none. Raises InputError."""
-        if PATH not in file:
+        if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
             name: hdf5.read_array(file, f"{PATH}/{name}", 1)[kept].astype(kind) for name, kind, *_ in FRAME_FIELDS
         }
-        times, labels = np.zeros(0), np.zeros(0, dtype="S1")
-        if f"{PATH}/event_time" in file and f"{PATH}/event_label" in file:
+        times, labels = np.zeros(0), tuple[str, ...]()
+        if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
             times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
-            with hdf5.located(file, f"{PATH}/event_label"):
-                labels = file[f"{PATH}/event_label"][()]
+            labels = hdf5.read_texts(file, f"{PATH}/event_label")
         events = min(len(times), len(labels))
-        texts = tuple(bytes(label).decode("ascii", "replace") for label in labels[:events])
-        return cls(**fields, event_time=times[:events], event_label=texts)
+        return cls(**fields, event_time=times[:events], event_label=labels[:events])

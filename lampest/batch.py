@@ -2,8 +2,9 @@
 
 import fcntl
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -52,37 +53,41 @@ def run_batch(
     A case that fails is named in the report and costs no other; an interruption keeps what is finished. Raises
     InputError where the folder cannot be written or another run is using it.
     """
+    executor.ready()
     with exclusive(folder):
-        tasks = [Task(case, folder) for case in run.cases]
-        for task in tasks:
-            if fresh:
-                task.file.unlink(missing_ok=True)
-        waiting = [task for task in tasks if not _is_done(task)]
+        tasks = [Task(case, folder.absolute()) for case in run.cases]
+        _clear(folder, tasks if fresh else [])
+        found = {task.file: result for task in tasks if (result := _result(task)) is not None}
+        waiting = [task for task in tasks if task.file not in found]
         failed: list[tuple[str, str]] = []
         try:
-            for finished, (task, outcome) in enumerate(executor.results(solve_case, waiting), 1):
-                if isinstance(outcome, BaseException):
-                    failed.append((f"{task.case.recording} × {task.case.name}", " ".join(str(outcome).split())))
-                if on_case:
-                    on_case(finished, len(waiting))
+            with closing(executor.results(solve_case, waiting)) as outcomes:
+                for finished, (task, outcome) in enumerate(outcomes, 1):
+                    if isinstance(outcome, BaseException):
+                        failed.append((f"{task.case.recording} × {task.case.name}", " ".join(str(outcome).split())))
+                    else:
+                        found[task.file] = outcome
+                    if on_case:
+                        on_case(finished, len(waiting))
         finally:
-            done = [task for task in tasks if task.file.is_file()]
+            done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
             if done:
-                collect(folder / RESULTS, done, run)
+                write_results(folder / RESULTS, done, run.published)
         return Report(folder / RESULTS, len(waiting) - len(failed), len(tasks) - len(waiting), tuple(failed))
 
 
-def solve_case(task: Task) -> None:
+def solve_case(task: Task) -> CaseResult:
     """Solve one case and write its result, whole or not at all."""
-    recording = Recording.load(task.case.path)
-    result = case_result(task.case, reconstruct(recording, task.case.estimator))
+    path = task.case.path
+    result = case_result(task.case, reconstruct(_recording(path, path.stat().st_mtime_ns), task.case.estimator))
     write_results(task.file, [result])
+    return result
 
 
-def collect(path: Path, tasks: Sequence[Task], run: Run) -> None:
-    """Write the tasks' results into one file, in the order of the run."""
-    cases = [case for task in tasks for case in read_results(task.file).cases]
-    write_results(path, cases, run.published)
+@lru_cache(maxsize=1)
+def _recording(path: Path, changed: int) -> Recording:
+    """A recording, read once by each process for the cases in a row that need it."""
+    return Recording.load(path)
 
 
 def case_result(case: Case, found: Reconstruction) -> CaseResult:
@@ -147,9 +152,17 @@ def exclusive(folder: Path) -> Iterator[None]:
         yield
 
 
-def _is_done(task: Task) -> bool:
-    """Whether the case's result is there and readable; a damaged one is solved again."""
+def _clear(folder: Path, tasks: Sequence[Task]) -> None:
+    """Remove the results of these tasks, and what processes that were killed have left unfinished."""
+    for file in (*(folder / "cases").glob(".*.part"), *(task.file for task in tasks)):
+        file.unlink(missing_ok=True)
+
+
+def _result(task: Task) -> CaseResult | None:
+    """The case's result where it is there and readable; a damaged one is solved again."""
+    if not task.file.is_file():
+        return None
     try:
-        return any(case.case_id == task.case.case_id for case in read_results(task.file).cases)
+        return next((case for case in read_results(task.file).cases if case.case_id == task.case.case_id), None)
     except InputError:
-        return False
+        return None

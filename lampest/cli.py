@@ -2,6 +2,8 @@
 
 import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +13,7 @@ from lampest.errors import InputError
 from lampest.executors import ONE_THREAD
 
 if TYPE_CHECKING:
+    from lampest.acquire.record import Progress, Recorded
     from lampest.compare import Table
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
@@ -23,6 +26,10 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Out = Annotated[Path | None, typer.Option("--out", help="Where the output goes.")]
+Port = Annotated[str | None, typer.Option("--port", help="Port or URL; else the one that looks like an Arduino.")]
+SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
+Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames.")]
+Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames; 1 if the board can.")]
 
 
 @app.command()
@@ -32,17 +39,18 @@ def run(
         Path | None, typer.Option("--out", help="Folder of the results; results/<config> by default.")
     ] = None,
     assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
-    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="Processes; all cores by default.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Processes here; else the file's executor, or all cores.")
+    ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
     from lampest.batch import run_batch
     from lampest.config import read_run
-    from lampest.executors import Processes, Serial
+    from lampest.executors import local
 
     cases = read_run(config, tuple(assign or ()))
-    workers = min(jobs or len(os.sched_getaffinity(0)), len(cases.cases))
-    executor = Serial() if workers == 1 else Processes(workers)
+    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases))
     with progress("cases") as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
     print(
@@ -149,6 +157,183 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
 
     for line in describe(file):
         print(line)
+
+
+@app.command()
+def ports() -> None:
+    """List the serial ports, those that look like an Arduino first."""
+    from lampest.acquire.port import ports as all_ports
+
+    found = all_ports()
+    for port in found:
+        print(f"{port.url}  {port.description}{'  (looks like an Arduino)' if port.likely else ''}")
+    if not found:
+        print("there is no serial port", file=sys.stderr)
+
+
+@app.command()
+def record(
+    out: Annotated[Path, typer.Option("--out", help="The recording that is written; must not exist.")],
+    port: Port = None,
+    frames: Frames = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds of frames.")] = None,
+    scene: SceneFile = None,
+    baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
+    period: Period = None,
+) -> None:
+    """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
+    from lampest.acquire.keys import pressed_keys
+    from lampest.acquire.record import record as record_board
+    from lampest.importing import read_scene
+
+    if frames is not None and seconds is not None:
+        raise InputError("--frames and --seconds: give one of them")
+    check_positive("--seconds", seconds)
+    check_positive("--period", period)
+    agreed = read_scene(scene) if scene else None
+    with pressed_keys() as keys, recording_line() as on_progress:
+        done = record_board(
+            port,
+            out,
+            frames=frames,
+            seconds=seconds,
+            scene=agreed,
+            baseline=baseline,
+            period=period,
+            on_progress=on_progress,
+            keys=keys,
+        )
+    report_recorded(done)
+
+
+@app.command()
+def repair(file: Annotated[Path, typer.Argument(help="A recording that was not closed.")]) -> None:
+    """Turn what a crash left into a clean recording; one that is clean stays as it is."""
+    from lampest.acquire.record import repair as repair_recording
+
+    print(f"{repair_recording(file)} frames: {file}")
+
+
+@app.command()
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="A recording of shorted lines or known resistors.")],
+    known: Annotated[
+        str, typer.Option("--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them.")
+    ] = "0",
+    out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
+) -> None:
+    """Find the resistance in series with every reading and write it into a scene, with its uncertainty."""
+    from lampest.acquire.calibrate import calibrate as calibrate_recording
+    from lampest.acquire.calibrate import calibrated_scene_text
+    from lampest.acquire.known import known_resistors
+    from lampest.files import write_text
+    from lampest.recording import Recording
+
+    recording = Recording.load(file)
+    found = calibrate_recording(recording, known_resistors(known, recording.scene.panel))
+    text = calibrated_scene_text(recording.scene, found)
+    if out is None:
+        print(text, end="")
+        return
+    write_text(out, text)
+    print(f"series resistance {found.series_ohm:.3f} ± {found.sigma_ohm:.3f} ohm from {found.cells} cells: {out}")
+    if found.lines_differ:
+        print("lampest: the lines differ by more than their noise; the scene's comments say how much", file=sys.stderr)
+
+
+@app.command()
+def live(
+    port: Port = None,
+    recording: Annotated[Path | None, typer.Option("--recording", help="A recording to replay instead.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option("--estimator", help="LSR-gCR by default; with --config its first.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option("--config", help="A run's YAML file with estimators.")] = None,
+    speed: Annotated[float, typer.Option("--speed", help="So many times as fast as the recording.")] = 1.0,
+    http: Annotated[
+        str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
+    ] = "127.0.0.1:8137",
+    frames: Frames = None,
+    baseline: Annotated[int, typer.Option("--baseline", min=1, help="The first so many frames are unloaded.")] = 3,
+    scene: SceneFile = None,
+    period: Period = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Record the board into this file as well.")] = None,
+) -> None:
+    """Reconstruct each frame as it comes and show it in the browser."""
+    import signal
+
+    from lampest.importing import read_scene
+    from lampest.live.run import Board, Replay
+    from lampest.live.run import live as run_live
+
+    check_positive("--speed", speed)
+    check_positive("--period", period)
+    if recording is not None and (port or scene or period or out):
+        raise InputError("--recording: --port, --scene, --period and --out are for a board")
+    if recording is None:
+        source: Board | Replay = Board(port, read_scene(scene) if scene else None, baseline, period, out)
+    else:
+        source = Replay(recording, speed, baseline)
+    # A board is told to stop, however live ends.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        done = run_live(source, estimator, config, http, frames, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if done is not None:
+        report_recorded(done)
+
+
+@app.command()
+def bench(
+    config: Annotated[Path, typer.Argument(help="The benchmark's YAML file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")
+    ] = None,
+) -> None:
+    """Compare the speed of reduced, nodal and scipy's solvers over panel sizes, with the accuracy that each reaches."""
+    from lampest.bench.report import remarks, summary_table, write_bench
+    from lampest.bench.run import run_bench
+    from lampest.bench.settings import read_bench
+
+    settings = read_bench(config)
+    with progress("methods") as on_step:
+        found = run_bench(settings, on_step)
+    files = write_bench(out or Path("results") / config.stem, found)
+    print_table(summary_table(found))
+    for line in (*remarks(found), *files):
+        print(line)
+
+
+def check_positive(name: str, value: float | None) -> None:
+    """Raise InputError unless a number that was given is positive and finite."""
+    if value is not None and not 0 < value < float("inf"):
+        raise InputError(f"{name} must be positive and finite")
+
+
+def report_recorded(done: "Recorded") -> None:
+    """Say what was recorded; a recording that was interrupted ends with 130."""
+    noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
+    print(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    if done.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+@contextmanager
+def recording_line() -> Iterator[Callable[["Progress"], None]]:
+    """One line on stderr that says where a recording stands, silent where that is no terminal."""
+    if not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("waiting for the board") as line:
+
+        def update(progress: "Progress") -> None:
+            at = "" if progress.sample is None else f" at {progress.sample.time:.1f} s"
+            line.update(f"{progress.frames} frames{at}, {progress.lost} lost{progress.state and '; ' + progress.state}")
+
+        yield update
 
 
 def print_table(table: "Table") -> None:

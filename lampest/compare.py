@@ -64,13 +64,15 @@ def spread(values: Array) -> Spread | None:
     values = values[np.isfinite(values)]
     if values.size == 0:
         return None
-    sd = float(np.std(values, ddof=1)) if values.size > 1 else None
-    return Spread(float(np.mean(values)), sd, float(np.median(values)), float(np.percentile(values, 95)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        sd = float(np.std(values, ddof=1)) if values.size > 1 else None
+        return Spread(float(np.mean(values)), sd, float(np.median(values)), float(np.percentile(values, 95)))
 
 
 def relative_error(values: Array, reference: Array) -> Array:
     """100·|values − reference|/reference, any shape, in percent."""
-    return 100 * np.abs(values - reference) / reference
+    with np.errstate(over="ignore", invalid="ignore"):
+        return 100 * np.abs(values - reference) / reference
 
 
 def compare_files(paths: Sequence[str | Path]) -> list[Row]:

@@ -8,8 +8,11 @@ from typing import Any, ClassVar, Literal
 
 from lampest import sweep
 from lampest.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
+from lampest.efforts import AnyEffort, Converged
 from lampest.errors import InputError
 from lampest.estimator import Bounds, Estimator, FormulationName
+from lampest.executors import AnyExecutor, Executor
+from lampest.panel import Array
 from lampest.recording import Recording
 from lampest.results import PublishedFigures, check_name
 from lampest.solvers.solution import Settings
@@ -26,13 +29,14 @@ Terms = make_dataclass(
 
 @dataclass(frozen=True)
 class EstimatorEntry:
-    """An estimator as a run's file writes it; solver and bounds override the run's key by key."""
+    """An estimator as a run's file writes it; what it names overrides the run's, solver and bounds key by key."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
     terms: Terms  # type: ignore[valid-type]
     formulation: FormulationName | None = None
     solver: Settings | None = None
     bounds: Bounds | None = None
+    effort: AnyEffort | None = None
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class RunFile:
     formulation: FormulationName = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
+    effort: AnyEffort = Converged()
+    executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
 
@@ -73,10 +79,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Run:
-    """The cases of a run's file in its order, and figures published elsewhere."""
+    """The cases of a run's file in its order, figures published elsewhere, and where the cases run (None: not said)."""
 
     cases: tuple[Case, ...]
     published: dict[str, PublishedFigures]
+    executor: Executor | None = None
 
 
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
@@ -87,22 +94,55 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         if not separator or not key:
             raise InputError(f"'{setting}' is not of the form PATH=VALUE")
         document = document.with_value(tuple(key.split(".")), parse_scalar(value))
-    recordings: dict[Path, tuple[Recording, str]] = {}
+    recordings: dict[Path, _Source] = {}
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
+    executor: Executor | None = None
     for point in sweep.cases(document, lambda varied: validated(varied, RunFile)):
         run: RunFile = point.value
         published |= run.published or {}
+        executor = run.executor
+        _refuse_swept_executor(document, point.assignments)
+        methods = [_Method.read(point, name) for name in _affected(run, point.assignments)]
         for file in recording_paths(path, run.recordings):
-            if file not in recordings:
-                recordings[file] = Recording.load(file), hashlib.sha256(file.read_bytes()).hexdigest()
-            recording, sha256 = recordings[file]
-            recording.measured_frames()
-            for name in _affected(run, point.assignments):
-                estimator = resolve(point.document, run, name)
-                estimator.data(recording.network_resistance(), recording.sigma_or_none())
-                cases.append(_case(file, sha256, _varied_name(name, point.assignments), estimator))
-    return Run(_distinct(cases), published)
+            source = recordings[file] = recordings.get(file) or _Source.read(file)
+            for method in methods:
+                method.estimator.data(source.network_resistance, source.sigma)
+                cases.append(_case(source, method))
+    return Run(_distinct(cases), published, executor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text."""
+
+    path: Path
+    network_resistance: Array
+    sigma: Array | None
+    blocks: dict[str, str]
+
+    @classmethod
+    def read(cls, path: Path) -> "_Source":
+        recording = Recording.load(path)
+        recording.measured_frames()
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
+        return cls(path.absolute(), recording.network_resistance(), recording.sigma_or_none(), blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """An estimator at one point of the sweep; `blocks` as in `_Source`."""
+
+    name: str
+    estimator: Estimator
+    blocks: dict[str, str]
+
+    @classmethod
+    def read(cls, point: sweep.Case[RunFile], name: str) -> "_Method":
+        estimator = resolve(point.document, point.value, name)
+        varied = _varied_name(name, point.assignments)
+        return cls(varied, estimator, _blocks({"estimator": varied, **plain(estimator), "case_format": 1}))
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
@@ -113,8 +153,11 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
     files: list[Path] = []
     for pattern in patterns:
         target = config.parent / pattern
-        found = sorted(target.parent.glob(target.name)) if "*" in target.name else [target]
-        if not found:
+        try:
+            found = sorted(target.parent.glob(target.name)) if "*" in target.name else [target]
+        except (OSError, ValueError):  # a name that is too long
+            found = []
+        if not found or "**" in pattern:
             raise InputError(f"{config}: recordings: no file matches {pattern}")
         files += found
     stems = [file.stem for file in files]
@@ -126,7 +169,7 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
-    """An estimator with the run's formulation, solver and bounds where its own are silent."""
+    """An estimator with the run's formulation, solver, bounds and effort where its own are silent."""
     entry = run.estimators[name]
     own = document.content["estimators"][name]
     parts = {}
@@ -139,7 +182,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     terms = tuple(term for kind in term_types() if (term := getattr(entry.terms, kind)) is not None)
     try:
         check_name(name, "estimator")
-        return Estimator(terms, entry.formulation or run.formulation, parts["solver"], parts["bounds"])
+        formulation, effort = entry.formulation or run.formulation, entry.effort or run.effort
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 
@@ -160,11 +204,22 @@ def _varied_name(name: str, assignments: dict[str, Any]) -> str:
     return name + ("@" + ",".join(parts) if parts else "")
 
 
-def _case(path: Path, sha256: str, name: str, estimator: Estimator) -> Case:
-    resolved = to_yaml(
-        {"recording": path.stem, "recording_sha256": sha256, "estimator": name, **plain(estimator), "case_format": 1}
-    )
-    return Case(path, path.stem, name, estimator, resolved, hashlib.sha256(resolved.encode()).hexdigest()[:24])
+def _blocks(entries: dict[str, Any]) -> dict[str, str]:
+    """The YAML text of every entry: one after the other, in the order of their keys, they are that of the mapping."""
+    return {key: to_yaml({key: value}) for key, value in entries.items() if value is not None}
+
+
+def _case(source: _Source, method: _Method) -> Case:
+    blocks = source.blocks | method.blocks
+    resolved = "".join(blocks[key] for key in sorted(blocks))
+    case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
+    return Case(source.path, source.path.stem, method.name, method.estimator, resolved, case_id)
+
+
+def _refuse_swept_executor(document: Document, assignments: dict[str, Any]) -> None:
+    for path in assignments:
+        if path.split(".")[0] == "executor":
+            raise document.error(("sweep", path), "where cases run changes no result, so it cannot be swept")
 
 
 def _distinct(cases: list[Case]) -> tuple[Case, ...]:

@@ -2,7 +2,10 @@
 
 import dataclasses
 import io
+import itertools
 import json
+import re
+import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,7 +19,9 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from lampest.errors import InputError
 
 MOST_VALUES = 100_000
-MOST_BYTES = 5_000_000
+MOST_BYTES = 200_000  # at 20 to 50 kB/s
+DEEPEST = 50
+MOST_BITS = 1000
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -62,9 +67,11 @@ class Document:
 def read_document(path: Path) -> Document:
     """Parse a YAML file. Raises InputError where it cannot be read or parsed."""
     try:
-        if path.stat().st_size > MOST_BYTES:
+        with path.open("rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
             raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
-        text = path.read_text(encoding="utf-8")
+        text = content.decode("utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -74,8 +81,14 @@ def read_document(path: Path) -> Document:
 
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
+    if len(text) > MOST_BYTES:
+        raise InputError(f"{source}: larger than {MOST_BYTES} characters, which no configuration is")
+    if _depth(text) > DEEPEST:
+        raise InputError(f"{source}: brackets within brackets more than {DEEPEST} times")
     try:
-        marks = YAML(typ="rt").load(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an anchor that is set twice
+            marks = YAML(typ="rt").load(text)
         content = _plain(marks)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -84,6 +97,12 @@ def parse_document(text: str, source: str) -> Document:
     except (YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{source}: {' '.join(str(error).split())}") from error
     return Document(content, source, marks)
+
+
+def _depth(text: str) -> int:
+    """How deep brackets stand within brackets; those in quotes count, too."""
+    steps = (1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text))
+    return max(itertools.accumulate(steps, lambda depth, step: max(depth + step, 0)), default=0)
 
 
 def parse_scalar(text: str) -> Any:
@@ -109,6 +128,8 @@ def _plain(marks: Any) -> Any:
             return {str(key): walk(node[key]) for key in node}
         if isinstance(node, CommentedSeq):
             return [walk(item) for item in node]
+        if isinstance(node, int) and node.bit_length() > MOST_BITS:
+            raise ValueError(f"a whole number of more than {MOST_BITS} bits")
         if node is None or isinstance(node, bool | int | float | str):
             for kind in (bool, int, float, str):
                 if isinstance(node, kind):

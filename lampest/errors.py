@@ -1,5 +1,16 @@
 """The one exception that stands for a user's mistake."""
 
+LONGEST_START, LONGEST_END = 500, 200
+
 
 class InputError(ValueError):
-    """What the user gave is wrong; the message is one clear sentence. Commands end with exit code 2."""
+    """What the user gave is wrong; the message is one clear sentence. Commands end with exit code 2.
+
+    The sentence stays one printable line whatever a file's names and keys hold: other signs are written as escapes, and
+    what is too long is cut in its middle.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        if len(sentence) > LONGEST_START + LONGEST_END:
+            sentence = f"{sentence[:LONGEST_START]} ... {sentence[-LONGEST_END:]}"
+        super().__init__("".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in sentence))

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lampest.cost import Cost
+from lampest.efforts import AnyEffort, Converged, Truncated
 from lampest.errors import InputError
 from lampest.formulations import Formulation, Nodal, PerPixel
 from lampest.kirchhoff import uniform_factor
@@ -77,12 +78,13 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Estimator:
-    """Terms, formulation, solver settings and bounds. Raises ValueError without a term or with one of them twice."""
+    """Terms, formulation, solver settings, bounds and effort. Raises ValueError without a term."""
 
     terms: tuple[Term, ...]
     formulation: FormulationName = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
+    effort: AnyEffort = Converged()
 
     def __post_init__(self) -> None:
         if not self.terms:
@@ -92,6 +94,16 @@ class Estimator:
     def relative(self) -> bool:
         """Whether a term reads the previous frame."""
         return any(term.needs_previous for term in self.terms)
+
+    @property
+    def joint_start(self) -> bool:
+        """Whether the baseline is solved together with the first frame, as the paper does for relative methods."""
+        return self.relative and isinstance(self.effort, Converged | Truncated)
+
+    @property
+    def absolute_terms(self) -> tuple[Term, ...]:
+        """The terms that need no previous frame."""
+        return tuple(term for term in self.terms if not term.needs_previous)
 
     def needs_sigma(self) -> bool:
         """Whether a term divides by the readings' standard deviation."""
@@ -110,7 +122,10 @@ class Estimator:
         formulation 'auto' is nodal on panels of up to 144 cells with at most two frames a second, else reduced.
         """
         small = panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
-        formulation = ("nodal" if small else "reduced") if self.formulation == "auto" else self.formulation
+        named = self.effort.kind if isinstance(self.effort, Converged) else "reduced"
+        formulation = self.formulation if named == "converged" else named
+        if formulation == "auto":
+            formulation = "nodal" if small else "reduced"
         return _solver(Cost(Panel(*panel.shape), self.terms, frames), formulation, self.solver)
 
 

@@ -11,10 +11,11 @@ import numpy as np
 from lampest.errors import InputError
 from lampest.files import whole_file
 
-MOST_VALUES = 200_000_000
+MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
+MOST_LINKS = 8
 
 
 @contextmanager
@@ -35,13 +36,20 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
     """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
-    if not path.is_file():
+    if not _is_file(path):
         raise InputError(f"{path}: no such file")
     try:
         with _opened(path) as file:
             yield file
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or holds a zero byte
+        return False
 
 
 def _opened(path: Path) -> h5py.File:
@@ -109,20 +117,28 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
         raise InputError(f"{file.filename}: {path} is damaged ({' '.join(str(error).split())})") from error
 
 
-def read_array(file: h5py.File, path: str, dimensions: int, shape: tuple[int, ...] | None = None) -> Any:
-    """A numeric dataset of that many dimensions.
+def has(file: h5py.File, path: str) -> bool:
+    """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
+    with located(file, path):
+        return _found(file, path) is not None
+
+
+def read_array(file: h5py.File, path: str, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()) -> Any:
+    """A numeric dataset of that many dimensions, or of either of two numbers of them.
 
     Raises InputError where it is absent, of another shape, damaged, or absurdly large.
     """
     with located(file, path):
-        dataset = file.get(path)
-        if not isinstance(dataset, h5py.Dataset):
+        dataset = _dataset(file, path)
+        if dataset is None:
             raise InputError(f"{file.filename}: {path} is missing")
-        if dataset.ndim != dimensions or dataset.dtype.kind not in "iuf":
-            raise InputError(f"{file.filename}: {path} must be numeric with {dimensions} dimensions")
-        if shape is not None and dataset.shape != shape:
-            found, wanted = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
-            raise InputError(f"{file.filename}: {path} is {found}, not {wanted}")
+        wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
+        if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
+            numbers = " or ".join(str(number) for number in wanted)
+            raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
+        if shape and dataset.shape != shape:
+            found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
+            raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
         if dataset.size > MOST_VALUES:
             raise InputError(
                 f"{file.filename}: {path} claims {dataset.size} values; more than {MOST_VALUES} are not read"
@@ -136,22 +152,24 @@ def read_array(file: h5py.File, path: str, dimensions: int, shape: tuple[int, ..
 def read_text(file: h5py.File, path: str) -> str:
     """A scalar text. Raises InputError where it is absent or no text."""
     with located(file, path):
-        dataset = file.get(path)
-        if not isinstance(dataset, h5py.Dataset) or dataset.shape != () or dataset.dtype.kind not in "SO":
+        dataset = _dataset(file, path)
+        if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
             raise InputError(f"{file.filename}: {path} is missing or no text")
         if dataset.dtype.itemsize > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
         return _text(dataset[()])
 
 
-def read_texts(file: h5py.File, path: str, length: int) -> tuple[str, ...]:
+def read_texts(file: h5py.File, path: str, length: int | None = None) -> tuple[str, ...]:
     """A list of that many texts. Raises InputError where it is absent, longer, shorter or no text."""
     with located(file, path):
-        dataset = file.get(path)
-        if not isinstance(dataset, h5py.Dataset) or dataset.shape != (length,) or dataset.dtype.kind not in "SO":
-            raise InputError(f"{file.filename}: {path} is missing or not {length} texts")
-        if dataset.dtype.itemsize * length > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * length} bytes")
+        dataset = _dataset(file, path)
+        if dataset is None or dataset.shape is None or dataset.ndim != 1 or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or no list of texts")
+        if length is not None and len(dataset) != length:
+            raise InputError(f"{file.filename}: {path} is not {length} texts")
+        if dataset.dtype.itemsize * len(dataset) > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(dataset)} bytes")
         return tuple(_text(value) for value in dataset[()])
 
 
@@ -199,14 +217,39 @@ def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
         group = _node(file, path)
         if not isinstance(group, h5py.Group):
             raise InputError(f"{file.filename}: {path} is no group")
-        return [name for name in group if group.get(name, getclass=True) is kind]
+        return [name for name in group if isinstance(_found(file, f"{path}/{name}"), kind)]
 
 
 def _node(file: h5py.File, path: str) -> Any:
-    node = file.get(path)
+    node = _found(file, path)
     if node is None:
         raise InputError(f"{file.filename}: {path} is missing")
     return node
+
+
+def _found(file: h5py.File, path: str, links: int = MOST_LINKS) -> Any:
+    """The group or dataset at a path, or None; what the file says of other files of the machine is not followed."""
+    node: Any = file
+    for part in filter(None, path.split("/")):
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(f"{file.filename}: {path} is a link to another file, which is not followed")
+        if isinstance(link, h5py.SoftLink):
+            target = link.path if link.path.startswith("/") else f"{node.name}/{link.path}"
+            node = _found(file, target, links - 1) if links else None
+        else:
+            node = None if link is None else node.get(part)
+    return node
+
+
+def _dataset(file: h5py.File, path: str) -> Any:
+    """The dataset at a path, or None."""
+    dataset = _found(file, path)
+    if not isinstance(dataset, h5py.Dataset):
+        return None
+    if dataset.is_virtual or dataset.external:
+        raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
+    return dataset
 
 
 def _text(value: Any) -> str:

@@ -3,12 +3,16 @@
 Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lampest.panel import Array
+from lampest.starmesh import exact_two_point_resistance
+
+SAFE_CONDITION = 1e4  # rounding times that leaves 11 digits; ordinary panels have about 3·(rows + columns)
 
 
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
@@ -71,6 +75,15 @@ class Network:
         resistance: Array = diagonal[:rows, None] + diagonal[None, rows:] - 2 * self.impedance[:rows, rows:]
         return resistance
 
+    def condition(self) -> float:
+        """Σ_l |L_ll Z_ll| over the lines: how many times the rounding of L can reappear in any two-point resistance.
+
+        With v = Z·b the potentials of a cell's unit current, an error ε_l of L_ll moves R = bᵀZb by ε_l·v_l², and
+        v_l² ≤ Z_ll·R (Cauchy and Schwarz). Infinite or no number where the inverse is spoilt altogether.
+        """
+        own = np.concatenate([self.conductance.sum(axis=1), self.conductance.sum(axis=0)])
+        return float(np.sum(np.abs(own * np.diag(self.impedance))))
+
     def injected(self, weights: Array, potentials: Array) -> Array:
         """L_w·V: currents (lines, patterns) that conductances w (rows, columns) draw at potentials V."""
         return np.vstack(current_balance(weights, potentials[: self.rows], potentials[self.rows :]))
@@ -97,6 +110,15 @@ class Network:
         """D = Bᵀ Z B (cells, cells) ohm: ∂R_i/∂g_l = −D_il² and ∂R_i/∂r_l = (D_il/r_l)²."""
         return self.between_cells(self.impedance)
 
+    def bend(self, weights: Array) -> Array:
+        """Z L_w Z (lines, lines): what second derivatives weighted by w (rows, columns) are made of."""
+        return self.impedance @ self.injected(weights, self.impedance)
+
+    def bent_products(self, weights: Array, bend: Array) -> tuple[Array, Array]:
+        """−(∂R/∂g)·p and ½ Σ_i w_i ∂²R_i/∂g² · p for p = `weights` and bend = Z L_w Z, both (rows, columns)."""
+        injected = self.injected(weights, self.impedance)
+        return self.differences(self.impedance, injected), self.differences(bend, injected)
+
     def between_cells(self, matrix: Array) -> Array:
         """Bᵀ K B (cells, cells), B = the incidence vectors of all cells; K (lines, lines)."""
         rows, cells = self.rows, self.conductance.size
@@ -104,14 +126,90 @@ class Network:
         return (at_cells[:rows, None] - at_cells[None, rows:]).reshape(cells, cells)
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """A solved network of which a block of cells may change and all others stay.
+
+    inner : (block cells)² ohm, D₀ = Bᵀ Z B over the block. conductance : (block rows, block columns) siemens.
+    """
+
+    inner: Array
+    conductance: Array
+
+    @classmethod
+    def of(cls, network: Network, rows: slice, columns: slice) -> "Surroundings":
+        """The surroundings of a block of a solved network."""
+        row = np.arange(network.rows)[rows]
+        column = np.arange(network.conductance.shape[1])[columns]
+        lines = np.concatenate([row, network.rows + column])
+        conductance = network.conductance[rows, columns]
+        block = Network(conductance, network.impedance[np.ix_(lines, lines)])
+        return cls(block.transfer(), conductance)
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """A block of cells within a network that is otherwise known: D = (D₀⁻¹ + diag(g − g₀))⁻¹ (block cells)² ohm.
+
+    The same questions as to a whole `Network`, answered by the cells of the block alone. Source: Woodbury's identity.
+    """
+
+    conductance: Array
+    inner: Array
+
+    @classmethod
+    def solve(cls, conductance: Array, surroundings: Surroundings) -> "Embedded":
+        """D = D₀ (1 + diag(Δg) D₀)⁻¹ for a conductance (block rows, block columns)."""
+        change = (conductance - surroundings.conductance).ravel()
+        inner = surroundings.inner
+        system = np.eye(len(change)) + inner * change
+        return cls(conductance, np.linalg.solve(system, inner))
+
+    def two_point_resistance(self) -> Array:
+        """R of the block's own pixels."""
+        resistance: Array = np.diag(self.inner).reshape(self.conductance.shape)
+        return resistance
+
+    def conductance_product(self, weights: Array) -> Array:
+        """(∂R/∂g)·w = −(D∘D)·w."""
+        product: Array = -(self.inner**2 @ weights.ravel()).reshape(self.conductance.shape)
+        return product
+
+    def transfer(self) -> Array:
+        """D."""
+        return self.inner.copy()
+
+    def bend(self, weights: Array) -> Array:
+        """D diag(w) D."""
+        return (self.inner * weights.ravel()) @ self.inner
+
+    def between_cells(self, matrix: Array) -> Array:
+        """The same matrix: it stands between cells already."""
+        return matrix
+
+    def bent_products(self, weights: Array, bend: Array) -> tuple[Array, Array]:
+        """−(∂R/∂g)·p and ½ Σ_i w_i ∂²R_i/∂g² · p."""
+        bent: Array = np.einsum("ij,j,ji->i", self.inner, weights.ravel(), bend).reshape(self.conductance.shape)
+        return -self.conductance_product(weights), bent
+
+
 def two_point_resistance(cell_resistance: Array) -> Array:
     """R = f(r): two-point resistances of a panel, (rows, columns) or (frames, rows, columns) ohm → the same shape.
 
+    At least ten digits of every entry are right: where an inverse does not promise them, it is not used, but
+    exact_two_point_resistance. That also knows open cells (infinite), shorts (zero) and lines that nothing connects
+    (R infinite). Raises ValueError where a cell is negative or no number.
     Source: paper, equations (5)-(10).
     """
     if cell_resistance.ndim == 3:
         return np.stack([two_point_resistance(frame) for frame in cell_resistance])
-    return Network.solve(1 / cell_resistance, grounding(cell_resistance)).two_point_resistance()
+    if not np.all(cell_resistance >= 0):
+        raise ValueError("cell resistances must be zero or positive, and numbers")
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+        network = Network.solve(1 / cell_resistance, grounding(cell_resistance))
+        if network.condition() <= SAFE_CONDITION:
+            return network.two_point_resistance()
+    return exact_two_point_resistance(cell_resistance)
 
 
 def uniform_factor(rows: int, columns: int) -> float:

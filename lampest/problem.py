@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from lampest.cost import Compiled, Cost
-from lampest.kirchhoff import Network, grounding
+from lampest.kirchhoff import Embedded, Network, Surroundings, grounding
 from lampest.panel import Array
 
 
@@ -21,6 +21,7 @@ class Data:
     sigma : same shape, ohm; ones where unknown.
     lower, upper : same shape, ohm; bounds of the cell resistance.
     previous : (rows, columns) ohm, the known r0, or None.
+    surroundings : the rest of the network where these cells are only a block of it; None for a whole panel.
     """
 
     measured: Array
@@ -28,6 +29,7 @@ class Data:
     lower: Array
     upper: Array
     previous: Array | None = None
+    surroundings: Surroundings | None = None
 
     @property
     def resistance_scale(self) -> float:
@@ -44,6 +46,12 @@ class Data:
         """(frames, rows + columns) siemens: each frame's tie to ground."""
         return np.stack([grounding(measured) for measured in self.measured])
 
+    def network(self, frame: int, cell_resistance: Array) -> Network | Embedded:
+        """The solved network of one frame's cells (rows, columns) ohm."""
+        if self.surroundings is None:
+            return Network.solve(1 / cell_resistance, self.ties[frame])
+        return Embedded.solve(1 / cell_resistance, self.surroundings)
+
     @cached_property
     def parameters(self) -> tuple[Array, Array, Array]:
         """Measured and σ (frames · cells) and previous (cells), ohm, flat; ones where no previous is known."""
@@ -59,12 +67,12 @@ class Evaluation:
     data: Data
     cell_resistance: Array
     two_point_resistance: Array
-    networks: tuple[Network, ...]
+    networks: tuple[Network | Embedded, ...]
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
-        networks = tuple(Network.solve(1 / cells, tie) for cells, tie in zip(cell_resistance, data.ties, strict=True))
+        networks = tuple(data.network(frame, cells) for frame, cells in enumerate(cell_resistance))
         two_point = np.stack([network.two_point_resistance() for network in networks])
         return cls(cost, data, cell_resistance, two_point, networks)
 

@@ -81,7 +81,7 @@ class Recording:
         path = Path(path)
         with hdf5.existing_file(path) as file:
             base = "/entry/two_point/"
-            optional = {name: base + name in file for name in ("sigma", "time", "role")}
+            optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
             resistance = np.asarray(hdf5.read_array(file, base + "resistance", 3), dtype=float)
             kept = _whole_frames(file, resistance)
             resistance = resistance[kept]
@@ -89,19 +89,19 @@ class Recording:
             scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
             sigma = None
             if optional["sigma"]:
-                dimensions = getattr(file[base + "sigma"], "ndim", 3)
-                sigma = np.asarray(hdf5.read_array(file, base + "sigma", 2 if dimensions == 2 else 3), dtype=float)
+                sigma = np.asarray(hdf5.read_array(file, base + "sigma", (2, 3)), dtype=float)
             time = hdf5.read_array(file, base + "time", 1)[kept] if optional["time"] else np.arange(frames)
             role = hdf5.read_array(file, base + "role", 1)[kept] if optional["role"] else np.ones(frames)
             truth = {
                 name: np.asarray(hdf5.read_array(file, f"/entry/truth/{name}", 3), dtype=float)
-                if f"/entry/truth/{name}" in file
+                if hdf5.has(file, f"/entry/truth/{name}")
                 else None
                 for name in ("cell_resistance", "pressure")
             }
-            sums = hdf5.read_array(file, "/entry/raw/sums", 3)[kept] if "/entry/raw/sums" in file else None
-            readings = int(file["/entry/raw"].attrs.get("readings", 0)) if sums is not None else None
-            simulation = hdf5.read_text(file, "/entry/truth/simulation") if "/entry/truth/simulation" in file else None
+            sums = hdf5.read_array(file, "/entry/raw/sums", 3)[kept] if hdf5.has(file, "/entry/raw/sums") else None
+            readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
+            simulated = hdf5.has(file, "/entry/truth/simulation")
+            simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
             acquisition = Acquisition.read(file, kept)
         return cls(
             scene,

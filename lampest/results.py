@@ -117,7 +117,7 @@ def read_results(path: str | Path) -> Results:
     path = Path(path)
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
-        if form != FORMAT:
+        if not isinstance(form, str) or form != FORMAT:
             raise InputError(f"{path}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
         published = _read_published(file)
         cases: list[CaseResult] = []
@@ -155,7 +155,7 @@ def _read_case(file: h5py.File, recording: str, name: str, given: dict[str, Any]
     found["solved"] = found["solved"].astype(bool)
     texts = {attribute: hdf5.read_attribute(file, base, attribute) for attribute in hdf5.attribute_names(file, base)}
     try:
-        terms = hdf5.child_datasets(file, f"{base}/cost") if f"{base}/cost" in file else []
+        terms = hdf5.child_datasets(file, f"{base}/cost") if hdf5.has(file, f"{base}/cost") else []
         return CaseResult(
             recording=recording,
             estimator=name,
@@ -178,7 +178,7 @@ def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: 
     found: dict[str, Any] = {}
     for column in columns:
         path = f"{base}/{column.dataset}"
-        if column.optional and path not in file:
+        if column.optional and not hdf5.has(file, path):
             found[column.field] = None
             continue
         values = hdf5.read_array(file, path, len(column.axes), tuple(sizes[axis] for axis in column.axes))

@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost import Cost
+from lampest.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from lampest.estimator import Estimator
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
-from lampest.problem import Data, Evaluation
+from lampest.problem import Data
 from lampest.recording import UNLOADED, Recording
-from lampest.solvers.convex import convex_start
+from lampest.region import RegionSolver
+from lampest.search import best_solution, evaluated
+from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
-from lampest.solvers.solution import VERIFIED, Settings, Solution, Solver, Status, check
-from lampest.terms.misfit import Misfit
-
-POLISHED = 0.1 * VERIFIED
-LAST_STEPS = Settings(max_iterations=20)
+from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ def reconstruct(
         stream.baseline_resistance,
         stream.baseline or steps[0],
         tuple(steps),
-        estimator.relative,
+        estimator.joint_start,
     )
 
 
@@ -114,6 +113,7 @@ class Stream:
     resting, resting_sigma : (rows, columns) ohm, the unloaded readings and their σ or None.
     baseline : how the baseline was solved; None for a relative method until a frame was.
     previous : (rows, columns) ohm, the last estimate, or None.
+    anchor : what an effort has prepared from the solved baseline, or None.
     """
 
     estimator: Estimator
@@ -123,6 +123,7 @@ class Stream:
     resting_sigma: Array | None
     baseline: Step | None = None
     previous: Array | None = None
+    anchor: LinearisedSolver | RegionSolver | None = None
 
     @classmethod
     def begin(
@@ -133,8 +134,10 @@ class Stream:
         Raises InputError where the noise is needed and unknown, or bounds leave no room.
         """
         stream = cls(estimator, panel, period, resting, resting_sigma)
-        if estimator.relative:
+        if estimator.joint_start:
             return stream
+        if isinstance(estimator.effort, Linearised | Region):
+            return stream._anchored(estimator.effort)
         baseline = stream._single(resting, resting_sigma)
         return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
 
@@ -143,7 +146,7 @@ class Stream:
 
         Raises InputError as `begin`.
         """
-        joint = self.estimator.relative and (self.baseline is None or not self.baseline.solution.solved)
+        joint = self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved)
         step = self._joint(measured, sigma) if joint else self._single(measured, sigma)
         found = _estimate(step, -1)
         return replace(
@@ -159,6 +162,8 @@ class Stream:
     def _single(self, measured: Array, sigma: Array | None) -> Step:
         """One frame; starts from the previous one where that is known."""
         known = self.previous if self.estimator.relative else None
+        if self.estimator.relative and known is None:
+            known = self._guess(measured)
         data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
         return self._solve(data, None if self.previous is None else self.previous[None])
 
@@ -171,53 +176,47 @@ class Stream:
         solver = self.estimator.problem(self.panel, len(data.measured), self.period)
         solver.prepare()
         begin = perf_counter()
-        solution = best_solution(solver, data, previous)
+        effort = self.estimator.effort
+        if self.anchor is not None and previous is not None:
+            solution = self.anchor.solve(data, previous[0])
+        elif isinstance(effort, TwoPoint | Scaled):
+            solution = approximation(solver.cost, data, _read_off(data, self._guess(data.measured)))
+        elif isinstance(effort, Truncated):
+            solution = _truncated(solver.cost, data, previous, effort.steps)
+        else:
+            solution = best_solution(solver, data, previous)
         return Step(solution, perf_counter() - begin)
 
+    def _guess(self, measured: Array) -> Array:
+        """What an estimate would be without solving: R_m, or the cell of a uniform panel; same shape, ohm."""
+        if isinstance(self.estimator.effort, TwoPoint):
+            return measured
+        return measured / uniform_factor(*self.panel.shape)
 
-def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    """The solution from the cheapest start; where the cost has several minima and the solve was hard, of all starts.
-
-    Starts are the previous estimate, r = R_m·MN/(M + N − 1), and the convex one where it is near the answer: without a
-    previous frame, or without a penalty. A solve is hard that fails, takes many iterations or has no previous frame;
-    then the reduced solver tries all starts, and `solver` goes on from the best of them.
-    """
-    relative = any(term.needs_previous for term in solver.cost.terms)
-    plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
-    starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
-    starts += [convex(data)] if previous is None or plain else []
-    starts += [] if previous is None else [previous]
-    points = sorted((evaluated(solver.cost, data, start) for start in starts), key=lambda point: point.objective)
-    found = solved(solver, points[0])
-    if found.solved and not (relative and (previous is None or found.iterations > solver.easy)):
-        return found
-    points += [evaluated(solver.cost, data, convex(data))] if len(starts) < 3 and previous is not None else []
-    scouts = [solved(Newton(solver.cost, solver.settings), point) for point in points]
-    best = min((scout for scout in scouts if scout.solved), key=lambda scout: scout.objective, default=found)
-    if found.solved and not best.objective < found.objective * (1 - 1e-9):
-        return found
-    if isinstance(solver, Newton) or best is found:
-        return best
-    return solved(solver, evaluated(solver.cost, data, best.cell_resistance))
+    def _anchored(self, effort: Linearised | Region) -> "Stream":
+        """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
+        absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
+        alone = replace(self, estimator=absolute)
+        baseline = alone._single(self.resting, self.resting_sigma)
+        found = _estimate(baseline, 0)
+        stream = replace(self, baseline=baseline, previous=found)
+        if found is None:
+            return stream
+        sigma = None if self.resting_sigma is None else self.resting_sigma[None]
+        data = self.estimator.data(self.resting[None], sigma, found if self.estimator.relative else None)
+        cost = Cost(Panel(*self.panel.shape), self.estimator.terms)
+        here = evaluated(cost, data, found[None])
+        settings = self.estimator.solver
+        if isinstance(effort, Linearised):
+            return replace(stream, anchor=LinearisedSolver(cost, here))
+        return replace(stream, anchor=RegionSolver(cost, here, effort.significance, settings))
 
 
-def convex(data: Data) -> Array:
-    """The convex start of every frame."""
-    return np.stack([convex_start(*pair) for pair in zip(data.measured, data.upper, strict=True)])
+def _read_off(data: Data, cells: Array) -> Outcome:
+    return Outcome(np.clip(cells, data.lower, data.upper), np.zeros(0), Status.APPROXIMATE, 0)
 
 
-def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
-    """The cost at a start that is put within the bounds."""
-    return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
-
-
-def solved(solver: Solver, start: Evaluation) -> Solution:
-    """Solve from one start, and, where an interior-point method stopped short of its bounds, take the last steps."""
-    outcome = solver.solve(start.data, start)
-    solution = check(start, outcome)
-    if solution.kkt_residual <= POLISHED or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
-        return solution
-    near = evaluated(solver.cost, start.data, outcome.cell_resistance)
-    finished = Newton(solver.cost, LAST_STEPS).solve(start.data, near)
-    polished = check(start, replace(finished, iterations=outcome.iterations))
-    return polished if polished.solved else solution
+def _truncated(cost: Cost, data: Data, previous: Array | None, steps: int) -> Solution:
+    start = data.measured / uniform_factor(*data.measured.shape[1:]) if previous is None else previous
+    outcome = Newton(cost, Settings(max_iterations=steps)).solve(data, evaluated(cost, data, start))
+    return approximation(cost, data, outcome)

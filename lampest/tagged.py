@@ -7,7 +7,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names."""
+    """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
+
+    A bare word stands for a member with nothing but defaults: `effort: region` for `effort: {kind: region}`.
+    """
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """The tagged union of the members, one choice for each literal; called by the validating library."""
@@ -16,4 +19,6 @@ class ByKind:
             for member in typing.get_args(source)
             for name in typing.get_args(typing.get_type_hints(member)["kind"])
         }
-        return {"type": "tagged-union", "discriminator": "kind", "choices": choices}
+        union = {"type": "tagged-union", "discriminator": "kind", "choices": choices}
+        unfold = {"type": "no-info", "function": lambda value: {"kind": value} if isinstance(value, str) else value}
+        return {"type": "function-before", "function": unfold, "schema": union}

@@ -37,10 +37,10 @@ def measured(scene: Scene, network: Array, unmodelled: Unmodelled, seed: int) ->
 
 
 def channel_error(scene: Scene, unmodelled: Unmodelled, seed: int) -> Array:
-    """δ_j + δ_k: what the two selected channels have more than the known series resistance, (rows, columns) ohm."""
+    """δ + δ_j + δ_k: what is in series beyond what the scene tells, channels included; (rows, columns) ohm."""
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * stream(seed, "channels").standard_normal(rows + columns)
-    return np.asarray(channel[:rows, None] + channel[None, rows:])
+    return np.asarray(unmodelled.series_resistance_ohm + channel[:rows, None] + channel[None, rows:])
 
 
 def sums_of_codes(readout: TwoPointReadout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:

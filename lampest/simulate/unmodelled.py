@@ -15,6 +15,7 @@ class Unmodelled:
 
     Parameters
     ----------
+    series_resistance_ohm : series resistance that the scene is silent about, on top of the one it names.
     channel_spread_ohm : standard deviation of the on-resistance of a multiplexer's channels, one for each line.
     reference_tolerance : the reference resistor is off by up to this fraction, drawn uniformly.
     drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts, per minute.
@@ -24,6 +25,7 @@ class Unmodelled:
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    series_resistance_ohm: float = 0.0
     channel_spread_ohm: float = 0.0
     reference_tolerance: float = 0.0
     drift_per_minute: float = 0.0

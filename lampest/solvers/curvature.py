@@ -57,8 +57,7 @@ class Curvature:
     @cached_property
     def _bends(self) -> list[Array]:
         """Z L_e Z of every frame, (lines, lines)."""
-        pairs = zip(self.at.networks, self._partials[1], strict=True)
-        return [network.impedance @ network.injected(slope, network.impedance) for network, slope in pairs]
+        return [network.bend(slope) for network, slope in zip(self.at.networks, self._partials[1], strict=True)]
 
     @cached_property
     def terms(self) -> sparse.csr_array:
@@ -78,13 +77,11 @@ class Curvature:
         weights = step.reshape(cells.shape) / cells
         change, bent = np.empty_like(cells), np.empty_like(cells)
         for frame, network in enumerate(self.at.networks):
-            injected = network.injected(weights[frame], network.impedance)
-            change[frame] = network.differences(network.impedance, injected)
-            bent[frame] = 2 * network.differences(self._bends[frame], injected)
+            change[frame], bent[frame] = network.bent_products(weights[frame], self._bends[frame])
         force = self.terms @ np.concatenate([cells.ravel() * step, change.ravel()])
         direct, through = np.split(force, 2)
         product = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
-        whole: Array = product + (bent / cells).ravel() + (self.direct - self.through) * step
+        whole: Array = product + (2 * bent / cells).ravel() + (self.direct - self.through) * step
         return whole
 
     @cached_property

@@ -58,7 +58,7 @@ def _by_conjugate_gradients(
         whole[free] = search
         return curvature.product(whole)[free] + damping * size[free] * search
 
-    precondition = _factor(curvature.local, damping * size, free)
+    precondition = local_inverse(curvature.local, damping * size, free)
     step, downhill = conjugate_gradients(product, precondition, -slope, accuracy)
     if downhill is None:
         return step, damping
@@ -71,7 +71,7 @@ def raised(damping: float) -> float:
     return max(4 * damping, 1e-3)
 
 
-def _factor(local: sparse.csr_array, damping: Array, free: NDArray[np.intp]) -> Linear:
+def local_inverse(local: sparse.csr_array, damping: Array, free: NDArray[np.intp]) -> Linear:
     """The inverse of what the terms and each cell's own reading say, on the free cells; sparse LU, symmetric order."""
     matrix = sparse.csr_array(local + sparse.diags_array(damping))[free][:, free]
     least = 1e-9 * np.abs(matrix.diagonal()).max(initial=1e-300)

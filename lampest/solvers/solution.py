@@ -16,9 +16,10 @@ OPEN_FRACTION = 0.99
 
 
 class Status(Enum):
-    """Sentences; only the first one stands for an estimate."""
+    """Sentences; only the first two stand for an estimate."""
 
     OPTIMUM = "optimum verified"
+    APPROXIMATE = "approximate, as the effort asks; not an optimum"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
     ITERATIONS = "the iteration limit was reached before an optimum"
@@ -60,7 +61,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM.
+    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM, or APPROXIMATE where that was asked for.
 
     cell_resistance, two_point_resistance : (frames, rows, columns) ohm.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
@@ -78,8 +79,8 @@ class Solution:
 
     @property
     def solved(self) -> bool:
-        """Whether the optimum was verified."""
-        return self.status is Status.OPTIMUM
+        """Whether there is an estimate."""
+        return self.status in (Status.OPTIMUM, Status.APPROXIMATE)
 
 
 class Solver(Protocol):
@@ -118,7 +119,15 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     return failure(cost, data, fault if outcome.status is Status.OPTIMUM else outcome.status, residual, outcome)
 
 
-def _solution(evaluation: Evaluation, residual: float, outcome: Outcome) -> Solution:
+def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
+    """What an effort short of an optimum found, with its cost and its KKT residual."""
+    if not np.all(np.isfinite(outcome.cell_resistance)):
+        return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
+    evaluation = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))
+    return _solution(evaluation, evaluation.kkt_residual(outcome.dual), outcome, Status.APPROXIMATE)
+
+
+def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status: Status = Status.OPTIMUM) -> Solution:
     cells, data = evaluation.cell_resistance, evaluation.data
     return Solution(
         cells,
@@ -128,7 +137,7 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome) -> Solu
         residual,
         cells <= data.lower / OPEN_FRACTION,
         cells >= data.upper * OPEN_FRACTION,
-        Status.OPTIMUM,
+        status,
         outcome.iterations,
     )
 

@@ -1,0 +1,1 @@
+"""How long solvers take, side by side in one process: reduced, nodal and scipy's, and what accuracy they reach."""

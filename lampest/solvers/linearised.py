@@ -1,0 +1,50 @@
+"""One Newton step from a solved baseline with a factor that is computed once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from lampest.cost import Cost
+from lampest.panel import Array
+from lampest.problem import Data, Evaluation
+from lampest.solvers.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.solvers.curvature import Curvature
+from lampest.solvers.directions import local_inverse
+from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.solution import Outcome, Solution, Status, approximation
+
+ACCURACY = 1e-2
+FARTHEST = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedSolver:
+    """log r = log r_b − H_b⁻¹ ∇φ(r_b) with the curvature H_b of the baseline's own data; no iteration.
+
+    cost : of one frame. baseline : the cost at the solved baseline, given the baseline's readings.
+    """
+
+    cost: Cost
+    baseline: Evaluation
+
+    def solve(self, data: Data, previous: Array) -> Solution:
+        """The step for a frame's readings, within the bounds and no longer than a factor of 20 either way."""
+        here = replace(self.baseline, data=data)
+        smoothing = Smoothing.start(here)
+        step = np.clip(-self._inverse(Curvature(here, smoothing).gradient), -FARTHEST, FARTHEST)
+        cells = here.cell_resistance * np.exp(step).reshape(here.cell_resistance.shape)
+        return approximation(self.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
+
+    @cached_property
+    def _inverse(self) -> Callable[[Array], Array]:
+        curvature = Curvature(self.baseline, Smoothing.start(self.baseline))
+        everything = np.arange(len(curvature.gradient))
+        if len(everything) <= DENSE_UNKNOWNS:
+            matrix = curvature.matrix
+            factor = cho_factor(matrix + np.diag(1e-12 * np.abs(np.diag(matrix))))
+            return lambda slope: cho_solve(factor, slope)
+        precondition = local_inverse(curvature.local, np.zeros(len(everything)), everything)
+        return lambda slope: conjugate_gradients(curvature.product, precondition, slope, ACCURACY)[0]
