@@ -63,6 +63,31 @@ def run(
 
 
 @app.command()
+def starts(
+    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
+    random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
+    seed: Annotated[int, typer.Option("--seed")] = 0,
+) -> None:
+    """Say how often every case of a run reaches the best objective known from random starts."""
+    from lampest.compare import Table
+    from lampest.config import read_run
+    from lampest.starts import tally
+
+    cases = read_run(config).cases
+    rows = []
+    with progress("cases") as on_case:
+        for number, case in enumerate(cases, 1):
+            found = tally(case, random, seed)
+            share = f"{found.best}/{found.frames}"
+            excess = f"{100 * found.worst_excess:.2g}"
+            ended = f"{found.random_solved}/{found.random}"
+            rows.append((found.recording, found.estimator, share, excess, str(found.most_minima), ended))
+            on_case(number, len(cases))
+    headers = ("recording", "estimator", "frames at the best", "worst excess [%]", "most minima", "random solved")
+    print_table(Table(headers, tuple(rows)))
+
+
+@app.command()
 def simulate(
     config: Annotated[Path, typer.Argument(help="The simulation's YAML file.")],
     out: Annotated[Path | None, typer.Option("--out", help="The recording, or a folder where the file sweeps.")] = None,

@@ -154,10 +154,12 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
     for pattern in patterns:
         target = config.parent / pattern
         try:
-            found = sorted(target.parent.glob(target.name)) if "*" in target.name else [target]
+            # Two stars would walk through all folders below.
+            several = "*" in target.name and "**" not in pattern
+            found = sorted(target.parent.glob(target.name)) if several else [target]
         except (OSError, ValueError):  # a name that is too long
             found = []
-        if not found or "**" in pattern:
+        if not found or (len(found) == 1 and "*" in found[0].name):
             raise InputError(f"{config}: recordings: no file matches {pattern}")
         files += found
     stems = [file.stem for file in files]

@@ -126,7 +126,11 @@ class Estimator:
         formulation = self.formulation if named == "converged" else named
         if formulation == "auto":
             formulation = "nodal" if small else "reduced"
-        return _solver(Cost(Panel(*panel.shape), self.terms, frames), formulation, self.solver)
+        return _solver(self.cost(panel, frames), formulation, self.solver)
+
+    def cost(self, panel: Panel, frames: int) -> Cost:
+        """The terms over one frame, or over two jointly, of a panel."""
+        return Cost(Panel(*panel.shape), self.terms, frames)
 
 
 @lru_cache(maxsize=32)

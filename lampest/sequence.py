@@ -67,14 +67,8 @@ def reconstruct(
     A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
     InputError where readings do not exceed the series resistance or the noise is needed and unknown.
     """
-    network = recording.network_resistance()
-    sigma = recording.sigma_or_none()
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    if len(unloaded) == 0:
-        unloaded = np.array([0])
-    resting = network[unloaded].mean(axis=0)
-    resting_sigma = None if sigma is None else np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded)
-    stream = Stream.begin(estimator, recording.scene.panel, frame_period(recording), resting, resting_sigma)
+    network, sigma = recording.network_resistance(), recording.sigma_or_none()
+    stream = first_stream(recording, estimator)
     frames = recording.measured_frames()
     steps: list[Step] = []
     for frame in frames:
@@ -86,12 +80,23 @@ def reconstruct(
         estimator,
         frames,
         network[frames],
-        resting,
+        stream.resting,
         stream.baseline_resistance,
         stream.baseline or steps[0],
         tuple(steps),
         estimator.joint_start,
     )
+
+
+def first_stream(recording: Recording, estimator: Estimator) -> "Stream":
+    """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
+    network, sigma = recording.network_resistance(), recording.sigma_or_none()
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    if len(unloaded) == 0:
+        unloaded = np.array([0])
+    resting = network[unloaded].mean(axis=0)
+    resting_sigma = None if sigma is None else np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded)
+    return Stream.begin(estimator, recording.scene.panel, frame_period(recording), resting, resting_sigma)
 
 
 def frame_period(recording: Recording) -> float:
@@ -138,7 +143,7 @@ class Stream:
             return stream
         if isinstance(estimator.effort, Linearised | Region):
             return stream._anchored(estimator.effort)
-        baseline = stream._single(resting, resting_sigma)
+        baseline = stream._solve(*stream.given(resting, resting_sigma))
         return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
 
     def push(self, measured: Array, sigma: Array | None) -> tuple["Stream", Step]:
@@ -146,31 +151,33 @@ class Stream:
 
         Raises InputError as `begin`.
         """
-        joint = self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved)
-        step = self._joint(measured, sigma) if joint else self._single(measured, sigma)
+        data, start = self.given(measured, sigma)
+        step = self._solve(data, start)
         found = _estimate(step, -1)
+        joint = len(data.measured) == 2
         return replace(
             self, baseline=step if joint else self.baseline, previous=self.previous if found is None else found
         ), step
+
+    def given(self, measured: Array, sigma: Array | None) -> tuple[Data, Array | None]:
+        """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
+
+        The joint pair: paper, equations (15) and (21).
+        """
+        if self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved):
+            both = None if sigma is None or self.resting_sigma is None else np.stack([self.resting_sigma, sigma])
+            return self.estimator.data(np.stack([self.resting, measured]), both), None
+        known = None
+        if self.estimator.relative:
+            known = self._guess(measured) if self.previous is None else self.previous
+        data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
+        return data, None if self.previous is None else self.previous[None]
 
     @property
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline is not solved."""
         found = None if self.baseline is None else _estimate(self.baseline, 0)
         return np.full(self.panel.shape, np.nan) if found is None else found
-
-    def _single(self, measured: Array, sigma: Array | None) -> Step:
-        """One frame; starts from the previous one where that is known."""
-        known = self.previous if self.estimator.relative else None
-        if self.estimator.relative and known is None:
-            known = self._guess(measured)
-        data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
-        return self._solve(data, None if self.previous is None else self.previous[None])
-
-    def _joint(self, measured: Array, sigma: Array | None) -> Step:
-        """The baseline and a frame together; paper, equations (15) and (21)."""
-        both = None if sigma is None or self.resting_sigma is None else np.stack([self.resting_sigma, sigma])
-        return self._solve(self.estimator.data(np.stack([self.resting, measured]), both), None)
 
     def _solve(self, data: Data, previous: Array | None) -> Step:
         solver = self.estimator.problem(self.panel, len(data.measured), self.period)
@@ -197,14 +204,14 @@ class Stream:
         """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
         absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
         alone = replace(self, estimator=absolute)
-        baseline = alone._single(self.resting, self.resting_sigma)
+        baseline = alone._solve(*alone.given(self.resting, self.resting_sigma))
         found = _estimate(baseline, 0)
         stream = replace(self, baseline=baseline, previous=found)
         if found is None:
             return stream
         sigma = None if self.resting_sigma is None else self.resting_sigma[None]
         data = self.estimator.data(self.resting[None], sigma, found if self.estimator.relative else None)
-        cost = Cost(Panel(*self.panel.shape), self.estimator.terms)
+        cost = self.estimator.cost(self.panel, 1)
         here = evaluated(cost, data, found[None])
         settings = self.estimator.solver
         if isinstance(effort, Linearised):

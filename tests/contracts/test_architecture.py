@@ -41,6 +41,7 @@ FLOORS = (
     "executors",
     "config",
     "batch",
+    "starts",
     "table_file",
     "matlab_file",
     "importing",

@@ -1,0 +1,102 @@
+"""A headless Chromium for the tests, driven through chromedriver's plain HTTP; nothing beyond the standard library."""
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.request import Request, urlopen
+
+import pytest
+
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --hide-scrollbars"
+)
+PACKAGES = "chromium chromium-driver"
+
+
+@dataclass(frozen=True)
+class Browser:
+    """One window."""
+
+    session: str
+
+    def open(self, url: str) -> None:
+        self._ask("POST", "/url", url=url)
+
+    def run(self, script: str) -> Any:
+        """What a script returns."""
+        return self._ask("POST", "/execute/sync", script=script, args=[])
+
+    def text(self, identity: str) -> str:
+        """What the user reads at the element with this id."""
+        return str(self.run(f"return document.getElementById('{identity}').innerText"))
+
+    def until(self, script: str, wanted: Callable[[Any], bool] = bool, seconds: float = 20.0) -> Any:
+        """What a script returns once that is what is wanted."""
+        end = time.monotonic() + seconds
+        while not wanted(found := self.run(script)):
+            assert time.monotonic() < end, f"{script}: {found} after {seconds:g} s"
+            time.sleep(0.05)
+        return found
+
+    def screenshot(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(base64.b64decode(self._ask("GET", "/screenshot")))
+
+    def complaints(self) -> list[str]:
+        """What the page's scripts and the browser had to say since it was last asked."""
+        return [entry["message"] for entry in self._ask("POST", "/se/log", type="browser")]
+
+    def _ask(self, method: str, path: str, **body: Any) -> Any:
+        return ask(method, self.session + path, body)
+
+
+def ask(method: str, url: str, body: dict[str, Any]) -> Any:
+    request = Request(url, json.dumps(body).encode() if method == "POST" else None, method=method)
+    with urlopen(request, timeout=60) as answer:
+        return json.load(answer)["value"]
+
+
+@contextmanager
+def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Browser]:
+    """A new, empty browser; where the package is missing the test fails with the sentence that names it."""
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not driver:
+        pytest.fail(
+            f"The page of lampest live is tested in Chromium; install it with: apt-get install {PACKAGES}",
+            pytrace=False,
+        )
+    words = [driver, "--port=0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            base = f"http://127.0.0.1:{listening_port(process)}"
+            arguments = [*FLAGS.split(), f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}"]
+            wanted = {
+                "browserName": "chrome",
+                "goog:chromeOptions": {"binary": chromium, "args": arguments},
+                "goog:loggingPrefs": {"browser": "ALL"},
+            }
+            session = ask("POST", f"{base}/session", {"capabilities": {"alwaysMatch": wanted}})["sessionId"]
+            try:
+                yield Browser(f"{base}/session/{session}")
+            finally:
+                with suppress(OSError):
+                    ask("DELETE", f"{base}/session/{session}", {})
+        finally:
+            process.terminate()
+
+
+def listening_port(process: "subprocess.Popen[str]") -> int:
+    """The port that chromedriver says it was given."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "started successfully on port" in line:
+            return int(line.rsplit(" ", 1)[1].strip().rstrip("."))
+    pytest.fail("chromedriver ended before it listened", pytrace=False)

@@ -1,0 +1,150 @@
+"""The chain through the real commands: ports, record, repair, calibrate, run."""
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from board.bench import bench, some_cells
+from board.commands import COMMAND, lampest, scene_file
+
+from lampest.document import read_document, validated
+from lampest.recording import UNLOADED, Recording
+from lampest.results import read_results
+from lampest.scene import Scene
+
+LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
+RUN = """\
+schema: 1
+recordings: [r.h5]
+estimators: {LSM: {terms: {misfit: {}}}}
+formulation: reduced
+"""
+
+
+def test_from_the_board_to_the_cells(tmp_path: Path) -> None:
+    shipped = Recording.load(LAMPREY)
+    truth = shipped.truth_cell_resistance
+    assert truth is not None
+    baseline = int(np.sum(shipped.role == UNLOADED))
+    out, scene = tmp_path / "r.h5", scene_file(tmp_path)
+    with bench(tmp_path, truth) as board:
+        words = ("--port", board.port, "--out", out, "--scene", scene, "--baseline", baseline)
+        said, complained = lampest("record", *words, "--frames", len(truth))
+    assert said.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
+    assert complained == ""
+    (tmp_path / "run.yaml").write_text(RUN)
+    lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results")
+    found = read_results(tmp_path / "results" / "results.h5").cases[0]
+    assert found.solved.all()
+    assert np.median(np.abs(found.cell_resistance / truth[baseline:] - 1)) <= 0.01
+    assert "frames    24: 3 unloaded, 21 measured" in lampest("info", out)[0]
+
+
+def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> None:
+    shorted, scene = tmp_path / "shorted.h5", tmp_path / "scene.yaml"
+    with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:
+        lampest("record", "--port", board.port, "--out", shorted, "--seconds", 10)
+    said, _ = lampest("calibrate", shorted, "--out", scene)
+    assert said.startswith("series resistance 1") and str(scene) in said
+    found: Scene = validated(read_document(scene), Scene)
+    assert found.series_resistance_ohm == pytest.approx(140, abs=0.5)
+    printed, _ = lampest("calibrate", shorted)
+    assert printed == scene.read_text()
+    with bench(tmp_path, some_cells(np.random.default_rng(1), 1)) as board:
+        lampest("record", "--port", board.port, "--out", tmp_path / "r.h5", "--scene", scene, "--frames", 1)
+    assert Recording.load(tmp_path / "r.h5").scene == found
+
+
+def test_known_resistors_calibrate_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    known = np.exp(rng.normal(np.log(1000), 0.3, (3, 4)))
+    table = tmp_path / "known.csv"
+    np.savetxt(table, known, delimiter=",")
+    with bench(tmp_path, known[None]) as board:
+        words = ("--port", board.port, "--scene", scene_file(tmp_path, 3, 4, series_resistance_ohm=0))
+        lampest("record", *words, "--out", tmp_path / "r.h5", "--frames", 10)
+    said, _ = lampest("calibrate", tmp_path / "r.h5", "--known", table, "--out", tmp_path / "s.yaml")
+    assert float(said.split()[2]) == pytest.approx(140, abs=1)
+    np.save(tmp_path / "known.npy", known)
+    assert (
+        lampest("calibrate", tmp_path / "r.h5", "--known", tmp_path / "known.npy", "--out", tmp_path / "s.yaml")[0]
+        == said
+    )
+
+
+@pytest.mark.parametrize(
+    ("known", "sentence"),
+    [
+        ("nothing.csv", "--known: 'nothing.csv' is neither a number of ohm nor a file"),
+        ("1,2\n3,4\n", "the panel has 10 × 10 cells, but the table holds 2 × 2 numbers"),
+        ("1,2\n3\n", "no table of resistances"),
+        ("1e9", "ohm below the known ones"),
+        ("-5", "known resistors must be positive"),
+    ],
+)
+def test_known_resistors_that_are_none(tmp_path: Path, known: str, sentence: str) -> None:
+    if "\n" in known:
+        (tmp_path / "known.csv").write_text(known)
+        known = str(tmp_path / "known.csv")
+    _, complained = lampest("calibrate", LAMPREY, "--known", known, "--out", tmp_path / "s.yaml", code=2)
+    assert sentence in complained and complained.count("\n") == 1
+    assert not (tmp_path / "s.yaml").exists()
+
+
+def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> None:
+    out = tmp_path / "r.h5"
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            while not out.exists():
+                assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            said, complained = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "frames, 0 lost" in said and complained == "lampest: interrupted; what was finished is kept\n"
+    assert len(Recording.load(out).time) >= 1
+
+
+def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
+    out = tmp_path / "r.h5"
+    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
+        words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
+        with subprocess.Popen(words, stdout=subprocess.DEVNULL) as process:
+            while not out.exists() or out.stat().st_size < 30_000:
+                assert process.poll() is None
+            process.kill()
+    frames = len(Recording.load(out).time)
+    assert frames >= 1
+    for _ in range(2):
+        assert lampest("repair", out)[0] == f"{frames} frames: {out}\n"
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("record", "--out", "{}", "--port", "/nowhere/port"), "/nowhere/port: cannot be opened"),
+        (("record", "--out", "{}", "--port", "loop://", "--frames", 1, "--seconds", 1), "--frames and --seconds"),
+        (("record", "--out", "{}", "--port", "loop://", "--seconds", "nan"), "--seconds must be positive and finite"),
+        (("record", "--out", "{}", "--port", "loop://", "--period", -1), "--period must be positive and finite"),
+        (("record", "--out", "{}", "--port", "loop://", "--scene", "nowhere.yaml"), "nowhere.yaml"),
+        (("record", "--out", LAMPREY, "--port", "loop://"), "exists already; a recording is never written over"),
+        (("repair", "nowhere.h5"), "nowhere.h5"),
+        (("calibrate", "nowhere.h5"), "nowhere.h5"),
+    ],
+)
+def test_wrong_input_is_one_sentence_and_leaves_nothing(
+    tmp_path: Path, words: tuple[object, ...], sentence: str
+) -> None:
+    _, complained = lampest(*(tmp_path / "r.h5" if word == "{}" else word for word in words), code=2)
+    assert sentence in complained and complained.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_ports_are_listed_or_said_to_be_none() -> None:
+    said, complained = lampest("ports")
+    assert bool(said) != ("there is no serial port" in complained)
+    assert os.linesep not in complained.rstrip()

@@ -1,0 +1,209 @@
+"""Board → `lampest live` → Chromium: what a user sees. The screenshot is left at results/live_screenshot.png."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from board.bench import bench
+from board.browser import Browser, browser
+from board.commands import COMMAND, ONE_THREAD, scene_file
+from matplotlib.image import imread
+
+from lampest.panel import Array
+from lampest.recording import UNLOADED, Recording
+
+ROOT = Path(__file__).parents[2]
+RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
+SCREENSHOT = ROOT / "results" / "live_screenshot.png"
+NUMBER = "return Number(document.getElementById('number').innerText) || 0"
+
+
+@contextmanager
+def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Popen[str]"]]:
+    """A browser that looks at a running `lampest live`; it ends by Ctrl-C unless it has ended before."""
+    arguments = [COMMAND, "live", "--http", "127.0.0.1:0", *words]
+    with (
+        browser(folder) as window,
+        subprocess.Popen(
+            [str(word) for word in arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | ONE_THREAD,
+        ) as process,
+    ):
+        assert process.stdout is not None and process.stderr is not None
+        line = process.stdout.readline()
+        if not line:
+            pytest.fail(process.stderr.read(), pytrace=False)
+        try:
+            window.open(line.split()[0])
+            yield window, process
+            assert window.complaints() == []
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                assert process.wait(20) == 130
+
+
+def truth_of(path: Path) -> tuple[Array, int]:
+    """True cells of all frames (frames, rows, columns) and how many of them are unloaded."""
+    recording = Recording.load(path)
+    assert recording.truth_cell_resistance is not None
+    return recording.truth_cell_resistance, int(np.sum(recording.role == UNLOADED))
+
+
+def blueness(image: Array, window: Browser, canvas: str) -> Array:
+    """How blue each cell of a map is on the screen (rows, columns), from the pixels around its centre."""
+    box = window.run(
+        f"const box = document.getElementById('{canvas}').getBoundingClientRect();"
+        "const at = place(box.width, box.height);"
+        "return [box.left + at.left, box.top + at.top, at.cell, panel.rows, panel.columns]"
+    )
+    left, top, cell, rows, columns = box
+    found = np.empty((int(rows), int(columns)))
+    for row, column in np.ndindex(found.shape):
+        y, x = int(top + (row + 0.5) * cell), int(left + (column + 0.5) * cell)
+        red = image[y - 3 : y + 4, x - 3 : x + 4, 0].mean()
+        found[row, column] = 1 - red
+    return found
+
+
+def test_a_user_sees_the_ring(tmp_path: Path) -> None:
+    """850 g on a ring of 27 to 35 mm: 8.3 N under eight cells around four that carry nothing."""
+    cells, unloaded = truth_of(RING)
+    with (
+        bench(tmp_path, cells, "--real-time", period=0.25) as board,
+        live(
+            tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--baseline", unloaded
+        ) as (window, _),
+    ):
+        window.until(NUMBER, lambda number: number > 10)
+        window.screenshot(SCREENSHOT)
+        image = imread(SCREENSHOT)
+        assert window.text("state") == "receiving"
+        assert float(window.text("total").split()[0]) == pytest.approx(850e-3 * 9.81, rel=0.15)
+        assert window.text("lost") == "0" and window.text("skipped") == "0"
+        label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
+        drawn, measured = blueness(image, window, "cells"), blueness(image, window, "measured")
+    change = cells[-1] / cells[0] - 1
+    ring, rest = change < -0.4, change > -0.1
+    assert ring.sum() == 8
+    assert np.corrcoef(drawn.ravel(), -change.ravel())[0, 1] > 0.9
+    assert drawn[ring].min() > drawn[rest & ~inside(ring)].max(), "the ring stands out"
+    assert drawn[ring].mean() > 2 * drawn[inside(ring)].mean(), "and is hollow"
+    assert drawn[ring].mean() > 1.2 * measured[ring].mean(), "more than in what was measured"
+    assert label.startswith("Reconstructed cell resistance, relative change from −")
+
+
+def inside(ring: Any) -> Any:
+    """Cells that have the ring on all four sides."""
+    before = np.logical_or.accumulate
+    return (
+        ~ring
+        & before(ring, axis=0)
+        & before(ring[::-1], axis=0)[::-1]
+        & before(ring, axis=1)
+        & before(ring[:, ::-1], axis=1)[:, ::-1]
+    )
+
+
+def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
+    run = tmp_path / "run.yaml"
+    run.write_text(
+        "schema: 1\nrecordings: [none.h5]\nestimators: {hasty: {terms: {misfit: {}}}}\n"
+        "formulation: reduced\nsolver: {max_iterations: 1}\n"
+    )
+    with live(tmp_path, "--recording", RING, "--speed", 5, "--config", run) as (window, _):
+        window.until(NUMBER)
+        window.screenshot(tmp_path / "screen.png")
+        drawn = blueness(imread(tmp_path / "screen.png"), window, "cells")
+        assert "the iteration limit was reached before an optimum" in window.text("failed")
+        assert window.text("total") == window.text("seconds") == "–"
+        assert window.text("cells-range") == ""
+        assert window.text("measured-range") != ""
+        assert window.run("return document.getElementById('cells').getAttribute('aria-label')").endswith("not solved")
+        assert "NaN" not in window.run("return document.body.innerText")
+    assert np.ptp(np.delete(drawn, [4, 5], axis=0)) == 0, "one colour but for the words"
+
+
+def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
+    words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
+    with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):
+        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
+        window.until(NUMBER, lambda number: number == 21)
+        assert int(window.text("skipped")) > 5
+        assert "Solving is slower than frames arrive" in window.text("behind")
+        assert "passed over for the newest one" in window.text("behind")
+
+
+def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: Path) -> None:
+    cells, _ = truth_of(LAMPREY)
+    out = tmp_path / "along.h5"
+    with (
+        bench(tmp_path, cells, "--real-time", "--loop", "--unplug", "3:3", "--no-reset-on-open") as board,
+        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--out", out) as (
+            window,
+            process,
+        ),
+    ):
+        window.until("return document.getElementById('state').innerText", lambda text: "waiting for it" in text)
+        before = window.run(NUMBER)
+        window.until("return document.getElementById('state').innerText == 'receiving'")
+        window.until(NUMBER, lambda number: number > before + 5)
+        process.send_signal(signal.SIGINT)
+        window.until(
+            "return document.getElementById('state').innerText",
+            lambda text: text in ("lampest has ended", "no connection to lampest; trying again"),
+        )
+        assert process.wait(20) == 130
+        assert "frames, " in process.stdout.read()  # type: ignore[union-attr]
+        window.complaints()
+    found = Recording.load(out)
+    assert found.acquisition is not None and found.acquisition.session[-1] >= 1
+    assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
+
+
+def check_thirty_frames_a_second(folder: Path, seconds: float) -> None:
+    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once."""
+    cells, _ = truth_of(LAMPREY)
+    with (
+        bench(folder, cells, "--real-time", "--loop") as board,
+        live(
+            folder,
+            *("--port", board.port, "--scene", scene_file(folder, readings=2), "--period", 1 / 30),
+            *("--frames", round(30 * seconds), "--out", folder / "r.h5"),
+        ) as (window, process),
+    ):
+        window.run("window.times = []; setInterval(() => { if (latencies.length) times.push(latencies.at(-1)) }, 200)")
+        half = window.until(NUMBER, lambda number: number > 15 * seconds, seconds=seconds + 60)
+        latency = window.run("return [median(times), Math.max(...times), times.length]")
+        rate, skipped = window.text("rate"), int(window.text("skipped"))
+        assert process.wait(seconds + 60) == 0
+        window.complaints()
+        figures = board.stop()
+    found = Recording.load(folder / "r.h5")
+    assert found.acquisition is not None
+    lost, missed = int(found.acquisition.lost.sum()), int(found.acquisition.missed.sum())
+    print(
+        f"\n{len(found.time)} frames, {found.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; at frame {half} "
+        f"{rate} frames a second were shown, {skipped} not reconstructed; last byte to picture: median {latency[0]:.0f} "
+        f"ms, longest {latency[1]:.0f} ms of {latency[2]}; {figures}"
+    )
+    assert (len(found.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
+    assert latency[0] <= 100
+
+
+def test_five_seconds_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
+    check_thirty_frames_a_second(tmp_path, 5)
+
+
+@pytest.mark.soak
+def test_ten_minutes_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
+    check_thirty_frames_a_second(tmp_path, 600)

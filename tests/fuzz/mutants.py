@@ -1,0 +1,490 @@
+"""Inputs of every kind that are nearly right: number n is always the same input.
+
+A mutant is a good file after one to four changes: to its bytes, to its lines, or to what it says.
+"""
+
+import copy
+import io
+import json
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from support import invented_case
+
+from lampest.acquisition import Acquisition
+from lampest.readout import resistance_from_voltage
+from lampest.recording import Recording
+from lampest.results import PublishedFigures, StepFigures, write_results
+from lampest.scene import Panel, Scene, TwoPointReadout
+
+SUFFIXES = {
+    "run": ".yaml",
+    "scene": ".yaml",
+    "simulation": ".yaml",
+    "setting": ".txt",
+    "recording": ".h5",
+    "results": ".h5",
+    "table": ".csv",
+    "numpy": ".npy",
+    "matlab": ".mat",
+}
+KINDS = ("recording", "run", "results", "simulation", "recording", "table", "results", "scene", "numpy", "matlab")
+KINDS += ("recording", "run", "results", "setting")
+SCENE: dict[str, Any] = {
+    "panel": {"rows": 3, "columns": 4, "pitch_mm": 10},
+    "readout": {"kind": "two_point", "supply_volt": 5, "reference_ohm": 1000, "adc_bits": 10, "noise_lsb": 0.7},
+    "series_resistance_ohm": 140,
+}
+RUN: dict[str, Any] = {
+    "schema": 1,
+    "recordings": ["small.h5"],
+    "estimators": {
+        "LSM": {"terms": {"misfit": {}}, "bounds": {"lower": 1}},
+        "LSR-CR": {"terms": {"misfit": {"weighting": "noise"}, "cell_resistance": {"weight": 1e-3}}},
+        "LSR-gdCR": {
+            "terms": {
+                "misfit": {"loss": {"kind": "huber", "corner": 3}},
+                "gradient_of_relative_change": {"weight": 10},
+            },
+            "formulation": "reduced",
+        },
+    },
+    "formulation": "nodal",
+    "solver": {"tolerance": 1e-8, "max_iterations": 300},
+    "bounds": {"lower": "measured", "upper": "resolution"},
+    "sweep": {"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3]},
+    "published": {"LSM": {"all": {"time_s": 0.3, "error_percent": 0.1}}},
+}
+SIMULATION: dict[str, Any] = {
+    "schema": 1,
+    "seed": 40,
+    "scene": SCENE,
+    "cells": {"resistance_ohm": 3050, "spread": 0.2, "patch_mm": 6},
+    "baseline_frames": 1,
+    "frames": 2,
+    "frame_period_s": 1.0,
+    "loads": [{"kind": "rod", "centre_mm": [15, 10], "diameter_mm": 20, "mass_g": {"uniform": [80, 120]}}],
+    "unmodelled": {"channel_spread_ohm": 3, "reference_tolerance": 0.01, "outlier_probability": 1e-4},
+    "output": "made_{case:03d}_{seed}.h5",
+    "sweep": {"seed": [1, 2]},
+}
+SETTINGS = ("solver.tolerance=1e-6", "estimators.LSM.bounds.lower=none", "recordings=[small.h5]", "bounds={upper: 1e9}")
+
+NASTY_TEXTS = (
+    "!!python/object/apply:os.system [touch owned]", "!!python/name:os.system", "!!binary aGk=", "!tag {a: 1}", "!!set {a}",
+    "&a [*a, *a]", "*a", "&a {b: *a}", "<<: *a", "<<: {a: 1}", "- - - -", "? ", ": ", "{", "}", "[", "]", "'", '"', "|", ">",
+    "%YAML 1.1", "---", "...", "\t", "\0", "\ufeff", "\x1b[31m", "\u2028", "\U0001f600", "\\ud800", '"\\ud800"', '"a\\nb"',
+    "'a: b'", "null", "~", "true", "yes", ".nan", ".inf", "-.inf", "1e999", "-1e999", "1e-999", "0x" + "f" * 5000, "9" * 5000,
+    "9" * 300, "0b101", "0o777", "1_000", "2001-01-01", "12:30:45", "-0.0", "1e3.5", "../../../../etc/passwd", "/dev/zero",
+    "**", "**/*", "~root", "small.h5\\0", "[" * 2000, "{a: " * 800, "-\n" * 300, "a" * 3000, "con", ".", "..", "a/b", "#",
+    "{uniform: [1, 2]}", "{uniform: [2, 1]}", "{uniform: .inf}", "{seed}", "{0.__class__}", "{seed:09d}", "%s%n", "$(id)",
+)  # fmt: skip
+NASTY_VALUES: tuple[Any, ...] = (
+    None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63) - 1, 10**30, 1e300, -1e300, 1e-300, 0.5, float("nan"), float("inf"),
+    "", " ", "nodal", "none", "measured", "NaN", "a\nb", "a/b", "..", "../x", "x" * 500, "\x00", "\x1b[2J", "\ud800", "*", "**",
+    "/dev/zero", "/proc/self/mem", "small.h5", "{case}", [], [[]], [0], [1, 2, 3], {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
+    {"a.b": 1}, [None], {"misfit": {}}, {"uniform": [1e11, 9e11]},
+)  # fmt: skip
+MOST_READ = 100_000
+BYTES = (b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31))
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One input: what kind of reader takes it, and its bytes."""
+
+    kind: str
+    content: bytes
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """Good files: kind → their bytes."""
+
+    files: dict[str, tuple[bytes, ...]]
+
+    def mutant(self, number: int, kind: str | None = None) -> Mutant:
+        """Input number `number`, the same one in every process."""
+        kind = kind or KINDS[number % len(KINDS)]
+        rng = np.random.default_rng([number, list(SUFFIXES).index(kind)])
+        return Mutant(kind, changed(kind, str(rng.choice(STYLES[kind])), self.files[kind], rng))
+
+
+def corpus(folder: Any) -> Corpus:
+    """Writes small.h5, which runs name, into the folder."""
+    recording, unfinished = good_recordings(folder)
+    (folder / "small.h5").write_bytes(recording)
+    return Corpus(
+        {
+            "run": (text(RUN), text({**RUN, "recordings": ["*.h5"], "sweep": {"bounds.lower": [1, "none"]}})),
+            "scene": (text(SCENE), text({"scene": SCENE})),
+            "simulation": (text(SIMULATION),),
+            "setting": tuple(setting.encode() for setting in SETTINGS),
+            "recording": (recording, unfinished),
+            "results": (good_results(folder),),
+            "table": good_tables(),
+            "numpy": (numpy_file(frames()), numpy_file(frames().reshape(3, 12).astype(">i4"))),
+            "matlab": (matlab_file(frames(), packed=False), matlab_file(frames(), packed=True)),
+        }
+    )
+
+
+def frames() -> Any:
+    """Three frames of twelve resistances."""
+    return np.random.default_rng(1).uniform(500, 5000, (3, 3, 4)).round(2)
+
+
+def text(content: Any) -> bytes:
+    """YAML as a person may write it."""
+    stream = io.StringIO()
+    for key, value in content.items():
+        stream.write(f"{key}: {json.dumps(value)}\n".replace('"', "'"))
+    return stream.getvalue().encode()
+
+
+def good_recordings(folder: Any) -> tuple[bytes, bytes]:
+    """One with everything a recording can hold, and one whose recorder was killed."""
+    rng, count = np.random.default_rng(2), np.arange(3)
+    codes = rng.integers(4000, 8000, (3, 3, 4))
+    readout = TwoPointReadout()
+    board = Acquisition(count * 1.0, count, count, 0 * count, 0 * count, 0 * count, np.array([0.5]), ("mark",))
+    recording = Recording(
+        Scene(Panel(3, 4), readout, 140.0),
+        resistance_from_voltage(readout, codes / 20 / 1024 * 5),
+        count * 1.0,
+        (count > 0).astype(np.uint8),
+        np.full((3, 4), 5.0),
+        rng.uniform(1e3, 1e4, (3, 3, 4)),
+        rng.uniform(0, 9, (3, 3, 4)),
+        codes.astype(np.uint16),
+        20,
+        "small",
+        "seed: 1\n",
+        board,
+    )
+    recording.save(folder / "good.h5")
+    whole = (folder / "good.h5").read_bytes()
+    with h5py.File(folder / "good.h5", "a") as file:
+        file.attrs["lampest_unfinished"] = 1
+        del file["entry/two_point/sigma"], file["entry/truth"]
+    killed = (folder / "good.h5").read_bytes()
+    (folder / "good.h5").unlink()
+    return whole, killed
+
+
+def good_results(folder: Any) -> bytes:
+    """Two estimators, one of them with a frame that failed, and published figures."""
+    shape = (2, 3, 4)
+    cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
+    figures = PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))
+    write_results(folder / "good.h5", cases, {"LSM": figures})
+    whole = bytes((folder / "good.h5").read_bytes())
+    (folder / "good.h5").unlink()
+    return whole
+
+
+def good_tables() -> tuple[bytes, ...]:
+    """One frame a line with times and header; one value a line; decimal commas."""
+    values = frames()
+    wide = "time," + ",".join(f"r{number}" for number in range(12)) + "\n"
+    wide += "".join(f"{time}," + ",".join(map(str, frame.ravel())) + "\n" for time, frame in enumerate(values))
+    long = "row;column;value;frame\n" + "".join(
+        f"{row};{column};{str(value).replace('.', ',')};{frame}\n" for (frame, row, column), value in np.ndenumerate(values)
+    )
+    plain = "\r\n".join(" ".join(map(str, frame.ravel())) for frame in values)
+    return wide.encode(), long.encode(), plain.encode()
+
+
+def numpy_file(array: Any) -> bytes:
+    """The bytes of a .npy file."""
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def matlab_file(array: Any, packed: bool) -> bytes:
+    """The bytes of a .mat file of level 5 with one array `r` (rows, columns, frames)."""
+
+    def element(kind: int, body: bytes) -> bytes:
+        return struct.pack("<II", kind, len(body)) + body + bytes(-len(body) % 8)
+
+    values = np.ascontiguousarray(array.transpose(1, 2, 0)).astype("<f8")
+    parts = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<iii", *values.shape)) + element(1, b"r")
+    matrix = element(14, parts + element(9, values.tobytes(order="F")))
+    body = zlib.compress(matrix)
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    return header + (struct.pack("<II", 15, len(body)) + body if packed else matrix)
+
+
+def changed(kind: str, style: str, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
+    """One to four changes of one style to one of the good files."""
+    content = seeds[int(rng.integers(len(seeds)))]
+    count = int(rng.integers(1, 5))
+    if style == "meaning":
+        return changed_tree({"run": RUN, "scene": SCENE, "simulation": SIMULATION}[kind], count, rng)
+    if style == "nodes":
+        return changed_nodes(content, count, rng)
+    change = changed_text if style == "text" else changed_bytes
+    for _ in range(count):
+        content = change(content, seeds, rng)
+    return content
+
+
+def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
+    """A cut, some other bytes, a hole, a piece of another file, or a large number where a size may stand."""
+    data, kind = bytearray(content), rng.integers(7)
+    at = int(rng.integers(len(data) + 1))
+    piece = int(rng.integers(1, 64))
+    if kind == 0:
+        return bytes(data[:at])
+    if kind == 1:
+        for place in rng.integers(0, max(len(data), 1), 8):
+            data[place : place + 1] = bytes([rng.integers(256)])
+    elif kind == 2:
+        data[at : at + piece] = rng.bytes(piece)
+    elif kind == 3:
+        del data[at : at + piece]
+    elif kind == 4:
+        other = seeds[int(rng.integers(len(seeds)))]
+        start = int(rng.integers(len(other) + 1))
+        data[at : at + piece] = other[start : start + piece]
+    elif kind == 5:
+        token = BYTES[int(rng.integers(len(BYTES)))]
+        data[at // 8 * 8 : at // 8 * 8 + len(token)] = token
+    elif len(data):
+        place = int(rng.integers(len(data)))
+        data[place] ^= 1 << int(rng.integers(8))
+    return bytes(data)
+
+
+def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
+    """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of bytes."""
+    lines, kind = content.split(b"\n"), rng.integers(7)
+    words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
+    nasty = NASTY_TEXTS[int(rng.integers(len(NASTY_TEXTS)))].encode("utf-8", "surrogatepass")
+    at, other = (int(place) for place in rng.integers(0, len(lines), 2))
+    if kind == 0:
+        lines.insert(at, lines[other])
+    elif kind == 1:
+        del lines[at]
+    elif kind == 2:
+        lines[at], lines[other] = lines[other], lines[at]
+    elif kind in (3, 4) and words:
+        start, end = words[int(rng.integers(len(words)))]
+        first, last = words[int(rng.integers(len(words)))]
+        return content[:start] + (nasty if kind == 3 else content[first:last]) + content[end:]
+    elif kind == 5:
+        place = int(rng.integers(len(content) + 1))
+        return content[:place] + nasty + content[place:]
+    else:
+        return changed_bytes(content, seeds, rng)
+    return b"\n".join(lines)
+
+
+def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
+    """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
+    tree = json.loads(json.dumps(tree))
+    for _ in range(count):
+        node, place = _somewhere(tree, rng)
+        value = copy.deepcopy(NASTY_VALUES[int(rng.integers(len(NASTY_VALUES)))])
+        other, there = _somewhere(tree, rng)
+        kind = rng.integers(5)
+        if kind == 0:
+            node[place] = json.loads(json.dumps(other[there]))
+        elif kind == 1 and isinstance(node, dict):
+            node[str(value)[:40] if isinstance(value, str | float) else str(there)] = node.pop(place)
+        elif kind == 2:
+            del node[place]
+        else:
+            node[place] = value
+        if not tree:
+            break
+    return json.dumps(tree, indent=int(rng.integers(3)), ensure_ascii=bool(rng.integers(2))).encode("utf-8", "replace")
+
+
+def _somewhere(tree: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+    """A container within the tree and a key or index of it."""
+    node = tree
+    while True:
+        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+        key = keys[int(rng.integers(len(keys)))]
+        if not isinstance(node[key], dict | list) or not node[key] or rng.random() < 0.25:
+            return node, key
+        node = node[key]
+
+
+def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes:
+    """Other types, shapes, values, links and attributes in an HDF5 file."""
+    with h5py.File(io.BytesIO(content), "r+") as file:
+        for _ in range(count):
+            names: list[str] = []
+            file.visit(names.append)
+            if not names:
+                break
+            name = names[int(rng.integers(len(names)))]
+            change = NODE_CHANGES[int(rng.integers(len(NODE_CHANGES)))]
+            try:
+                change(file, name, rng)
+            except (ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError):
+                continue
+        file.flush()
+        stream = io.BytesIO()
+        with h5py.File(stream, "w") as fresh:
+            for key, value in file.attrs.items():
+                fresh.attrs[key] = value
+            for key in file:
+                link = file.get(key, getlink=True)
+                if isinstance(link, h5py.HardLink):
+                    file.copy(key, fresh, expand_soft=False)
+                else:
+                    fresh[key] = link
+        return stream.getvalue()
+
+
+def _replaced(file: Any, name: str, data: Any = None, **how: Any) -> None:
+    attributes = dict(file[name].attrs) if name in file else {}
+    del file[name]
+    dataset = file.create_dataset(name, data=data, **how)
+    for key in ("units", "long_name"):
+        if key in attributes:
+            dataset.attrs[key] = attributes[key]
+
+
+def _values(file: Any, name: str) -> Any:
+    """What a dataset holds; the claims that an earlier change made are not read."""
+    if file[name].size is None or file[name].size > MOST_READ:
+        raise ValueError(name)
+    return np.asarray(file[name][()])
+
+
+def other_type(file: Any, name: str, rng: np.random.Generator) -> None:
+    """The same numbers as another type, or as what is no number."""
+    values = _values(file, name)
+    kinds = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
+    kind = kinds[int(rng.integers(len(kinds)))]
+    with np.errstate(all="ignore"):
+        _replaced(file, name, np.asarray(values).astype(kind) if kind != "V8" else np.zeros(np.shape(values), kind))
+
+
+def other_shape(file: Any, name: str, rng: np.random.Generator) -> None:
+    """One axis more, less, longer or empty; a scalar; nothing at all."""
+    values = _values(file, name)
+    shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T, values[..., 0])
+    chosen = int(rng.integers(len(shapes) + 1))
+    _replaced(file, name, h5py.Empty("f8") if chosen == len(shapes) else shapes[chosen])
+
+
+def claimed(file: Any, name: str, rng: np.random.Generator) -> None:
+    """A thousand million frames that are not there."""
+    shape = [10 ** int(rng.integers(3, 13)), *file[name].shape[1:]]
+    kind = ("f8", "S16", "u1")[int(rng.integers(3))] if rng.random() < 0.3 else file[name].dtype
+    _replaced(file, name, shape=tuple(shape), dtype=kind, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
+
+
+def other_values(file: Any, name: str, rng: np.random.Generator) -> None:
+    """Not a number, infinite, zero, negative, huge or tiny, in one place or everywhere."""
+    value = (np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63)[int(rng.integers(8))]
+    dataset = file[name]
+    if dataset.size > MOST_READ:
+        return
+    where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in dataset.shape)
+    with np.errstate(all="ignore"):
+        dataset[where] = np.asarray(value).astype(dataset.dtype)
+
+
+def texts(file: Any, name: str, rng: np.random.Generator) -> None:
+    """A text for what is there: variable length, long, not ASCII, nested YAML."""
+    options = (
+        "text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE), "!!python/object:os.system {}",
+        NASTY_TEXTS[int(rng.integers(len(NASTY_TEXTS)))].replace("\0", ""),
+    )  # fmt: skip
+    chosen = options[int(rng.integers(len(options)))]
+    if rng.random() < 0.5:
+        _replaced(file, name, chosen)
+    else:
+        _replaced(file, name, np.bytes_(chosen.encode("utf-8", "replace")))
+
+
+def linked(file: Any, name: str, rng: np.random.Generator) -> None:
+    """A link to nowhere, to itself, to an ancestor, to another file or to the machine's files."""
+    kind = rng.integers(7)
+    target = (h5py.SoftLink("/nowhere"), h5py.SoftLink(f"/{name}"), h5py.SoftLink("/"), h5py.ExternalLink("small.h5", "/entry"))
+    if kind < 4:
+        del file[name]
+        file[name] = target[kind]
+    elif kind == 4:
+        del file[name]
+        file[name] = h5py.ExternalLink(("/etc/passwd", "/dev/zero", "small.h5")[int(rng.integers(3))], f"/{name}")
+    elif kind == 5:
+        shape = file[name].shape
+        _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
+    else:
+        layout = h5py.VirtualLayout(shape=file[name].shape, dtype="f8")
+        layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=file[name].shape)
+        del file[name]
+        file.create_virtual_dataset(name, layout)
+
+
+def group_for_dataset(file: Any, name: str, rng: np.random.Generator) -> None:
+    """A group where a dataset was, or a number where a group was."""
+    was_group = isinstance(file[name], h5py.Group)
+    del file[name]
+    if was_group:
+        file[name] = 5.0
+    else:
+        file.create_group(name)
+
+
+def gone(file: Any, name: str, rng: np.random.Generator) -> None:
+    """Deleted, or under another name."""
+    other = ("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m")[int(rng.integers(8))]
+    if rng.random() < 0.5:
+        file.move(name, f"{name.rpartition('/')[0]}/{other}")
+    else:
+        del file[name]
+
+
+def other_attribute(file: Any, name: str, rng: np.random.Generator) -> None:
+    """An attribute that is gone, or something else."""
+    nodes = [file, *(file[part] for part in _prefixes(name))]
+    node = nodes[int(rng.integers(len(nodes)))]
+    names = [*node.attrs, "readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start"]
+    chosen = names[int(rng.integers(len(names)))]
+    values = (
+        None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"], np.zeros((2, 2)), h5py.Empty("f8"),
+        "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}', "[" * 1000, True, 1 + 1j, "x" * 60_000,
+        np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
+    )  # fmt: skip
+    value = values[int(rng.integers(len(values)))]
+    if value is None:
+        del node.attrs[chosen]
+    else:
+        node.attrs[chosen] = value
+
+
+def _prefixes(name: str) -> list[str]:
+    parts = name.split("/")
+    return ["/".join(parts[: depth + 1]) for depth in range(len(parts))]
+
+
+NodeChange = Callable[[Any, str, np.random.Generator], None]
+NODE_CHANGES: tuple[NodeChange, ...] = (
+    other_type, other_shape, claimed, other_values, texts, linked, group_for_dataset, gone, other_attribute, other_attribute,
+)  # fmt: skip
+STYLES = {
+    "run": ("text", "meaning", "meaning", "bytes"),
+    "scene": ("text", "meaning", "bytes"),
+    "simulation": ("text", "meaning", "meaning", "bytes"),
+    "setting": ("text", "bytes"),
+    "recording": ("bytes", "nodes", "nodes"),
+    "results": ("bytes", "nodes", "nodes"),
+    "table": ("text", "text", "bytes"),
+    "numpy": ("bytes", "text"),
+    "matlab": ("bytes",),
+}

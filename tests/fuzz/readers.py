@@ -1,0 +1,168 @@
+"""Gives an input to its reader and says what is wrong with the way it is received."""
+
+import contextlib
+import faulthandler
+import io
+import os
+import resource
+import shutil
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from fuzz.mutants import RUN, SUFFIXES, Mutant, text
+
+from lampest import cli
+from lampest.config import read_run
+from lampest.errors import InputError
+from lampest.importing import import_file, read_scene
+from lampest.recording import Recording
+from lampest.results import read_results
+from lampest.simulate import read_simulations
+from lampest.simulate import run as simulate
+
+FINE, REFUSED = "taken", "refused"
+MOST_SECONDS = 5.0
+MOST_KILOBYTES = 1_200_000
+LONGEST_SENTENCE = 1_000
+HUNG_SECONDS = 120
+SMALL_SIMULATION = 50_000
+
+
+class Fault(Exception):
+    """An input was received as it must not be."""
+
+
+def receive(mutant: Mutant, folder: Path) -> str:
+    """'taken' or 'refused' with one sentence. Raises Fault for everything else, a hang or a lot of memory included.
+
+    A reader that hangs in C code ends the process, with its stack on stderr.
+    """
+    path = folder / f"input{SUFFIXES[mutant.kind]}"
+    path.write_bytes(mutant.content)
+    before, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            outcome = _received(mutant, path)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        left = cleared(folder) - {path.name}
+    if left:
+        raise Fault(f"left {left}")
+    seconds, grown = time.process_time() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    if seconds > MOST_SECONDS:
+        raise Fault(f"{seconds:.1f} s")
+    if grown > MOST_KILOBYTES:
+        raise Fault(f"{grown // 1000} MB")
+    return outcome
+
+
+def cleared(folder: Path) -> set[str]:
+    """Delete everything but the recording that runs name; returns what was there."""
+    found = [item for item in folder.iterdir() if item.name != "small.h5"]
+    for item in found:
+        shutil.rmtree(item) if item.is_dir() else item.unlink()
+    return {item.name for item in found}
+
+
+def _received(mutant: Mutant, path: Path) -> str:
+    try:
+        READERS[mutant.kind](path)
+    except InputError as error:
+        _check_sentence(str(error))
+        arguments = COMMANDS[mutant.kind]
+        if arguments:
+            _check_command(arguments(path), 2)
+        return REFUSED
+    except Exception as error:
+        raise Fault("".join(traceback.format_exception(error)[-4:])) from error
+    if mutant.kind in ("recording", "results"):
+        _check_command(COMMANDS[mutant.kind](path), 0)
+    return FINE
+
+
+def _check_sentence(sentence: str) -> None:
+    if not sentence or len(sentence) > LONGEST_SENTENCE or not sentence.isprintable():
+        raise Fault(f"no sentence of {len(sentence)} characters: {sentence[:2000]!r}")
+
+
+def _check_command(arguments: list[str], code: int) -> None:
+    """The command ends with that code, and says one line on stderr where it refuses."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", ["lampest", *arguments]),
+        mock.patch.dict(os.environ),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            cli.main()
+            ended: Any = 0
+        except SystemExit as end:
+            ended = end.code or 0
+        except BaseException as error:
+            raise Fault(f"lampest {arguments[0]}: " + "".join(traceback.format_exception(error)[-4:])) from error
+    said = err.getvalue()
+    if ended != code or said.count("\n") != (code != 0) or (code and (out.getvalue() or "lampest: " not in said)):
+        raise Fault(f"lampest {arguments[0]} ended with {ended}, not {code}: {said[:2000]!r} {out.getvalue()[:200]!r}")
+
+
+def _setting(path: Path) -> None:
+    """The input is what follows --set, of a run that is in order."""
+    setting = path.read_bytes().decode("utf-8", "replace")
+    path.write_bytes(text(RUN))
+    read_run(path, (setting,))
+
+
+def _simulations(path: Path) -> None:
+    planned = read_simulations(path)
+    readings = max(simulation.scene.readout.readings if simulation.scene.readout else 1 for _, simulation in planned)
+    if sum(simulation.values for _, simulation in planned) * readings < SMALL_SIMULATION:
+        out = path.parent / "made"
+        try:
+            made = simulate(path, out / "made.h5" if len(planned) == 1 else out)
+            for recording in made:
+                Recording.load(recording)
+        finally:
+            shutil.rmtree(out, ignore_errors=True)
+
+
+def _imported(path: Path) -> None:
+    import_file(path, 3, 4)
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "run": read_run,
+    "scene": read_scene,
+    "simulation": _simulations,
+    "setting": _setting,
+    "recording": Recording.load,
+    "results": read_results,
+    "table": _imported,
+    "numpy": _imported,
+    "matlab": _imported,
+}
+
+
+def _import(path: Path) -> list[str]:
+    return ["import", str(path), "--rows", "3", "--columns", "4", "--out", str(path.with_name("never.h5"))]
+
+
+COMMANDS: dict[str, Any] = {
+    "run": lambda path: ["run", str(path), "--out", str(path.with_name("never"))],
+    "scene": None,
+    "simulation": lambda path: ["simulate", str(path), "--out", str(path.with_name("never.h5"))],
+    "setting": None,
+    "recording": lambda path: ["info", str(path)],
+    "results": lambda path: ["compare", str(path)],
+    "table": _import,
+    "numpy": _import,
+    "matlab": _import,
+}

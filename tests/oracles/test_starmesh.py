@@ -1,0 +1,249 @@
+"""The exact forward map against 50 digits of mpmath, and the fast one's word that it is safe."""
+
+import time
+from collections.abc import Iterator
+
+import mpmath
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lampest.kirchhoff import SAFE_CONDITION, Network, grounding, two_point_resistance
+from lampest.panel import Array
+from lampest.starmesh import exact_two_point_resistance
+
+FOURTEEN_DIGITS = 1e-14
+TEN_DIGITS = 1e-10
+SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (3, 5), (16, 16)]
+
+
+def fifty_digits(cells: Array) -> Array:
+    """R by Gauss–Jordan elimination of the Laplacian with the first row grounded; inf where the current has no way."""
+    rows, columns = cells.shape
+    with mpmath.workdps(50):
+        lines = rows + columns - 1
+        matrix = [[mpmath.mpf(0)] * (lines + 1) for _ in range(lines + 1)]
+        for row in range(rows):
+            for column in range(columns):
+                conductance = 1 / mpmath.mpf(float(cells[row, column]))
+                for one, other in ((row, rows + column), (rows + column, row)):
+                    matrix[one][one] += conductance
+                    matrix[one][other] -= conductance
+        inverse = _inverse([line[1:] for line in matrix[1:]])
+        inverse = [[mpmath.mpf(0)] * (lines + 1), *([mpmath.mpf(0), *line] for line in inverse)]
+        return np.array(
+            [
+                [float(inverse[j][j] + inverse[k][k] - 2 * inverse[j][k]) for k in range(rows, rows + columns)]
+                for j in range(rows)
+            ]
+        )
+
+
+def _inverse(matrix: list[list[mpmath.mpf]]) -> list[list[mpmath.mpf]]:
+    """In place; no pivots are needed, for the matrix is symmetric and positive definite."""
+    size = len(matrix)
+    for pivot in range(size):
+        line = matrix[pivot]
+        reciprocal, line[pivot] = 1 / line[pivot], mpmath.mpf(1)
+        line[:] = [value * reciprocal for value in line]
+        for other in range(size):
+            if other != pivot and matrix[other][pivot]:
+                factor, matrix[other][pivot] = matrix[other][pivot], mpmath.mpf(0)
+                matrix[other] = [value - factor * own for value, own in zip(matrix[other], line, strict=True)]
+    return matrix
+
+
+def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float) -> Iterator[tuple[str, Array]]:
+    """Panels around 3 kilohm with two levels that lie `decades` apart, each with its name."""
+    rows, columns = shape
+    large = 10.0**decades
+    row, column, diagonal = rng.integers(rows), rng.integers(columns), np.arange(min(shape))
+    usual = 3000 * np.exp(0.3 * rng.standard_normal(shape))
+
+    def panel(where: object, factor: float) -> Array:
+        cells = usual.copy()
+        cells[where] *= factor
+        return cells
+
+    yield "open cell", panel((row, column), large)
+    yield "open row", panel(row, large)
+    yield "open column", panel((slice(None), column), large)
+    yield "shorted cell", panel((row, column), 1 / large)
+    yield "shorted row", panel(row, 1 / large)
+    yield "shorted column", panel((slice(None), column), 1 / large)
+    apart = np.add.outer(np.arange(rows) < rows // 2, np.arange(columns) < columns // 2) == 1
+    yield "two clusters", panel(apart, large)
+    yield "clusters of two scales", panel(apart, large) * np.where(np.arange(rows) < rows // 2, 1, large)[:, None]
+    yield "checkerboard", panel(np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1, large)
+    yield "two values at random", panel(rng.random(shape) < 0.5, large)
+    yield "log-uniform", 3000 * 10 ** rng.uniform(-decades / 2, decades / 2, shape)
+    chain = usual * large
+    chain[diagonal, diagonal] /= large
+    chain[diagonal[1:], diagonal[:-1]] /= large**0.5
+    yield "chain", chain
+    milliohm = np.full(shape, 1e9)
+    milliohm[diagonal, diagonal] = 1e-3
+    yield "1 milliohm and 1 gigaohm", milliohm
+
+
+def many(count: int, most: float, seed: int) -> Iterator[tuple[str, Array]]:
+    """Structured panels of up to `most` lines a side, 0 to 15 decades."""
+    rng = np.random.default_rng(seed)
+    while count > 0:
+        shape = (int(most ** rng.uniform()), int(most ** rng.uniform()))
+        for name, cells in structured(shape, rng, rng.uniform(0, 15)):
+            yield f"{name} {shape}", cells
+            count -= 1
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> None:
+    for name, cells in structured(shape, np.random.default_rng(1), 15):
+        assert_allclose(exact_two_point_resistance(cells), fifty_digits(cells), rtol=FOURTEEN_DIGITS, err_msg=name)
+
+
+@pytest.mark.parametrize("decades", [9, 15])
+def test_fourteen_digits_of_two_rows(decades: float) -> None:
+    """2 × 64: R_1k = r_1k ∥ (r_2k + 1/Σ_{q≠k} 1/(r_1q + r_2q))."""
+    for name, cells in structured((2, 64), np.random.default_rng(1), decades):
+        with mpmath.workdps(50):
+            upper, lower = ([mpmath.mpf(float(cell)) for cell in row] for row in cells)
+            through = [1 / (one + other) for one, other in zip(upper, lower, strict=True)]
+            around = [
+                one + other + 1 / (mpmath.fsum(through) - own)
+                for one, other, own in zip(upper, lower, through, strict=True)
+            ]
+            expected = [
+                [float(cell * (all_around - cell) / all_around) for cell, all_around in zip(row, around, strict=True)]
+                for row in (upper, lower)
+            ]
+        for found in (exact_two_point_resistance(cells), exact_two_point_resistance(cells.T).T):
+            assert_allclose(found, expected, rtol=FOURTEEN_DIGITS, err_msg=name)
+
+
+def test_fourteen_digits_at_one_to_fifteen_decades() -> None:
+    rng = np.random.default_rng(2)
+    for decades in range(1, 16):
+        for name, cells in structured((6, 7), rng, decades):
+            found = exact_two_point_resistance(cells)
+            assert_allclose(found, fifty_digits(cells), rtol=FOURTEEN_DIGITS, err_msg=f"{name}, {decades} decades")
+            assert_allclose(two_point_resistance(cells), found, rtol=TEN_DIGITS, err_msg=f"{name}, {decades} decades")
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (16, 16), (40, 30)])
+def test_rank_one_panels_over_sixteen_decades(shape: tuple[int, int]) -> None:
+    """g = a_j·b_k: R = 1/(a_j B) + 1/(b_k A) − 1/(A B), with a subtraction that mpmath makes."""
+    rng = np.random.default_rng(3)
+    a, b = (10 ** rng.uniform(-4, 4, size) for size in shape)
+    with mpmath.workdps(50):
+        all_a, all_b = mpmath.fsum(a), mpmath.fsum(b)
+        expected = [[float(1 / (x * all_b) + 1 / (y * all_a) - 1 / (all_a * all_b)) for y in b] for x in a]
+    assert_allclose(exact_two_point_resistance(1 / np.outer(a, b)), expected, rtol=FOURTEEN_DIGITS)
+
+
+def test_unsafe_inverse_is_noticed() -> None:
+    """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
+    unsafe = wrong = 0
+    for name, cells in many(1000, 7, 4):
+        expected = fifty_digits(cells)
+        network = Network.solve(1 / cells, grounding(cells))
+        worst = np.max(np.abs(network.two_point_resistance() / expected - 1))
+        unsafe += network.condition() > SAFE_CONDITION
+        wrong += worst > TEN_DIGITS
+        assert worst <= TEN_DIGITS or network.condition() > SAFE_CONDITION, name
+        assert_allclose(two_point_resistance(cells), expected, rtol=TEN_DIGITS, err_msg=name)
+    assert 50 < wrong < unsafe < 500
+
+
+def test_unsafe_inverse_is_noticed_on_larger_panels() -> None:
+    """The same with up to 40 × 40 cells; the exact map is the witness."""
+    for name, cells in many(1500, 41, 5):
+        assert_allclose(two_point_resistance(cells), exact_two_point_resistance(cells), rtol=TEN_DIGITS, err_msg=name)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (10, 10), (16, 16), (2, 64), (64, 64)])
+@pytest.mark.parametrize("decades", [0, 0.3, 1, 2, 3])
+def test_ordinary_panels_are_safe(shape: tuple[int, int], decades: float) -> None:
+    """Also with one open and one shorted cell; then the inverse is what is returned."""
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        cells = 3000 * 10 ** rng.uniform(-decades / 2, decades / 2, shape)
+        if min(shape) > 2:
+            cells[0, 0], cells[2, 1] = 1e9, 1.0
+        network = Network.solve(1 / cells, grounding(cells))
+        assert network.condition() < SAFE_CONDITION / 5
+        assert_array_equal(two_point_resistance(cells), network.two_point_resistance())
+
+
+def test_open_cells_leave_the_network() -> None:
+    cells = np.random.default_rng(7).uniform(1e3, 1e4, (4, 5))
+    cells[1, 2] = cells[3] = np.inf
+    cells[3, 4] = 500.0
+    expected = fifty_digits(np.where(np.isinf(cells), 1e300, cells))
+    for found in (exact_two_point_resistance(cells), two_point_resistance(cells)):
+        assert_allclose(found, expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
+    """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in their own panel."""
+    rng = np.random.default_rng(8)
+    first, second = rng.uniform(1e3, 1e4, (3, 4)), rng.uniform(1e3, 1e4, (2, 3)) * scale
+    cells = np.full((6, 7), np.inf)
+    cells[:3, :4], cells[3:5, 4:] = first, second
+    expected = np.full((6, 7), np.inf)
+    expected[:3, :4], expected[3:5, 4:] = fifty_digits(first), fifty_digits(second)
+    rows, columns = rng.permutation(6), rng.permutation(7)
+    for found in (exact_two_point_resistance, two_point_resistance):
+        assert_allclose(found(cells[rows][:, columns]), expected[rows][:, columns], rtol=1e-13)
+    assert_array_equal(two_point_resistance(np.full((3, 2), np.inf)), np.full((3, 2), np.inf))
+    assert_array_equal(two_point_resistance(np.full((1, 1), np.inf)), [[np.inf]])
+
+
+def test_shorts_join_lines() -> None:
+    """A cell of no resistance is what ever smaller cells tend to; R is 0 between what shorts connect."""
+    rng = np.random.default_rng(9)
+    for _ in range(200):
+        cells = rng.uniform(1e3, 1e4, (rng.integers(1, 6), rng.integers(1, 6)))
+        short = rng.random(cells.shape) < rng.choice([0.1, 0.3, 0.6])
+        cells[rng.random(cells.shape) < 0.2] = np.inf
+        limit = exact_two_point_resistance(np.where(short, 1e-40, cells))
+        found = exact_two_point_resistance(np.where(short, 0, cells))
+        assert_array_equal(found == 0, limit < 1e-30)
+        assert_allclose(found, np.where(limit < 1e-30, 0, limit), rtol=1e-13)
+        assert_array_equal(two_point_resistance(np.where(short, 0, cells)) == 0, limit < 1e-30)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, -np.inf])
+def test_cells_that_cannot_be(wrong: float) -> None:
+    cells = np.full((2, 3), 3000.0)
+    cells[1, 2] = wrong
+    for forward in (exact_two_point_resistance, two_point_resistance):
+        with pytest.raises(ValueError, match="zero or positive"):
+            forward(cells)
+
+
+def test_laws_hold_to_the_last_digits_at_any_contrast() -> None:
+    """Scaling by powers of two bit for bit; permutation, transposition; Foster's Σ g·R = M + N − 1; frames in a row."""
+    rng = np.random.default_rng(10)
+    for name, cells in many(200, 13, 11):
+        found = exact_two_point_resistance(cells)
+        assert_array_equal(exact_two_point_resistance(cells * 2.0**20), found * 2.0**20, err_msg=name)
+        rows, columns = (rng.permutation(size) for size in cells.shape)
+        assert_allclose(exact_two_point_resistance(cells[rows][:, columns]), found[rows][:, columns], rtol=2e-14)
+        assert_allclose(exact_two_point_resistance(cells.T), found.T, rtol=2e-14, err_msg=name)
+        assert np.sum(found / cells) == pytest.approx(sum(cells.shape) - 1, rel=1e-13)
+        assert np.all(found <= cells * (1 + 1e-13))
+    frames = np.random.default_rng(12).uniform(1, 1e9, (3, 4, 5))
+    assert_array_equal(exact_two_point_resistance(frames), [exact_two_point_resistance(frame) for frame in frames])
+
+
+@pytest.mark.parametrize("decades", [0, 15])
+def test_hundred_by_hundred(decades: float) -> None:
+    """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""
+    for name, cells in structured((100, 100), np.random.default_rng(13), decades):
+        begin = time.process_time()
+        found = exact_two_point_resistance(cells)
+        assert time.process_time() - begin < 2, name
+        assert np.all(np.isfinite(found) & (found > 0)), name
+        assert np.sum(found / cells) == pytest.approx(199, rel=1e-12)
