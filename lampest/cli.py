@@ -279,7 +279,9 @@ def live(
         str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
     frames: Frames = None,
-    baseline: Annotated[int, typer.Option("--baseline", min=1, help="The first so many frames are unloaded.")] = 3,
+    baseline: Annotated[
+        int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
+    ] = 3,
     scene: SceneFile = None,
     period: Period = None,
     out: Annotated[Path | None, typer.Option("--out", help="Record the board into this file as well.")] = None,
@@ -328,6 +330,29 @@ def bench(
     print_table(summary_table(found))
     for line in (*remarks(found), *files):
         print(line)
+
+
+@app.command()
+def tradeoff(
+    config: Annotated[Path, typer.Argument(help="The trade-off's YAML file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")
+    ] = None,
+) -> None:
+    """Measure what every rung of the ladder of efforts costs in time and in accuracy; table, HDF5 and figure."""
+    from lampest.plot.tradeoff import plot_tradeoff
+    from lampest.tradeoff.report import summary_table, write_tradeoff
+    from lampest.tradeoff.run import run_tradeoff
+    from lampest.tradeoff.settings import read_plan
+
+    plan = read_plan(config)
+    with progress("measurements") as on_step:
+        found = run_tradeoff(plan, on_step)
+    folder = out or Path("results") / config.stem
+    files = (*write_tradeoff(folder, found), plot_tradeoff(found, folder / "tradeoff.png"))
+    print_table(summary_table(found))
+    for file in files:
+        print(file)
 
 
 def check_positive(name: str, value: float | None) -> None:

@@ -179,7 +179,10 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
         attributes = _node(file, path).attrs
         if name not in attributes:
             return None
-        if attributes.get_id(name).get_storage_size() > MOST_TEXT_BYTES:
+        held = attributes.get_id(name)
+        if held.shape is None:
+            return None
+        if held.get_storage_size() > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
         value = attributes[name]
         return _text(value) if isinstance(value, bytes | str) else value

@@ -22,8 +22,7 @@ def describe(path: str | Path) -> list[str]:
     path = Path(path)
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
-        if form is not None and not isinstance(form, str):
-            raise InputError(f"{path}: lampest_format is no text")
+        form = form if isinstance(form, str) else None
         if form is None and not hdf5.has(file, "/entry/two_point/resistance"):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
     if form == FORMAT:

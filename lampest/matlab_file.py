@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.errors import InputError
 
 HEADER = 128
-MOST_BYTES = 1_000_000_000
+MOST_BYTES = 400_000_000
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 NUMERIC_CLASSES = range(6, 16)  # double, single, int8 ... uint64

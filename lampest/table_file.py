@@ -60,6 +60,9 @@ def read_table(path: Path, shape: tuple[int, int]) -> Frames:
         lines = lines[1:]
         if not lines:
             raise InputError(f"{path}: holds a header but no values")
+        if len(lines[0].fields) != len(names):
+            found = len(lines[0].fields)
+            raise InputError(f"{path}:{lines[0].number}: {found} fields, where the header has {len(names)}")
     order = _long_order(names, len(lines[0].fields), shape[0] * shape[1])
     numbers = _numbers(path, lines, comma)
     if order is None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi
 import numpy as np
@@ -27,8 +27,17 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
+# From a distance the adaptive barrier takes 9 iterations where the monotone one takes 13.
+FAR = {"mu_strategy": "adaptive"}
+# A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
+NEAR = {
+    "mu_strategy": "monotone",
+    "mu_init": 1e-7,
+    "bound_mult_init_method": "mu-based",
+    "bound_push": 1e-9,
+    "bound_frac": 1e-9,
+}
 OPTIONS = {
-    "mu_strategy": "adaptive",
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
     "print_level": 0,
@@ -56,7 +65,6 @@ def delayed_interrupt() -> Iterator[None]:
 class Ipopt:
     """One cost and formulation on one panel shape; the program is built once and kept."""
 
-    easy: ClassVar[int] = 15
     cost: Cost
     formulation: Formulation
     settings: Settings
@@ -114,5 +122,10 @@ class Ipopt:
     def _solver(self) -> casadi.Function:
         program = Program.build(self.cost, self.formulation)
         limits = {"tol": self.settings.tolerance, "max_iter": self.settings.max_iterations}
-        options: dict[str, Any] = {"ipopt": OPTIONS | limits, "hess_lag": program.hessian(), "print_time": False}
+        several_minima = any(term.needs_previous for term in self.cost.terms)
+        options: dict[str, Any] = {
+            "ipopt": OPTIONS | (NEAR if several_minima else FAR) | limits,
+            "hess_lag": program.hessian(),
+            "print_time": False,
+        }
         return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

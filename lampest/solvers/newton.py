@@ -7,7 +7,6 @@ Source: Bertsekas, SIAM J. Control Optim. 20, 1982 (projection); Chan, Golub & M
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +61,6 @@ class Point:
 class Newton:
     """One cost on one panel shape."""
 
-    easy: ClassVar[int] = 6
     cost: Cost
     settings: Settings
 

@@ -84,9 +84,7 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What a sequence asks of a solver. A solve that takes more than `easy` iterations deserves a second start."""
-
-    easy: ClassVar[int]
+    """What a sequence asks of a solver."""
 
     @property
     def cost(self) -> Cost:
@@ -112,7 +110,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, status, float("nan"), outcome)
     evaluation = Evaluation.at(cost, data, cells)
     residual = evaluation.kkt_residual(outcome.dual)
-    worse = evaluation.objective - start.objective > 1e-9 * start.cost_scale
+    worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
     if residual <= VERIFIED and not worse:
         return _solution(evaluation, residual, outcome)
     fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED

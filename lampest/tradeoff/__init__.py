@@ -1,0 +1,1 @@
+"""What every saved millisecond costs in accuracy: the ladder of efforts, measured side by side."""
