@@ -39,16 +39,16 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	@$(PIP) --editable '.[dev]'
+	@$(PIP) --editable '.[dev,cluster]'
 	@touch $@
 
-# What the tests of the board need besides Python: a cross compiler and a simulated microcontroller.
+# What the tests of the board need besides Python: a cross compiler, a simulated microcontroller and a browser.
 board-packages:
-	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy; do command -v $$tool >/dev/null || missing=1; done; \
+	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy chromium chromedriver; do command -v $$tool >/dev/null || missing=1; done; \
 	test -d /usr/share/arduino/hardware/arduino/avr/cores/arduino || missing=1; \
 	test -f /usr/include/simavr/sim_avr.h && test -f /usr/include/libelf.h || missing=1; \
 	if test -n "$$missing"; then \
-	packages=$$($(MAKE) --silent --no-print-directory -C firmware packages); \
+	packages="$$($(MAKE) --silent --no-print-directory -C firmware packages) chromium chromium-driver"; \
 	if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then { $(APT) $$packages; } >/dev/null; \
 	else echo "The tests of the board need system packages; install them with: apt-get install $$packages" >&2; fi; fi
 

@@ -74,12 +74,15 @@ class Acquisition:
         """The group of an open file, the kept frames of it; None where there is none. Raises InputError."""
         if not hdf5.has(file, PATH):
             return None
-        fields: dict[str, Any] = {
-            name: hdf5.read_array(file, f"{PATH}/{name}", 1)[kept].astype(kind) for name, kind, *_ in FRAME_FIELDS
-        }
+        fields: dict[str, Any] = {name: _values(file, name, kind)[kept] for name, kind, *_ in FRAME_FIELDS}
         times, labels = np.zeros(0), tuple[str, ...]()
         if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
             times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
             labels = hdf5.read_texts(file, f"{PATH}/event_label")
         events = min(len(times), len(labels))
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
+
+
+def _values(file: h5py.File, name: str, kind: str) -> Any:
+    path = f"{PATH}/{name}"
+    return hdf5.read_array(file, path, 1).astype(kind) if kind == "f8" else hdf5.read_whole(file, path, kind, 1)

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, Literal
 
 from lampest import sweep
 from lampest.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
-from lampest.efforts import AnyEffort, Converged
+from lampest.efforts import AnyEffort, Word, named
 from lampest.errors import InputError
 from lampest.estimator import Bounds, Estimator, FormulationName
 from lampest.executors import AnyExecutor, Executor
-from lampest.panel import Array
+from lampest.readings import Readings
 from lampest.recording import Recording
 from lampest.results import PublishedFigures, check_name
 from lampest.solvers.solution import Settings
@@ -23,7 +23,11 @@ Terms = make_dataclass(
     "Terms",
     [(kind, term | None, field(default=None)) for kind, term in term_types().items()],
     frozen=True,
-    namespace={"__pydantic_config__": FORBID, "__doc__": "The cost terms of an estimator, by kind."},
+    namespace={
+        "__pydantic_config__": FORBID,
+        "__module__": __name__,
+        "__doc__": "The cost terms of an estimator, by kind.",
+    },
 )
 
 
@@ -36,7 +40,7 @@ class EstimatorEntry:
     formulation: FormulationName | None = None
     solver: Settings | None = None
     bounds: Bounds | None = None
-    effort: AnyEffort | None = None
+    effort: Word | AnyEffort | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class RunFile:
     formulation: FormulationName = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
-    effort: AnyEffort = Converged()
+    effort: Word | AnyEffort = "converged"
     executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
@@ -107,7 +111,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
             for method in methods:
-                method.estimator.data(source.network_resistance, source.sigma)
+                method.estimator.data(source.readings)
                 cases.append(_case(source, method))
     return Run(_distinct(cases), published, executor)
 
@@ -117,8 +121,7 @@ class _Source:
     """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text."""
 
     path: Path
-    network_resistance: Array
-    sigma: Array | None
+    readings: Readings
     blocks: dict[str, str]
 
     @classmethod
@@ -127,7 +130,7 @@ class _Source:
         recording.measured_frames()
         sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
-        return cls(path.absolute(), recording.network_resistance(), recording.sigma_or_none(), blocks)
+        return cls(path.absolute(), Readings.of(recording), blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +187,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     terms = tuple(term for kind in term_types() if (term := getattr(entry.terms, kind)) is not None)
     try:
         check_name(name, "estimator")
-        formulation, effort = entry.formulation or run.formulation, entry.effort or run.effort
+        formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
         return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error

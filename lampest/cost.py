@@ -21,36 +21,65 @@ class Cost:
     """φ over `frames` frames of a panel, built once and evaluated for any data.
 
     With two frames the first is the previous frame of the second; terms that need a previous frame skip the first.
+    Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or say nothing.
     An absolute loss enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
     """
 
     panel: Panel
     terms: tuple[Term, ...]
     frames: int = 1
+    faulty: tuple[int, ...] = ()
+    partial: bool = False
 
     @property
     def needs_previous(self) -> bool:
         """Whether a single frame needs a known previous one."""
         return self.frames == 1 and any(term.needs_previous for term in self.terms)
 
-    def residuals(
-        self, cells: casadi.SX, two_point: casadi.SX, measured: casadi.SX, sigma: casadi.SX, previous: casadi.SX
+    def residuals(self, *symbols: casadi.SX) -> list[tuple[Term, casadi.SX]]:
+        """(term, residual) pairs of expressions in the order of `symbols`."""
+        pairs = self._all_residuals(*symbols)
+        if not self.faulty:
+            return pairs
+        return [(term, part[rows]) for (term, part), rows in zip(pairs, self._sound_rows, strict=True)]
+
+    def _all_residuals(
+        self,
+        cells: casadi.SX,
+        two_point: casadi.SX,
+        measured: casadi.SX,
+        sigma: casadi.SX,
+        previous: casadi.SX,
+        *marks: casadi.SX,
     ) -> list[tuple[Term, casadi.SX]]:
-        """(term, residual) pairs; arguments are (cells, frames) in ohm, previous (cells, 1)."""
         pairs = []
         for frame in range(self.frames):
             before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
-            state = State(self.panel, cells[:, frame], two_point[:, frame], measured[:, frame], sigma[:, frame], before)
-            pairs += [
-                (term, term.residual(state)) for term in self.terms if before is not None or not term.needs_previous
-            ]
+            cell, model, reading, noise = (part[:, frame] for part in (cells, two_point, measured, sigma))
+            side, seen = (mark[:, frame] for mark in marks) if marks else (None, None)
+            state = State(self.panel, cell, model, reading, noise, before, side, seen)
+            terms = [term for term in self.terms if before is not None or not term.needs_previous]
+            pairs += [(term, term.residual(state)) for term in terms]
         return pairs
 
+    @cached_property
+    def _sound_rows(self) -> list[list[int]]:
+        """Of each residual, the rows that read no faulty cell."""
+        symbols = self.symbols()
+        every = [frame * self.panel.cells + cell for frame in range(self.frames) for cell in self.faulty]
+        rows = []
+        for _, residual in self._all_residuals(*symbols):
+            reads = casadi.jacobian(residual, casadi.vec(symbols[0]))[:, every].sparsity()
+            touched = set(reads.row())
+            rows.append([row for row in range(residual.shape[0]) if row not in touched])
+        return rows
+
     def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames) and previous (cells, 1), in ohm."""
+        """Cells, two-point resistance, measured, σ (cells, frames) and previous (cells, 1), in ohm; side and seen."""
         shape = (self.panel.cells, self.frames)
-        names = ("cells", "two_point", "measured", "sigma")
-        return [casadi.SX.sym(name, *shape) for name in names] + [casadi.SX.sym("previous", self.panel.cells)]
+        given = [casadi.SX.sym(name, *shape) for name in ("cells", "two_point", "measured", "sigma")]
+        marks = [casadi.SX.sym(name, *shape) for name in ("side", "seen")] if self.partial else []
+        return [*given, casadi.SX.sym("previous", self.panel.cells), *marks]
 
     @cached_property
     def functions(self) -> "CostFunctions":

@@ -4,7 +4,7 @@ Each names what is computed; documents may write the bare word (`effort: region`
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_type_hints
 
 from lampest.tagged import ByKind
 
@@ -75,3 +75,12 @@ class Converged:
 
 
 AnyEffort = Annotated[TwoPoint | Scaled | Linearised | Truncated | Region | Converged, ByKind()]
+Word = Literal["two_point", "scaled", "linearised", "truncated", "region", "converged", "reduced", "nodal", "per_pixel"]
+
+
+def named(effort: AnyEffort | Word) -> AnyEffort:
+    """The effort that a bare word stands for; an effort as it is."""
+    if not isinstance(effort, str):
+        return effort
+    members = get_args(get_args(AnyEffort)[0])
+    return next(member(kind=effort) for member in members if effort in get_args(get_type_hints(member)["kind"]))

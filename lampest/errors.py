@@ -11,6 +11,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, sentence: str) -> None:
+        sentence = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in sentence)
         if len(sentence) > LONGEST_START + LONGEST_END:
             sentence = f"{sentence[:LONGEST_START]} ... {sentence[-LONGEST_END:]}"
-        super().__init__("".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in sentence))
+        super().__init__(sentence)

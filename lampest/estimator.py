@@ -14,7 +14,9 @@ from lampest.formulations import Formulation, Nodal, PerPixel
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
 from lampest.problem import Data
+from lampest.readings import AT_MOST, Readings
 from lampest.readout import resolution_limit
+from lampest.scene import Faults
 from lampest.solvers.ipopt import Ipopt
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import Settings, Solver
@@ -22,7 +24,7 @@ from lampest.terms.term import Term
 
 FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
 FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
-FARTHEST, NEAREST = 1e9, 1e-3
+FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
 NODAL_CELLS, NODAL_PERIOD = 144, 0.5
 
 
@@ -109,14 +111,25 @@ class Estimator:
         """Whether a term divides by the readings' standard deviation."""
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
-    def data(self, measured: Array, sigma: Array | None, previous: Array | None = None) -> Data:
-        """What one solve is given, from readings (frames, rows, columns) ohm. Raises InputError as `Bounds.limits`."""
+    def data(self, readings: Readings, previous: Array | None = None, faults: Faults | None = None) -> Data:
+        """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
+        measured, sigma = readings.resistance, readings.sigma
         if sigma is None and self.needs_sigma():
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         lower, upper = self.bounds.limits(measured, sigma)
-        return Data(measured, np.ones_like(measured) if sigma is None else sigma, lower, upper, previous)
+        if readings.partial:
+            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), measured * NEAREST, lower)
+            upper = np.where((readings.side != 0) | (readings.seen == 0), measured * FARTHEST, upper)
+        if faults is not None:
+            panel = Panel(*measured.shape[-2:])
+            typical = np.exp(np.mean(np.log(measured), axis=(-2, -1), keepdims=True))
+            for broken, factor in ((faults.open_cells(panel), FARTHEST), (faults.shorted_cells(panel), SHORTED)):
+                lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
+        noise = np.ones_like(measured) if sigma is None else sigma
+        marks = (readings.side, readings.seen) if readings.partial else None
+        return Data(measured, noise, lower, upper, previous, marks=marks)
 
-    def problem(self, panel: Panel, frames: int, period: float) -> Solver:
+    def problem(self, panel: Panel, frames: int, period: float, doubts: "Doubts | None" = None) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.
 
         formulation 'auto' is nodal on panels of up to 144 cells with at most two frames a second, else reduced.
@@ -126,11 +139,28 @@ class Estimator:
         formulation = self.formulation if named == "converged" else named
         if formulation == "auto":
             formulation = "nodal" if small else "reduced"
-        return _solver(self.cost(panel, frames), formulation, self.solver)
+        return _solver(self.cost(panel, frames, doubts), formulation, self.solver)
 
-    def cost(self, panel: Panel, frames: int) -> Cost:
-        """The terms over one frame, or over two jointly, of a panel."""
-        return Cost(Panel(*panel.shape), self.terms, frames)
+    def cost(self, panel: Panel, frames: int, doubts: "Doubts | None" = None) -> Cost:
+        """The terms over one frame, or over two jointly, of a panel; what is in doubt is left out."""
+        faulty, partial = ((), False) if doubts is None else (doubts.faulty, doubts.partial)
+        return Cost(Panel(*panel.shape), self.terms, frames, faulty, partial)
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What makes a cost differ from that of a sound panel: numbers of broken cells, and whether readings are bounds."""
+
+    faulty: tuple[int, ...]
+    partial: bool
+
+    @classmethod
+    def of(cls, panel: Panel, faults: Faults | None, data: Data) -> "Doubts | None":
+        """None for a sound panel and plain readings."""
+        if faults is None and data.marks is None:
+            return None
+        broken = np.zeros(0) if faults is None else faults.open_cells(panel) | faults.shorted_cells(panel)
+        return cls(tuple(int(cell) for cell in np.flatnonzero(broken)), data.marks is not None)
 
 
 @lru_cache(maxsize=32)

@@ -149,6 +149,17 @@ def read_array(file: h5py.File, path: str, dimensions: int | tuple[int, int], sh
         return dataset[()]
 
 
+def read_whole(
+    file: h5py.File, path: str, kind: Any, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()
+) -> Any:
+    """The same as integers of that kind. Raises InputError also where a value is not whole or beyond its range."""
+    values = read_array(file, path, dimensions, shape)
+    whole = values if values.dtype.kind == "f" else values.astype(kind)
+    if values.dtype.kind == "f" or not np.array_equal(whole, values):
+        raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
+    return whole
+
+
 def read_text(file: h5py.File, path: str) -> str:
     """A scalar text. Raises InputError where it is absent or no text."""
     with located(file, path):
@@ -164,10 +175,9 @@ def read_texts(file: h5py.File, path: str, length: int | None = None) -> tuple[s
     """A list of that many texts. Raises InputError where it is absent, longer, shorter or no text."""
     with located(file, path):
         dataset = _dataset(file, path)
-        if dataset is None or dataset.shape is None or dataset.ndim != 1 or dataset.dtype.kind not in "SO":
-            raise InputError(f"{file.filename}: {path} is missing or no list of texts")
-        if length is not None and len(dataset) != length:
-            raise InputError(f"{file.filename}: {path} is not {length} texts")
+        size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
+        if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
         if dataset.dtype.itemsize * len(dataset) > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(dataset)} bytes")
         return tuple(_text(value) for value in dataset[()])
@@ -220,7 +230,11 @@ def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
         group = _node(file, path)
         if not isinstance(group, h5py.Group):
             raise InputError(f"{file.filename}: {path} is no group")
-        return [name for name in group if isinstance(_found(file, f"{path}/{name}"), kind)]
+        nodes = {name: _found(file, f"{path}/{name}") for name in group}
+        if None in nodes.values():
+            lost = next(name for name, node in nodes.items() if node is None)
+            raise InputError(f"{file.filename}: {path} is damaged ({lost} leads nowhere)")
+        return [name for name, node in nodes.items() if isinstance(node, kind)]
 
 
 def _node(file: h5py.File, path: str) -> Any:

@@ -21,6 +21,7 @@ class Data:
     sigma : same shape, ohm; ones where unknown.
     lower, upper : same shape, ohm; bounds of the cell resistance.
     previous : (rows, columns) ohm, the known r0, or None.
+    marks : side and seen of the readings (frames, rows, columns), as `Readings` has them; None: all are values.
     surroundings : the rest of the network where these cells are only a block of it; None for a whole panel.
     """
 
@@ -30,6 +31,7 @@ class Data:
     upper: Array
     previous: Array | None = None
     surroundings: Surroundings | None = None
+    marks: tuple[Array, Array] | None = None
 
     @property
     def resistance_scale(self) -> float:
@@ -53,10 +55,11 @@ class Data:
         return Embedded.solve(1 / cell_resistance, self.surroundings)
 
     @cached_property
-    def parameters(self) -> tuple[Array, Array, Array]:
-        """Measured and σ (frames · cells) and previous (cells), ohm, flat; ones where no previous is known."""
+    def parameters(self) -> tuple[Array, ...]:
+        """Measured, σ (frames · cells), previous (cells; ones where unknown), ohm; side and seen; all flat."""
         previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
-        return self.measured.ravel(), self.sigma.ravel(), previous
+        marks = () if self.marks is None else tuple(mark.ravel() for mark in self.marks)
+        return self.measured.ravel(), self.sigma.ravel(), previous, *marks
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,6 +72,16 @@ def sigma_resistance(readout: TwoPointReadout, resistance: Array) -> Array:
     return total**2 / readout.reference_ohm * sigma_volt / readout.supply_volt
 
 
+def rails(readout: TwoPointReadout) -> tuple[float, float]:
+    """(least, largest) resistance in ohm that a code between the first and the last one can mean.
+
+    A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
+    """
+    top = 2.0**readout.adc_bits - 1
+    ends = resistance_from_voltage(readout, np.array([1.0, top]) * lsb_volt(readout))
+    return float(ends.min()), float(ends.max())
+
+
 def resolution_limit(two_point_resistance: Array, sigma: Array) -> Array:
     """r_max = R²/σ: an open cell in place of one of r_max changes R by just its noise σ; any shape, ohm."""
     return np.asarray(two_point_resistance) ** 2 / np.asarray(sigma)

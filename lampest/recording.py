@@ -98,7 +98,8 @@ class Recording:
                 else None
                 for name in ("cell_resistance", "pressure")
             }
-            sums = hdf5.read_array(file, "/entry/raw/sums", 3)[kept] if hdf5.has(file, "/entry/raw/sums") else None
+            raw = hdf5.has(file, "/entry/raw/sums")
+            sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3)[kept] if raw else None
             readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
             simulated = hdf5.has(file, "/entry/truth/simulation")
             simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
@@ -166,6 +167,11 @@ class Recording:
         Raises InputError where a reading is not larger than the series resistance.
         """
         network = self.resistance - self.scene.series_resistance_ohm
+        self.check_above_series(network)
+        return network
+
+    def check_above_series(self, network: Array) -> None:
+        """Raise InputError where `network`, what is left of the readings, is not positive."""
         if np.any(network <= 0):
             frame, row, column = np.argwhere(network <= 0)[0]
             raise InputError(
@@ -173,7 +179,6 @@ class Recording:
                 f"{self.resistance[frame, row, column]:.6g} ohm, not above the scene's series resistance of "
                 f"{self.scene.series_resistance_ohm:g} ohm"
             )
-        return network
 
     def measured_frames(self) -> NDArray[np.intp]:
         """Indices of the frames with role 1. Raises InputError where there is none."""

@@ -181,10 +181,11 @@ def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: 
         if column.optional and not hdf5.has(file, path):
             found[column.field] = None
             continue
-        values = hdf5.read_array(file, path, len(column.axes), tuple(sizes[axis] for axis in column.axes))
-        if np.issubdtype(column.kind, np.integer) and values.dtype.kind == "f":
-            raise InputError(f"{file.filename}: {path} must be whole numbers")
-        found[column.field] = values.astype(column.kind)
+        shape = tuple(sizes[axis] for axis in column.axes)
+        if np.issubdtype(column.kind, np.integer):
+            found[column.field] = hdf5.read_whole(file, path, column.kind, len(shape), shape)
+        else:
+            found[column.field] = hdf5.read_array(file, path, len(shape), shape).astype(column.kind)
     return found
 
 

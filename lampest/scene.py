@@ -4,6 +4,9 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lampest.panel import Panel
 
 
@@ -46,6 +49,60 @@ class TwoPointReadout:
 
 
 @dataclass(frozen=True)
+class Faults:
+    """What is known to be broken, by (row, column) or line; it leaves the model.
+
+    Parameters
+    ----------
+    open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
+    dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    open: tuple[tuple[int, int], ...] = ()
+    shorted: tuple[tuple[int, int], ...] = ()
+    dead_rows: tuple[int, ...] = ()
+    dead_columns: tuple[int, ...] = ()
+
+    def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell carries nothing."""
+        cells = np.zeros(panel.shape, dtype=bool)
+        for row, column in self.open:
+            cells[row, column] = True
+        cells[list(self.dead_rows)] = True
+        cells[:, list(self.dead_columns)] = True
+        return cells
+
+    def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell joins its lines."""
+        cells = np.zeros(panel.shape, dtype=bool)
+        for row, column in self.shorted:
+            cells[row, column] = True
+        return cells
+
+    def blind(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a reading says nothing."""
+        readings = self.shorted_cells(panel)
+        readings[list(self.dead_rows)] = True
+        readings[:, list(self.dead_columns)] = True
+        return readings
+
+    def check(self, panel: Panel) -> None:
+        """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
+        for row, column in (*self.open, *self.shorted):
+            if not (0 <= row < panel.rows and 0 <= column < panel.columns):
+                raise ValueError(f"faults: there is no cell [{row}, {column}]")
+        for lines, count, name in ((self.dead_rows, panel.rows, "row"), (self.dead_columns, panel.columns, "column")):
+            for line in lines:
+                if not 0 <= line < count:
+                    raise ValueError(f"faults: there is no {name} {line}")
+        if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
+            raise ValueError("faults: a cell cannot be open and shorted")
+        if np.all(self.blind(panel)) or np.all(self.open_cells(panel)):
+            raise ValueError("faults: nothing is left of the panel")
+
+
+@dataclass(frozen=True)
 class Scene:
     """The panel, how it is read, and what stands between the two.
 
@@ -54,6 +111,7 @@ class Scene:
     panel : rows, columns and pitch.
     readout : the electronics; None where only resistances are known, and then their σ is unknown too.
     series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm.
+    faults : what is known to be broken, or None.
 
     Raises ValueError where a number is out of range.
     """
@@ -62,7 +120,10 @@ class Scene:
     panel: Panel
     readout: TwoPointReadout | None = None
     series_resistance_ohm: float = 0.0
+    faults: Faults | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
             raise ValueError("series_resistance_ohm must be zero or positive, and finite")
+        if self.faults is not None:
+            self.faults.check(self.panel)

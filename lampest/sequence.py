@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from lampest.cost import Cost
 from lampest.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
-from lampest.estimator import Estimator
+from lampest.estimator import Doubts, Estimator
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
 from lampest.problem import Data
+from lampest.readings import Readings
 from lampest.recording import UNLOADED, Recording
 from lampest.region import RegionSolver
+from lampest.scene import Faults
 from lampest.search import best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
@@ -67,20 +69,20 @@ def reconstruct(
     A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
     InputError where readings do not exceed the series resistance or the noise is needed and unknown.
     """
-    network, sigma = recording.network_resistance(), recording.sigma_or_none()
-    stream = first_stream(recording, estimator)
+    readings = Readings.of(recording)
+    stream = first_stream(recording, readings, estimator)
     frames = recording.measured_frames()
     steps: list[Step] = []
     for frame in frames:
-        stream, step = stream.push(network[frame], None if sigma is None else sigma[frame])
+        stream, step = stream.push(readings[frame])
         steps.append(step)
         on_frame()
     return Reconstruction(
         recording,
         estimator,
         frames,
-        network[frames],
-        stream.resting,
+        readings.resistance[frames],
+        stream.resting.resistance,
         stream.baseline_resistance,
         stream.baseline or steps[0],
         tuple(steps),
@@ -88,15 +90,12 @@ def reconstruct(
     )
 
 
-def first_stream(recording: Recording, estimator: Estimator) -> "Stream":
+def first_stream(recording: Recording, readings: Readings, estimator: Estimator) -> "Stream":
     """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
-    network, sigma = recording.network_resistance(), recording.sigma_or_none()
     unloaded = np.flatnonzero(recording.role == UNLOADED)
-    if len(unloaded) == 0:
-        unloaded = np.array([0])
-    resting = network[unloaded].mean(axis=0)
-    resting_sigma = None if sigma is None else np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded)
-    return Stream.begin(estimator, recording.scene.panel, frame_period(recording), resting, resting_sigma)
+    resting = readings[unloaded if len(unloaded) else [0]].mean()
+    scene = recording.scene
+    return Stream.begin(estimator, scene.panel, frame_period(recording), resting, scene.faults)
 
 
 def frame_period(recording: Recording) -> float:
@@ -115,7 +114,7 @@ class Stream:
     Parameters
     ----------
     estimator, panel : the method and the panel. period : s between frames.
-    resting, resting_sigma : (rows, columns) ohm, the unloaded readings and their σ or None.
+    resting : the unloaded readings (rows, columns). faults : what is known to be broken, or None.
     baseline : how the baseline was solved; None for a relative method until a frame was.
     previous : (rows, columns) ohm, the last estimate, or None.
     anchor : what an effort has prepared from the solved baseline, or None.
@@ -124,34 +123,34 @@ class Stream:
     estimator: Estimator
     panel: Panel
     period: float
-    resting: Array
-    resting_sigma: Array | None
+    resting: Readings
+    faults: Faults | None = None
     baseline: Step | None = None
     previous: Array | None = None
     anchor: LinearisedSolver | RegionSolver | None = None
 
     @classmethod
     def begin(
-        cls, estimator: Estimator, panel: Panel, period: float, resting: Array, resting_sigma: Array | None
+        cls, estimator: Estimator, panel: Panel, period: float, resting: Readings, faults: Faults | None = None
     ) -> "Stream":
         """Before the first frame; an absolute method solves its baseline now.
 
         Raises InputError where the noise is needed and unknown, or bounds leave no room.
         """
-        stream = cls(estimator, panel, period, resting, resting_sigma)
+        stream = cls(estimator, panel, period, resting, faults)
         if estimator.joint_start:
             return stream
         if isinstance(estimator.effort, Linearised | Region):
             return stream._anchored(estimator.effort)
-        baseline = stream._solve(*stream.given(resting, resting_sigma))
+        baseline = stream._solve(*stream.given(resting))
         return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
 
-    def push(self, measured: Array, sigma: Array | None) -> tuple["Stream", Step]:
-        """Solve one frame, (rows, columns) ohm, series resistance taken off; a failed one leaves the stream as it was.
+    def push(self, readings: Readings) -> tuple["Stream", Step]:
+        """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 
         Raises InputError as `begin`.
         """
-        data, start = self.given(measured, sigma)
+        data, start = self.given(readings)
         step = self._solve(data, start)
         found = _estimate(step, -1)
         joint = len(data.measured) == 2
@@ -159,18 +158,17 @@ class Stream:
             self, baseline=step if joint else self.baseline, previous=self.previous if found is None else found
         ), step
 
-    def given(self, measured: Array, sigma: Array | None) -> tuple[Data, Array | None]:
+    def given(self, readings: Readings) -> tuple[Data, Array | None]:
         """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
 
         The joint pair: paper, equations (15) and (21).
         """
         if self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved):
-            both = None if sigma is None or self.resting_sigma is None else np.stack([self.resting_sigma, sigma])
-            return self.estimator.data(np.stack([self.resting, measured]), both), None
+            return self.estimator.data(self.resting.together(readings), None, self.faults), None
         known = None
         if self.estimator.relative:
-            known = self._guess(measured) if self.previous is None else self.previous
-        data = self.estimator.data(measured[None], None if sigma is None else sigma[None], known)
+            known = self._guess(readings.resistance) if self.previous is None else self.previous
+        data = self.estimator.data(readings.alone(), known, self.faults)
         return data, None if self.previous is None else self.previous[None]
 
     @property
@@ -180,7 +178,8 @@ class Stream:
         return np.full(self.panel.shape, np.nan) if found is None else found
 
     def _solve(self, data: Data, previous: Array | None) -> Step:
-        solver = self.estimator.problem(self.panel, len(data.measured), self.period)
+        doubts = Doubts.of(self.panel, self.faults, data)
+        solver = self.estimator.problem(self.panel, len(data.measured), self.period, doubts)
         solver.prepare()
         begin = perf_counter()
         effort = self.estimator.effort
@@ -204,14 +203,13 @@ class Stream:
         """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
         absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
         alone = replace(self, estimator=absolute)
-        baseline = alone._solve(*alone.given(self.resting, self.resting_sigma))
+        baseline = alone._solve(*alone.given(self.resting))
         found = _estimate(baseline, 0)
         stream = replace(self, baseline=baseline, previous=found)
         if found is None:
             return stream
-        sigma = None if self.resting_sigma is None else self.resting_sigma[None]
-        data = self.estimator.data(self.resting[None], sigma, found if self.estimator.relative else None)
-        cost = self.estimator.cost(self.panel, 1)
+        data = self.estimator.data(self.resting.alone(), found if self.estimator.relative else None, self.faults)
+        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
         here = evaluated(cost, data, found[None])
         settings = self.estimator.solver
         if isinstance(effort, Linearised):

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.config import Case
-from lampest.estimator import Estimator
+from lampest.cost import Cost
+from lampest.estimator import Doubts, Estimator
 from lampest.panel import Array
 from lampest.problem import Data
+from lampest.readings import Readings
 from lampest.recording import Recording
 from lampest.search import evaluated, solved
 from lampest.sequence import first_stream
@@ -39,14 +41,13 @@ class Tally:
 def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
     """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60))."""
     recording = Recording.load(case.path)
-    network, sigma = recording.network_resistance(), recording.sigma_or_none()
-    stream = first_stream(recording, case.estimator)
+    readings = Readings.of(recording)
+    stream = first_stream(recording, readings, case.estimator)
     generator = np.random.default_rng(seed)
     excess, minima, ended = [], [], 0
     for frame in recording.measured_frames():
-        spread = None if sigma is None else sigma[frame]
-        data, _ = stream.given(network[frame], spread)
-        stream, step = stream.push(network[frame], spread)
+        data, _ = stream.given(readings[frame])
+        stream, step = stream.push(readings[frame])
         others = _objectives(case.estimator, recording, data, random_starts, generator)
         ended += len(others)
         found = step.solution.objective if step.solution.solved else float("inf")
@@ -63,7 +64,7 @@ def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None
 def _objectives(
     estimator: Estimator, recording: Recording, data: Data, count: int, generator: np.random.Generator
 ) -> list[float]:
-    cost = estimator.cost(recording.scene.panel, len(data.measured))
+    cost = _cost(estimator, recording, data)
     found = []
     for _ in range(count):
         start: Array = data.measured * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
@@ -73,9 +74,14 @@ def _objectives(
     return found
 
 
+def _cost(estimator: Estimator, recording: Recording, data: Data) -> Cost:
+    panel, faults = recording.scene.panel, recording.scene.faults
+    return estimator.cost(panel, len(data.measured), Doubts.of(panel, faults, data))
+
+
 def _size(estimator: Estimator, recording: Recording, data: Data) -> float:
     """The cost of a cell if f(r) were zero, at the least cells that the bounds allow."""
-    at = evaluated(estimator.cost(recording.scene.panel, len(data.measured)), data, data.lower)
+    at = evaluated(_cost(estimator, recording, data), data, data.lower)
     return at.cost_scale - at.objective
 
 

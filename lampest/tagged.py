@@ -7,10 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
-
-    A bare word stands for a member with nothing but defaults: `effort: region` for `effort: {kind: region}`.
-    """
+    """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """The tagged union of the members, one choice for each literal; called by the validating library."""
@@ -19,6 +16,4 @@ class ByKind:
             for member in typing.get_args(source)
             for name in typing.get_args(typing.get_type_hints(member)["kind"])
         }
-        union = {"type": "tagged-union", "discriminator": "kind", "choices": choices}
-        unfold = {"type": "no-info", "function": lambda value: {"kind": value} if isinstance(value, str) else value}
-        return {"type": "function-before", "function": unfold, "schema": union}
+        return {"type": "tagged-union", "discriminator": "kind", "choices": choices}

@@ -196,9 +196,11 @@ def _interruptible(worth_finishing: Callable[[], bool]) -> Iterator[Callable[[],
         return
 
     def ask(number: int, stack: object) -> None:
-        if asked.is_set() or not worth_finishing():
-            raise KeyboardInterrupt
+        # Set first: an exception raised inside a destructor is lost, the flag is not.
+        again = asked.is_set()
         asked.set()
+        if again or not worth_finishing():
+            raise KeyboardInterrupt
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -30,7 +30,7 @@ class Row:
     Parameters
     ----------
     rows, columns, method, solver : what was measured.
-    first_ms : median of cold starts; relative methods solve baseline and first frame together.
+    first_ms : median of cold starts; see `Timing`.
     frame_ms : median of the frames after it.
     ratio : frame_ms over the reduced solver's on the same panel with the same method; None where that did not run.
     inverses : frame_ms in dense inverses of size rows + columns − 1.
@@ -98,16 +98,17 @@ def _following(timings: list[Timing]) -> float:
 def growth(bench: Bench) -> dict[str, float]:
     """Exponent p of time ∝ (M + N)^p of the reduced solver's frames on panels from 32 × 32 on, by method and for all.
 
-    A least-squares line through the logarithms; empty with fewer than two such panels.
+    A least-squares line through the logarithms; `all` is that of the methods' geometric mean. Empty with fewer than two
+    such panels.
     """
-    found = {}
     chosen = [row for row in rows(bench) if row.solver == "reduced" and min(row.rows, row.columns) >= GROWTH_FROM]
-    for method in dict.fromkeys(row.method for row in chosen):
+    found = {}
+    for method in dict.fromkeys(row.method for row in chosen if row.method != ALL):
         own = [row for row in chosen if row.method == method]
         if len({row.rows + row.columns for row in own}) > 1:
             lines, times = [row.rows + row.columns for row in own], [row.frame_ms for row in own]
             found[method] = float(np.polyfit(np.log(lines), np.log(times), 1)[0])
-    return found
+    return {ALL: float(np.mean(list(found.values()))), **found} if found else {}
 
 
 def summary_table(bench: Bench, method: str = ALL) -> Table:
@@ -146,7 +147,7 @@ def summary_table(bench: Bench, method: str = ALL) -> Table:
 def remarks(bench: Bench) -> list[str]:
     """Sentences beside the table: growth and memory."""
     exponents = growth(bench)
-    lines = []
+    lines = [f"{100 * np.mean([timing.clean() for timing in bench.timings]):.0f} % of the solves were not held up"]
     if exponents:
         each = ", ".join(f"{method} {exponent:.2f}" for method, exponent in exponents.items())
         lines.append(f"reduced, time of a frame ∝ (M + N)^p from {GROWTH_FROM} × {GROWTH_FROM} on, p: {each}")

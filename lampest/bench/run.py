@@ -2,23 +2,21 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from time import perf_counter, process_time
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.bench.memory import peak_memory
+from lampest.bench.problems import first_estimate, frame_data, resting_cells, solver_of
 from lampest.bench.settings import BenchFile
 from lampest.bench.trf import Trf
-from lampest.cost import Cost
 from lampest.kirchhoff import grounding, laplacian, uniform_factor
-from lampest.panel import Array, Panel
+from lampest.panel import Array
 from lampest.problem import Data
-from lampest.recording import MEASURED, UNLOADED, Recording
+from lampest.recording import Recording
 from lampest.search import best_solution, convex, evaluated
-from lampest.solvers.solution import Settings, Solution, Solver, check
+from lampest.solvers.solution import Solution, Solver, check
 from lampest.terms.misfit import Misfit
 
 DISTURBED = 1.05
@@ -28,7 +26,9 @@ NOTHING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """One solver with one method on one panel; the first frame is a cold start (relative methods: the joint pair).
+    """One solver with one method on one panel; the first frame is a cold start.
+
+    Relative methods solve it with the baseline, or, beyond the limit for that, go on from the baseline's cells.
 
     wall, cpu : (frames, repeats) s; NaN where a frame was not repeated: the first is solved once.
     objective, iterations, solved, status : (frames), of the first repeat.
@@ -48,10 +48,14 @@ class Timing:
     status: tuple[str, ...]
 
     def times(self) -> Array:
-        """(frames) s: median of the wall times that were not disturbed, of all where none was clean."""
+        """(frames) s: median of the wall times; of the processor's where something else has held the processor up."""
         clean = self.wall <= DISTURBED * self.cpu + 1e-4
-        chosen = np.where(clean | ~clean.any(axis=1, keepdims=True), self.wall, np.nan)
-        return np.asarray(np.nanmedian(chosen, axis=1))
+        return np.asarray(np.nanmedian(np.where(clean, self.wall, self.cpu), axis=1))
+
+    def clean(self) -> float:
+        """The share of solves that nothing held up."""
+        solves = np.isfinite(self.wall)
+        return float(np.mean((self.wall <= DISTURBED * self.cpu + 1e-4)[solves]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +101,11 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
     names = bench.solvers(shape)
     runs: dict[str, list[list[_Run]]] = {name: [] for name in names}
     matrix = _tied(recording)
-    best: Array | None = None
+    best = first_estimate(bench, recording, method)
     sizes: list[float] = []
     for frame in range(bench.frames + 1):
-        fresh = _data(bench, recording, method, frame, best)
-        solvers = {name: _solver(bench, method, name, recording.scene.panel, len(fresh().measured)) for name in names}
+        fresh = frame_data(bench, recording, method, frame, best)
+        solvers = {name: solver_of(bench, method, name, recording.scene.panel, len(fresh().measured)) for name in names}
         turns: list[list[_Run]] = []
         sizes.append(float(np.sum(fresh().measured ** 2)))
         for _ in range(bench.repeats if frame else 1):
@@ -112,6 +116,8 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
         solved = [run.solution for row in turns for run in row if run.solution.solved]
         if solved:
             best = min(solved, key=lambda solution: solution.objective).cell_resistance[-1]
+        elif best is None and bench.estimator(method, "reduced").relative:
+            best = resting_cells(bench, recording, method)
     least = np.nanmin([[row[0].objective for row in rows] for rows in runs.values()], axis=0)
     for name, rows in runs.items():
         yield _timing(shape, method, name, rows, least, NOTHING * np.array(sizes))
@@ -137,45 +143,6 @@ def _timing(
         np.array([row[0].solution.solved for row in rows]),
         tuple(row[0].solution.status.value for row in rows),
     )
-
-
-def _data(
-    bench: BenchFile, recording: Recording, method: str, frame: int, previous: Array | None
-) -> Callable[[], Data]:
-    """What makes the data of a frame anew for every solve, so that none finds what another has computed.
-
-    The first frame of a relative method is solved with the baseline.
-    """
-    estimator = bench.estimator(method, "reduced")
-    network, sigma = recording.network_resistance(), recording.sigma_or_none()
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    chosen = measured[frame]
-    if previous is not None or not estimator.relative:
-        known = previous if estimator.relative else None
-        noise = None if sigma is None else sigma[chosen][None]
-        return lambda: estimator.data(network[chosen][None], noise, known)
-    resting = network[unloaded].mean(axis=0)
-    both = None
-    if sigma is not None:
-        both = np.stack([np.sqrt(np.sum(sigma[unloaded] ** 2, axis=0)) / len(unloaded), sigma[chosen]])
-    return lambda: estimator.data(np.stack([resting, network[chosen]]), both)
-
-
-def _solver(bench: BenchFile, method: str, name: str, panel: Panel, frames: int) -> Solver:
-    """A solver by its name, built before anything is timed; kept, like those of a run, for the frames to come."""
-    solver: Solver
-    if name in ("reduced", "nodal"):
-        solver = bench.estimator(method, "reduced" if name == "reduced" else "nodal").problem(panel, frames, 1.0)
-    else:
-        cost = Cost(Panel(*panel.shape), bench.estimators[method].parts, frames)
-        solver = _trf(cost, bench.solver, "exact" if name == "scipy_exact" else "2-point")
-    solver.prepare()
-    return solver
-
-
-@lru_cache(maxsize=8)
-def _trf(cost: Cost, settings: Settings, jacobian: Literal["exact", "2-point"]) -> Trf:
-    return Trf(cost, settings, jacobian)
 
 
 def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:

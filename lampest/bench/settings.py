@@ -24,6 +24,7 @@ from lampest.terms.relative_change import RelativeChange
 from lampest.terms.term import Term
 
 LARGEST_SIDE = 1000
+SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference")
 BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
 PAPER: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
@@ -64,6 +65,8 @@ class Limits:
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
     scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
+    joint : no solver, but the first pair of relative methods: on larger panels their first frame starts from a baseline
+    that was solved alone.
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID
@@ -71,6 +74,7 @@ class Limits:
     nodal: int = 16
     scipy_exact: int = 16
     scipy_difference: int = 10
+    joint: int = 10
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class BenchFile:
 
     def solvers(self, shape: tuple[int, int]) -> tuple[str, ...]:
         """The names of the solvers that run on a panel."""
-        return tuple(limit.name for limit in fields(Limits) if max(shape) <= getattr(self.limits, limit.name))
+        return tuple(name for name in SOLVERS if max(shape) <= getattr(self.limits, name))
 
     def estimator(self, name: str, formulation: FormulationName) -> Estimator:
         """A method in a formulation."""

@@ -11,6 +11,7 @@ from lampest.estimator import Estimator
 from lampest.live.newest import Newest
 from lampest.live.view import POINTS, Picture, Point, View
 from lampest.panel import Array, Panel
+from lampest.readings import plain
 from lampest.response import pressure_from_ratio
 from lampest.sequence import Step, Stream
 
@@ -103,7 +104,7 @@ class Engine:
 
     def _solve(self, source: Source, resting: Array, resting_sigma: Array | None) -> None:
         """Solve the newest frame again and again until nothing more will come."""
-        stream = Stream.begin(self._estimator, source.panel, source.period, resting, resting_sigma)
+        stream = Stream.begin(self._estimator, source.panel, source.period, plain(resting, resting_sigma))
         seen = 0
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
@@ -127,7 +128,7 @@ def above_series(resistance: Array) -> bool:
 
 def solved(stream: Stream, reading: Reading, number: int, skipped: int) -> tuple[Stream, Picture]:
     """Solve one frame; where that cannot be, the picture holds NaN and says why, and the stream stays as it was."""
-    measured = 100 * (reading.resistance / stream.resting - 1)
+    measured = 100 * (reading.resistance / stream.resting.resistance - 1)
     nothing = np.full(stream.panel.shape, np.nan)
     picture = Picture(
         number,
@@ -144,7 +145,7 @@ def solved(stream: Stream, reading: Reading, number: int, skipped: int) -> tuple
     if not above_series(reading.resistance):
         return stream, picture
     try:
-        stream, step = stream.push(reading.resistance, reading.sigma)
+        stream, step = stream.push(plain(reading.resistance, reading.sigma))
     except InputError as error:
         return stream, replace(picture, status=str(error))
     return stream, with_step(picture, stream, step)

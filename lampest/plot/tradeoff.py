@@ -82,7 +82,9 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
         axes.plot(*point, "o", ms=5.5, mfc=filled, mec="black", mew=0.9, zorder=3)
     if gap and min(value for _, value in points) <= FLOOR:
         axes.axhline(FLOOR, color="0.5", lw=0.6, ls=":")
-        axes.text(0.01, FLOOR * 1.5, "0 (or below 1e-12)", transform=axes.get_yaxis_transform(), fontsize=SMALL_POINT - 1)
+        axes.text(
+            0.01, FLOOR * 1.5, "0 (or below 1e-12)", transform=axes.get_yaxis_transform(), fontsize=SMALL_POINT - 1
+        )
         axes.set_ylim(bottom=FLOOR / 30)
     axes.margins(0.12, 0.14)
     _label(axes, [row.effort.replace("_", " ") for row, _ in placed], points)

@@ -79,12 +79,12 @@ class Ipopt:
         scale, rough = data.resistance_scale, start.rough
         huber = start.call(self.cost.functions.huber, np.zeros(len(rough)))
         split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
-        measured, sigma, previous = data.parameters
+        measured, sigma, previous, *marks = data.parameters
         scales = [scale, start.cost_scale, split_scale]
         with delayed_interrupt():
             result = solver(
                 x0=self._start(start, scale, rough / split_scale, huber / split_scale),
-                p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, scales]),
+                p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, scales]),
                 lbg=0,
                 ubg=0,
                 **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
@@ -109,7 +109,7 @@ class Ipopt:
     def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
         """Bounds of all unknowns; no network reads a cell below a thousandth of what is measured across it."""
         free = int(self._solver.size1_in("x0")) - data.measured.size - split
-        least = np.maximum(data.lower, data.measured / 1000).ravel()
+        least = np.minimum(np.maximum(data.lower, data.measured / 1000), data.upper).ravel()
         lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
         upper = [scale / least, np.full(free + split, np.inf)]
         return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}

@@ -96,7 +96,7 @@ def advance(point: Point, data: Data, residual: float) -> Point | None:
     """The next point, or None where no damping makes a step that lowers the cost."""
     lower, upper = (bound.ravel() for bound in data.log_bounds)
     position, slope = np.log(point.at.cell_resistance).ravel(), point.curvature.gradient
-    free = ~(((position <= lower) & (slope > 0)) | ((position >= upper) & (slope < 0)))
+    free = (lower < upper) & ~(((position <= lower) & (slope > 0)) | ((position >= upper) & (slope < 0)))
     damping, accuracy = point.damping, min(0.1, residual**0.5)
     while damping <= LARGEST_DAMPING:
         moving, known = free, np.zeros(len(position))

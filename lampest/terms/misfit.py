@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import casadi
+
 from lampest.terms.term import State, Term
 
 
@@ -15,6 +17,9 @@ class Misfit(Term):
     weighting: Literal["plain", "noise"] = "plain"
 
     def residual(self, state: State) -> Any:
-        """Modelled minus measured two-point resistance, (cells, 1)."""
+        """Modelled minus measured two-point resistance, (cells, 1); of a bound only what breaks it."""
         difference = state.two_point_resistance - state.measured
+        if state.side is not None:
+            beyond = state.side * casadi.fmin(state.side * difference, 0)
+            difference = state.seen * ((1 - state.side**2) * difference + beyond)
         return difference / state.sigma if self.weighting == "noise" else difference

@@ -24,6 +24,8 @@ class State:
     measured : R_m without the series resistance, ohm.
     sigma : standard deviation of R_m, ohm.
     previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
+    side, seen : of each reading: 0 a value, 1 or -1 where R is at least or at most this; 1, or 0 where it says
+        nothing. None where all readings are values.
     """
 
     panel: Panel
@@ -32,6 +34,8 @@ class State:
     measured: Any
     sigma: Any
     previous: Any = None
+    side: Any = None
+    seen: Any = None
 
     def relative_change(self) -> Any:
         """100·(r − r0)/r0 in percent; paper, equation (15)."""

@@ -224,6 +224,7 @@ def _write_measured(group: Any, one: Measured) -> None:
     hdf5.write_scale(group, "repeat", np.arange(repeats), "1", "turn of the alternation")
     columns: Sequence[tuple[str, Any, str, str, tuple[str, ...]]] = (
         ("wall_time", one.wall, "s", "wall time of the estimate", SAMPLES),
+        ("cpu_time", one.cpu, "s", "processor time from the frame before to this one", SAMPLES),
         ("cell_error", one.cell_error, "percent", "median error of the cells against the truth", FRAME),
         ("changed_error", one.changed_error, "percent", "median error of the cells that have changed", FRAME),
         ("objective", one.objective, "1", "cost with the reference's previous frame", FRAME),

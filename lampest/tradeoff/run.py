@@ -7,8 +7,8 @@ baseline, which it minimises, too.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from time import perf_counter
+from dataclasses import dataclass, replace
+from time import perf_counter, process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from lampest.bench.memory import peak_mb
 from lampest.compare import relative_error
 from lampest.cost import Cost
+from lampest.estimator import Doubts, Estimator
 from lampest.executors import Processes
-from lampest.panel import Array, Panel
+from lampest.panel import Array
 from lampest.problem import Data, Evaluation
+from lampest.readings import Readings
 from lampest.recording import UNLOADED, Recording
-from lampest.sequence import Reconstruction, reconstruct
+from lampest.sequence import Reconstruction, first_stream, reconstruct
 from lampest.terms.misfit import Misfit
 from lampest.tradeoff.settings import REFERENCE, Plan, Subject, TradeoffFile, first_frames
 
@@ -36,7 +38,8 @@ class Measured:
     ----------
     subject, method, effort : what was measured.
     shape : (rows, columns).
-    wall : (frames, repeats) s; the first frame of relative methods may hold the baseline as well.
+    wall, cpu : (frames, repeats) s, of the solve, and of the processor from one frame to the next; the first frame of
+        relative methods may hold the baseline as well.
     baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
     cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
         the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
@@ -50,6 +53,7 @@ class Measured:
     effort: str
     shape: tuple[int, int]
     wall: Array
+    cpu: Array
     baseline_s: float
     cell_error: Array
     changed_error: Array
@@ -60,8 +64,23 @@ class Measured:
     status: tuple[str, ...]
 
     def times(self) -> Array:
-        """(frames) s: the least of the repeats, which nothing disturbed."""
-        return np.asarray(self.wall.min(axis=1))
+        """(frames) s: the least of the repeats; the processor's time where something else has held the solve up."""
+        return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One passage through a recording; cpu : (frames) s."""
+
+    found: Reconstruction
+    cpu: Array
+
+    @classmethod
+    def of(cls, recording: Recording, estimator: Estimator) -> "_Run":
+        """Solve the frames in sequence."""
+        clock = [process_time()]
+        found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
+        return cls(found, np.diff(clock))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,24 +115,22 @@ def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[M
     """All rungs with one method on one recording."""
     recording = subject.recording
     rungs = settings.rungs(recording.scene.panel.shape)
-    runs: dict[str, list[Reconstruction]] = {name: [] for name in rungs}
+    runs: dict[str, list[_Run]] = {name: [] for name in rungs}
     begin = perf_counter()
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, effort in rungs.items():
-            runs[name].append(reconstruct(recording, settings.estimator(method, effort)))
-    objective, noise = _judged({name: run[0] for name, run in runs.items()})
+            runs[name].append(_Run.of(recording, settings.estimator(method, effort)))
+    objective, noise = _judged({name: run[0].found for name, run in runs.items()})
     least = np.nanmin(np.stack(list(objective.values())), axis=0)
     for name, run in runs.items():
         gap = (objective[name] - least) / (least + noise)
         yield _measured(subject, method, name, run, objective[name], gap)
 
 
-def _measured(
-    subject: Subject, method: str, name: str, runs: list[Reconstruction], objective: Array, gap: Array
-) -> Measured:
-    first = runs[0]
+def _measured(subject: Subject, method: str, name: str, runs: list[_Run], objective: Array, gap: Array) -> Measured:
+    first = runs[0].found
     cell, changed = errors(first)
     solutions = [step.solution for step in first.steps]
     return Measured(
@@ -121,8 +138,9 @@ def _measured(
         method,
         name,
         subject.recording.scene.panel.shape,
-        np.array([[step.seconds for step in run.steps] for run in runs]).T,
-        0.0 if first.joint_start else min(run.baseline.seconds for run in runs),
+        np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
+        np.stack([run.cpu for run in runs], axis=1),
+        0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
         cell,
         changed,
         objective,
@@ -149,29 +167,23 @@ def errors(found: Reconstruction) -> tuple[Array, Array]:
 
 def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
     """(objective of every rung's estimates, what noise costs), each (frames), all with the reference's previous."""
-    reference = runs[REFERENCE]
-    frames = range(len(reference.frame))
-    costs = [_cost_of_frame(reference, frame) for frame in frames]
+    costs = list(_costs(runs[REFERENCE]))
     objective = {
-        name: np.array(
-            [_objective(*cost, cells) for cost, cells in zip(costs, found.cell_resistance, strict=True)]
-        )
+        name: np.array([_objective(*cost, cells) for cost, cells in zip(costs, found.cell_resistance, strict=True)])
         for name, found in runs.items()
     }
     return objective, np.array([_noise_cost(*cost) for cost in costs])
 
 
-def _cost_of_frame(reference: Reconstruction, frame: int) -> tuple[Cost, Data]:
-    """One frame's cost and data, with the reference's estimate of the frame before."""
-    estimator, recording = reference.estimator, reference.recording
-    sigma = recording.sigma_or_none()
-    before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance])[frame]
-    data = estimator.data(
-        reference.measured[frame][None],
-        None if sigma is None else sigma[reference.frame[frame]][None],
-        before if estimator.relative else None,
-    )
-    return Cost(Panel(*recording.scene.panel.shape), estimator.terms), data
+def _costs(reference: Reconstruction) -> Iterator[tuple[Cost, Data]]:
+    """Every frame's cost and data, with the reference's estimate of the frame before."""
+    recording, estimator = reference.recording, reference.estimator
+    panel, readings = recording.scene.panel, Readings.of(recording)
+    stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
+    before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
+    for frame, previous in zip(reference.frame, before, strict=True):
+        data, _ = replace(stream, previous=previous).given(readings[frame])
+        yield estimator.cost(panel, len(data.measured), Doubts.of(panel, recording.scene.faults, data)), data
 
 
 def _objective(cost: Cost, data: Data, cells: Array) -> float:
@@ -189,7 +201,7 @@ def _noise_cost(cost: Cost, data: Data) -> float:
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if isinstance(term, Misfit)))
 
 
-Task = tuple[TradeoffFile, Recording, str]
+Task = tuple[Estimator, Recording]
 
 
 def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
@@ -204,8 +216,8 @@ def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
             continue
         seen.add(shape)
         short = first_frames(subject.recording, MEMORY_FRAMES)
-        for name in settings.rungs(shape):
-            yield shape, name, (settings, short, name)
+        for name, effort in settings.rungs(shape).items():
+            yield shape, name, (settings.estimator(settings.memory, effort), short)
 
 
 def _in_fresh_process(task: Task) -> float:
@@ -220,7 +232,6 @@ def _in_fresh_process(task: Task) -> float:
 
 def solving(task: Task) -> float:
     """Solve a recording here; the peak of this process in megabytes."""
-    settings, recording, name = task
-    assert settings.memory is not None
-    reconstruct(recording, settings.estimator(settings.memory, settings.rungs(recording.scene.panel.shape)[name]))
+    estimator, recording = task
+    reconstruct(recording, estimator)
     return peak_mb()

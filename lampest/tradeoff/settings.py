@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from lampest.bench.settings import BREATHING, LARGEST_SIDE, PAPER
+from lampest.case import check_name
 from lampest.config import FORBID, Terms, recording_paths
 from lampest.document import read_document, validated
 from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
@@ -15,7 +16,6 @@ from lampest.errors import InputError
 from lampest.estimator import Bounds, Estimator
 from lampest.panel import Panel
 from lampest.recording import UNLOADED, Recording
-from lampest.case import check_name
 from lampest.scene import Scene, TwoPointReadout
 from lampest.simulate.loads import OralDisc
 from lampest.simulate.simulation import Simulation, simulate

@@ -16,6 +16,7 @@ from lampest.results import read_results
 from lampest.scene import Scene
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
+SOME_BYTES = 200_000  # more than a recording holds before its first frames
 RUN = """\
 schema: 1
 recordings: [r.h5]
@@ -99,10 +100,13 @@ def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> No
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
         words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
         with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            while not out.exists():
-                assert process.poll() is None
-            process.send_signal(signal.SIGINT)
-            said, complained = process.communicate(timeout=30)
+            try:
+                while not out.exists() or out.stat().st_size < SOME_BYTES:
+                    assert process.poll() is None
+                process.send_signal(signal.SIGINT)
+                said, complained = process.communicate(timeout=30)
+            finally:
+                process.kill()
     assert process.returncode == 130
     assert "frames, 0 lost" in said and complained == "lampest: interrupted; what was finished is kept\n"
     assert len(Recording.load(out).time) >= 1
@@ -113,7 +117,7 @@ def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
         words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
         with subprocess.Popen(words, stdout=subprocess.DEVNULL) as process:
-            while not out.exists() or out.stat().st_size < 30_000:
+            while not out.exists() or out.stat().st_size < SOME_BYTES:
                 assert process.poll() is None
             process.kill()
     frames = len(Recording.load(out).time)

@@ -25,6 +25,7 @@ FLOORS = (
     "hdf5",
     "acquisition",
     "recording",
+    "readings",
     "simulate",
     "terms",
     "formulations",
@@ -50,6 +51,7 @@ FLOORS = (
     "live",
     "compare",
     "bench",
+    "tradeoff",
     "plot",
     "cli",
 )

@@ -4,6 +4,7 @@ Exit code 1 where there is one. `--only N` repeats one of them and keeps it as a
 """
 
 import argparse
+import json
 import os
 import resource
 import subprocess
@@ -16,7 +17,9 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 CHUNK = 1000
-MOST_ADDRESSES = 4_000_000_000  # bytes of a worker; beyond them it gets a MemoryError instead of the machine's last page
+MOST_ADDRESSES = (
+    4_000_000_000  # bytes of a worker; beyond them it gets a MemoryError instead of the machine's last page
+)
 
 
 def main() -> int:
@@ -74,7 +77,7 @@ def understood(out: str) -> tuple[int, Counter[str], list[str]]:
         if word == "at":
             reached = int(rest)
         elif word == "fault":
-            faults.append(rest.replace("\\n", "\n"))
+            faults.append(json.loads(rest))
             outcomes["fault"] += 1
         elif word == "outcome":
             outcomes[rest] += 1
@@ -84,7 +87,7 @@ def understood(out: str) -> tuple[int, Counter[str], list[str]]:
 def work(first: int, count: int, kind: str | None) -> int:
     """Give the inputs to the readers, one after the other, and say how each was received."""
     from fuzz.mutants import corpus
-    from fuzz.readers import Fault, receive
+    from fuzz.readers import ReceptionError, receive
 
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
     with tempfile.TemporaryDirectory() as name:
@@ -95,9 +98,8 @@ def work(first: int, count: int, kind: str | None) -> int:
             mutant = inputs.mutant(number, kind)
             try:
                 print("outcome", mutant.kind, receive(mutant, folder))
-            except Fault as fault:
-                said = str(fault).replace("\n", "\\n")
-                print(f"fault {number} ({mutant.kind}): {said}")
+            except ReceptionError as fault:
+                print("fault", json.dumps(f"{number} ({mutant.kind}): {fault}"))
     return 0
 
 

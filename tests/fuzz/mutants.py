@@ -77,22 +77,40 @@ SIMULATION: dict[str, Any] = {
 SETTINGS = ("solver.tolerance=1e-6", "estimators.LSM.bounds.lower=none", "recordings=[small.h5]", "bounds={upper: 1e9}")
 
 NASTY_TEXTS = (
-    "!!python/object/apply:os.system [touch owned]", "!!python/name:os.system", "!!binary aGk=", "!tag {a: 1}", "!!set {a}",
-    "&a [*a, *a]", "*a", "&a {b: *a}", "<<: *a", "<<: {a: 1}", "- - - -", "? ", ": ", "{", "}", "[", "]", "'", '"', "|", ">",
-    "%YAML 1.1", "---", "...", "\t", "\0", "\ufeff", "\x1b[31m", "\u2028", "\U0001f600", "\\ud800", '"\\ud800"', '"a\\nb"',
-    "'a: b'", "null", "~", "true", "yes", ".nan", ".inf", "-.inf", "1e999", "-1e999", "1e-999", "0x" + "f" * 5000, "9" * 5000,
-    "9" * 300, "0b101", "0o777", "1_000", "2001-01-01", "12:30:45", "-0.0", "1e3.5", "../../../../etc/passwd", "/dev/zero",
-    "**", "**/*", "~root", "small.h5\\0", "[" * 2000, "{a: " * 800, "-\n" * 300, "a" * 3000, "con", ".", "..", "a/b", "#",
-    "{uniform: [1, 2]}", "{uniform: [2, 1]}", "{uniform: .inf}", "{seed}", "{0.__class__}", "{seed:09d}", "%s%n", "$(id)",
+    "!!python/object/apply:os.system [touch owned]", "!!python/name:os.system", "!!binary aGk=", "!tag {a: 1}",
+    "!!set {a}",
+    "&a [*a, *a]", "*a", "&a {b: *a}", "<<: *a", "<<: {a: 1}", "- - - -", "? ", ": ", "{", "}", "[", "]", "'",
+    '"', "|", ">",
+    "%YAML 1.1", "---", "...", "\t", "\0", "\ufeff", "\x1b[31m", "\u2028", "\U0001f600", "\\ud800",
+    '"\\ud800"', '"a\\nb"',
+    "'a: b'", "null", "~", "true", "yes", ".nan", ".inf", "-.inf", "1e999", "-1e999", "1e-999",
+    "0x" + "f" * 5000, "9" * 5000,
+    "9" * 300, "0b101", "0o777", "1_000", "2001-01-01", "12:30:45", "-0.0", "1e3.5", "../../../../etc/passwd",
+    "/dev/zero",
+    "**", "**/*", "~root", "small.h5\\0", "[" * 2000, "{a: " * 800, "-\n" * 300, "a" * 3000, "con", ".", "..",
+    "a/b", "#",
+    "{uniform: [1, 2]}", "{uniform: [2, 1]}", "{uniform: .inf}", "{seed}", "{0.__class__}", "{seed:09d}",
+    "%s%n", "$(id)",
 )  # fmt: skip
 NASTY_VALUES: tuple[Any, ...] = (
-    None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63) - 1, 10**30, 1e300, -1e300, 1e-300, 0.5, float("nan"), float("inf"),
-    "", " ", "nodal", "none", "measured", "NaN", "a\nb", "a/b", "..", "../x", "x" * 500, "\x00", "\x1b[2J", "\ud800", "*", "**",
-    "/dev/zero", "/proc/self/mem", "small.h5", "{case}", [], [[]], [0], [1, 2, 3], {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
+    None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63) - 1, 10**30, 1e300, -1e300, 1e-300, 0.5, float("nan"),
+    float("inf"),
+    "", " ", "nodal", "none", "measured", "NaN", "a\nb", "a/b", "..", "../x", "x" * 500, "\x00", "\x1b[2J",
+    "\ud800", "*", "**",
+    "/dev/zero", "/proc/self/mem", "small.h5", "{case}", [], [[]], [0], [1, 2, 3],
+    {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
     {"a.b": 1}, [None], {"misfit": {}}, {"uniform": [1e11, 9e11]},
 )  # fmt: skip
 MOST_READ = 100_000
-BYTES = (b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31))
+BYTES = (
+    b"\0",
+    b"\xff",
+    b"\xff" * 8,
+    b"\0" * 8,
+    b"\x7f\xff\xff\xff",
+    struct.pack("<Q", 10**9),
+    struct.pack("<I", 2**31),
+)
 
 
 @dataclass(frozen=True)
@@ -195,7 +213,8 @@ def good_tables() -> tuple[bytes, ...]:
     wide = "time," + ",".join(f"r{number}" for number in range(12)) + "\n"
     wide += "".join(f"{time}," + ",".join(map(str, frame.ravel())) + "\n" for time, frame in enumerate(values))
     long = "row;column;value;frame\n" + "".join(
-        f"{row};{column};{str(value).replace('.', ',')};{frame}\n" for (frame, row, column), value in np.ndenumerate(values)
+        f"{row};{column};{str(value).replace('.', ',')};{frame}\n"
+        for (frame, row, column), value in np.ndenumerate(values)
     )
     plain = "\r\n".join(" ".join(map(str, frame.ravel())) for frame in values)
     return wide.encode(), long.encode(), plain.encode()
@@ -375,7 +394,14 @@ def other_type(file: Any, name: str, rng: np.random.Generator) -> None:
 def other_shape(file: Any, name: str, rng: np.random.Generator) -> None:
     """One axis more, less, longer or empty; a scalar; nothing at all."""
     values = _values(file, name)
-    shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T, values[..., 0])
+    shapes = (
+        values[None],
+        values[:0],
+        values.ravel()[:1].reshape(()),
+        np.concatenate([values, values]),
+        values.T,
+        values[..., 0],
+    )
     chosen = int(rng.integers(len(shapes) + 1))
     _replaced(file, name, h5py.Empty("f8") if chosen == len(shapes) else shapes[chosen])
 
@@ -401,7 +427,8 @@ def other_values(file: Any, name: str, rng: np.random.Generator) -> None:
 def texts(file: Any, name: str, rng: np.random.Generator) -> None:
     """A text for what is there: variable length, long, not ASCII, nested YAML."""
     options = (
-        "text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE), "!!python/object:os.system {}",
+        "text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE),
+        "!!python/object:os.system {}",
         NASTY_TEXTS[int(rng.integers(len(NASTY_TEXTS)))].replace("\0", ""),
     )  # fmt: skip
     chosen = options[int(rng.integers(len(options)))]
@@ -414,7 +441,12 @@ def texts(file: Any, name: str, rng: np.random.Generator) -> None:
 def linked(file: Any, name: str, rng: np.random.Generator) -> None:
     """A link to nowhere, to itself, to an ancestor, to another file or to the machine's files."""
     kind = rng.integers(7)
-    target = (h5py.SoftLink("/nowhere"), h5py.SoftLink(f"/{name}"), h5py.SoftLink("/"), h5py.ExternalLink("small.h5", "/entry"))
+    target = (
+        h5py.SoftLink("/nowhere"),
+        h5py.SoftLink(f"/{name}"),
+        h5py.SoftLink("/"),
+        h5py.ExternalLink("small.h5", "/entry"),
+    )
     if kind < 4:
         del file[name]
         file[name] = target[kind]
@@ -457,8 +489,10 @@ def other_attribute(file: Any, name: str, rng: np.random.Generator) -> None:
     names = [*node.attrs, "readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start"]
     chosen = names[int(rng.integers(len(names)))]
     values = (
-        None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"], np.zeros((2, 2)), h5py.Empty("f8"),
-        "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}', "[" * 1000, True, 1 + 1j, "x" * 60_000,
+        None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
+        np.zeros((2, 2)), h5py.Empty("f8"),
+        "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
+        "[" * 1000, True, 1 + 1j, "x" * 60_000,
         np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
     )  # fmt: skip
     value = values[int(rng.integers(len(values)))]
@@ -475,7 +509,8 @@ def _prefixes(name: str) -> list[str]:
 
 NodeChange = Callable[[Any, str, np.random.Generator], None]
 NODE_CHANGES: tuple[NodeChange, ...] = (
-    other_type, other_shape, claimed, other_values, texts, linked, group_for_dataset, gone, other_attribute, other_attribute,
+    other_type, other_shape, claimed, other_values, texts, linked, group_for_dataset, gone, other_attribute,
+    other_attribute,
 )  # fmt: skip
 STYLES = {
     "run": ("text", "meaning", "meaning", "bytes"),

@@ -34,12 +34,14 @@ HUNG_SECONDS = 120
 SMALL_SIMULATION = 50_000
 
 
-class Fault(Exception):
+class ReceptionError(Exception):
     """An input was received as it must not be."""
 
 
 def receive(mutant: Mutant, folder: Path) -> str:
-    """'taken' or 'refused' with one sentence. Raises Fault for everything else, a hang or a lot of memory included.
+    """'taken' or 'refused' with one sentence.
+
+    Raises ReceptionError for everything else, for much time and for much memory.
 
     A reader that hangs in C code ends the process, with its stack on stderr.
     """
@@ -55,12 +57,12 @@ def receive(mutant: Mutant, folder: Path) -> str:
         faulthandler.cancel_dump_traceback_later()
         left = cleared(folder) - {path.name}
     if left:
-        raise Fault(f"left {left}")
+        raise ReceptionError(f"left {left}")
     seconds, grown = time.process_time() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     if seconds > MOST_SECONDS:
-        raise Fault(f"{seconds:.1f} s")
+        raise ReceptionError(f"{seconds:.1f} s")
     if grown > MOST_KILOBYTES:
-        raise Fault(f"{grown // 1000} MB")
+        raise ReceptionError(f"{grown // 1000} MB")
     return outcome
 
 
@@ -82,15 +84,17 @@ def _received(mutant: Mutant, path: Path) -> str:
             _check_command(arguments(path), 2)
         return REFUSED
     except Exception as error:
-        raise Fault("".join(traceback.format_exception(error)[-4:])) from error
+        raise ReceptionError("".join(traceback.format_exception(error)[-4:])) from error
     if mutant.kind in ("recording", "results"):
         _check_command(COMMANDS[mutant.kind](path), 0)
     return FINE
 
 
 def _check_sentence(sentence: str) -> None:
+    if "Unable to allocate" in sentence or "more data than the memory" in sentence:
+        raise ReceptionError(f"it was tried to take that much memory: {sentence}")
     if not sentence or len(sentence) > LONGEST_SENTENCE or not sentence.isprintable():
-        raise Fault(f"no sentence of {len(sentence)} characters: {sentence[:2000]!r}")
+        raise ReceptionError(f"no sentence of {len(sentence)} characters: {sentence[:2000]!r}")
 
 
 def _check_command(arguments: list[str], code: int) -> None:
@@ -108,10 +112,14 @@ def _check_command(arguments: list[str], code: int) -> None:
         except SystemExit as end:
             ended = end.code or 0
         except BaseException as error:
-            raise Fault(f"lampest {arguments[0]}: " + "".join(traceback.format_exception(error)[-4:])) from error
+            raise ReceptionError(
+                f"lampest {arguments[0]}: " + "".join(traceback.format_exception(error)[-4:])
+            ) from error
     said = err.getvalue()
     if ended != code or said.count("\n") != (code != 0) or (code and (out.getvalue() or "lampest: " not in said)):
-        raise Fault(f"lampest {arguments[0]} ended with {ended}, not {code}: {said[:2000]!r} {out.getvalue()[:200]!r}")
+        raise ReceptionError(
+            f"lampest {arguments[0]} ended with {ended}, not {code}: {said[:2000]!r} {out.getvalue()[:200]!r}"
+        )
 
 
 def _setting(path: Path) -> None:

@@ -1,5 +1,9 @@
-"""Whatever a file holds: it is taken, or refused with one sentence. The long version: python -m tests.fuzz --inputs 100000."""
+"""Whatever a file holds: it is taken, or refused with one sentence.
 
+The long version: python -m tests.fuzz --inputs 100000 --jobs 2.
+"""
+
+import io
 import json
 import subprocess
 import sys
@@ -22,8 +26,8 @@ from lampest.recording import Recording
 from lampest.results import check_name, read_results
 
 ROOT = Path(__file__).parents[2]
-QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=150)
-FEW = settings(QUICK, max_examples=60)
+QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
+FEW = settings(QUICK, max_examples=25)
 words = st.sampled_from([*RUN, *RUN["estimators"], "terms", "misfit", "weight", "kind", "lower", "<<", "*a", "&a"])
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20) | words
 trees = st.recursive(
@@ -51,7 +55,7 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_nearly_good_files(good: Corpus, folder: Path, kind: str) -> None:
-    outcomes = Counter(receive(good.mutant(number, kind), folder) for number in range(60))
+    outcomes = Counter(receive(good.mutant(number, kind), folder) for number in range(40))
     assert set(outcomes) == {FINE, REFUSED}
 
 
@@ -66,7 +70,6 @@ def test_numbers_stand_for_inputs(good: Corpus, folder: Path) -> None:
 @given(trees)
 @QUICK
 def test_any_tree_as_a_run(good: Corpus, folder: Path, tree: Any) -> None:
-    receive(Mutant("run", json.dumps(tree).encode()), folder)
     receive(Mutant("run", json.dumps({**RUN, "estimators": tree}).encode()), folder)
     receive(Mutant("simulation", json.dumps({"schema": 1, "seed": 1, "scene": tree}).encode()), folder)
 
@@ -90,7 +93,9 @@ def test_any_name(name: str) -> None:
     assert inside.parent == Path("/results") and inside.name == name == inside.resolve().name
 
 
-@pytest.mark.parametrize("name", ["..", ".", "../x", "a/b", "/etc", "", " x", "x\n", "x" * 201, "ü", "\x00", "\x1b[31m"])
+@pytest.mark.parametrize(
+    "name", ["..", ".", "../x", "a/b", "/etc", "", " x", "x\n", "x" * 201, "ü", "\x00", "\x1b[31m"]
+)
 def test_names_that_lead_elsewhere(name: str) -> None:
     with pytest.raises(InputError) as refused:
         check_name(name, "recording")
@@ -142,9 +147,8 @@ def test_endless_file_as_a_run() -> None:
 @pytest.mark.parametrize("dataset", ["resistance", "time", "role"])
 def test_recording_that_claims_many_frames(good: Corpus, folder: Path, dataset: str, frames: int) -> None:
     """It is refused, and nothing of that size is touched."""
-    path = folder / "claims.h5"
-    path.write_bytes(good.files["recording"][0])
-    with h5py.File(path, "a") as file:
+    claims = io.BytesIO(good.files["recording"][0])
+    with h5py.File(claims, "a") as file:
         for name in (dataset,) if dataset != "resistance" else ("resistance", "time", "role", "sigma"):
             shape = (frames, 3, 4) if name in ("resistance", "sigma") else (frames,)
             kind = file[f"entry/two_point/{name}"].dtype
@@ -152,8 +156,7 @@ def test_recording_that_claims_many_frames(good: Corpus, folder: Path, dataset: 
             file.create_dataset(
                 f"entry/two_point/{name}", shape, kind, chunks=(1000, *shape[1:]), compression="gzip", fillvalue=1
             )
-    assert receive(Mutant("recording", path.read_bytes()), folder) == REFUSED
-    cleared(folder)
+    assert receive(Mutant("recording", claims.getvalue()), folder) == REFUSED
 
 
 OUTSIDE = {

@@ -14,6 +14,7 @@ from lampest.estimator import Bounds, Estimator, FormulationName
 from lampest.kirchhoff import two_point_resistance
 from lampest.panel import Array, Panel
 from lampest.problem import Data, Evaluation
+from lampest.readings import plain
 from lampest.readout import resolution_limit
 from lampest.recording import Recording
 from lampest.scene import Scene
@@ -220,7 +221,7 @@ def test_optimality_conditions_hold(paper: SimpleNamespace, method: str, formula
 def test_optimality_residual_tells_optima_from_other_points() -> None:
     recorded = recording(truth((4, 6), 1, 9), 3e-3)
     chosen = estimator("gradient")
-    data = chosen.data(recorded.resistance, recorded.sigma)
+    data = chosen.data(plain(recorded.resistance, recorded.sigma))
     cost = Cost(Panel(4, 6), chosen.terms)
     optimum = reconstruct(recorded, chosen).cell_resistance
     assert Evaluation.at(cost, data, optimum).kkt_residual(np.zeros(0)) < 1e-8

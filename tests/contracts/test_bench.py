@@ -1,0 +1,162 @@
+"""The benchmark: what it writes, what it refuses, and scipy's solver as a judge of ours. No time is asserted."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+from lampest.bench.problems import frame_data, resting_cells
+from lampest.bench.report import growth, rows
+from lampest.bench.run import Bench, Timing, run_bench
+from lampest.bench.settings import SOLVERS, BenchFile, Method, Terms, read_bench
+from lampest.bench.trf import Trf, _Point
+from lampest.cost import Cost
+from lampest.errors import InputError
+from lampest.panel import Panel
+from lampest.search import evaluated
+from lampest.solvers.solution import Settings
+from lampest.terms.losses import Huber
+from lampest.terms.misfit import Misfit
+
+ROOT = Path(__file__).parents[2]
+Command = Callable[..., SimpleNamespace]
+TINY = """\
+schema: 1
+sizes: [3, [2, 4]]
+frames: 2
+repeats: 2
+limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, joint: 3}
+"""
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    path = tmp_path_factory.mktemp("bench") / "tiny.yaml"
+    path.write_text(TINY)
+    return run_bench(read_bench(path))
+
+
+def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
+    assert {(timing.shape, timing.solver) for timing in tiny.timings} == {
+        *(((3, 3), solver) for solver in SOLVERS),
+        *(((2, 4), solver) for solver in ("reduced", "scipy_exact")),
+    }
+    for timing in tiny.timings:
+        assert timing.wall.shape == timing.cpu.shape == (3, 2)
+        assert np.isnan(timing.wall[0, 1]) and np.isfinite(timing.wall[1:]).all()
+        assert timing.times().shape == (3,) and np.all(timing.times() > 0)
+        assert np.all(timing.gap >= 0)
+        if timing.solver != "scipy_difference":
+            assert timing.solved.all(), timing
+        if timing.solver in ("reduced", "nodal"):
+            assert np.all(timing.gap[1:] < 1e-6), timing
+    assert all(seconds > 0 for seconds in tiny.inverse_s.values())
+
+
+def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
+    found = {(row.rows, row.columns, row.method, row.solver): row for row in rows(tiny)}
+    assert len(found) == 6 * (4 + 2)
+    for (high, wide, method, _), row in found.items():
+        reduced = found[high, wide, method, "reduced"]
+        assert row.ratio == pytest.approx(row.frame_ms / reduced.frame_ms)
+        assert row.inverses == pytest.approx(row.frame_ms / 1e3 / tiny.inverse_s[high, wide])
+        assert row.frames == (15 if method == "all" else 3)
+    assert growth(tiny) == {}
+
+
+def test_growth_is_the_slope_of_the_logarithms() -> None:
+    def timing(side: int) -> Timing:
+        wall = np.full((2, 1), 1e-6 * (2 * side) ** 3.3)
+        one = np.ones(2)
+        return Timing((side, side), "LSM", "reduced", wall, wall, one, 0 * one, one.astype(int), one > 0, ("", ""))
+
+    sides = (16, 32, 64, 100)
+    found = growth(Bench(tuple(timing(side) for side in sides), {(side, side): 1.0 for side in sides}, {}))
+    assert found == {"all": pytest.approx(3.3), "LSM": pytest.approx(3.3)}
+
+
+@pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
+@pytest.mark.parametrize("joint", [False, True], ids=["single", "joint"])
+def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, joint: bool) -> None:
+    bench = BenchFile(1, ((3, 4),))
+    recording = bench.recording((3, 4))
+    previous = None if joint else resting_cells(bench, recording, method)
+    data = frame_data(bench, recording, method, 0, previous)()
+    cost = Cost(Panel(3, 4), bench.estimators[method].parts, len(data.measured))
+    point = _Point(Trf(cost, Settings(), "exact"), data, 1.0)
+    position = np.log(1.3 * data.measured).ravel()
+    here = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
+    assert np.sum(point.residuals(position) ** 2) == pytest.approx(here.objective, rel=1e-12)
+    step = 1e-6 * np.eye(len(position))
+    differences = [(point.residuals(position + e) - point.residuals(position - e)) / 2e-6 for e in step]
+    jacobian = point.jacobian(position)
+    np.testing.assert_allclose(jacobian, np.transpose(differences), atol=1e-6 * np.abs(jacobian).max())
+
+
+def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Command) -> None:
+    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nlimits: {nodal: 0, scipy_difference: 0}\nmemory: [3]\n"
+    text += "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n"
+    ended = lampest("bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
+    assert (ended.code, ended.err) == (0, "")
+    for words in ("3 × 3", "scipy_exact", "peak memory of a fresh process", "bench.csv", "bench.h5"):
+        assert words in ended.out
+    with (disk.folder / "out" / "bench.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [(row["method"], row["solver"]) for row in table] == [
+        (method, solver) for method in ("all", "mine") for solver in ("reduced", "scipy_exact")
+    ]
+    with h5py.File(disk.folder / "out" / "bench.h5") as file:
+        assert 20 < file["entry"].attrs["peak_memory_mb_3x3"] < 2000
+        assert file["entry/3x3"].attrs["inverse_s"] > 0
+        group = file["entry/3x3/mine/reduced"]
+        assert group["wall_time"].shape == (2, 1)
+        for dataset in group.values():
+            assert dataset.attrs["units"] and dataset.attrs["long_name"]
+        assert group["status"][0] == b"optimum verified"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("sizes: []", "must hold at least one"),
+        ("sizes: [1]", "a panel's side must lie between 2 and 1000"),
+        ("sizes: [3, [3, 3]]", "names a panel twice"),
+        ("sizes: [3]\nframes: 0", "frames and repeats must lie between"),
+        ("sizes: [3]\nlimits: {noddal: 3}", "bench.yaml:3:10: limits.noddal: no such key"),
+        ("sizes: [3]\nestimators: {A: {terms: {}}}", "a method needs at least one term"),
+        ("sizes: [3]\nestimators: {A: {terms: {misfit: {loss: {kind: absolute}}}}}", "only squared losses"),
+    ],
+)
+def test_wrong_files_are_one_sentence(line: str, message: str, disk: SimpleNamespace, lampest: Command) -> None:
+    ended = lampest("bench", disk.run(f"schema: 1\n{line}\n", "bench.yaml"), "--out", disk.folder / "out")
+    assert (ended.code, ended.out) == (2, "")
+    assert message in ended.err
+    assert not (disk.folder / "out").exists()
+
+
+def test_least_squares_needs_squares() -> None:
+    with pytest.raises(ValueError, match="only squared losses"):
+        Method(Terms(misfit=Misfit(loss=Huber(corner=1.0))))
+
+
+@pytest.mark.parametrize("name", ["bench", "bench_large"])
+def test_shipped_benchmarks_are_in_order(name: str) -> None:
+    bench = read_bench(ROOT / "configs" / f"{name}.yaml")
+    assert list(bench.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert {(10, 10), (32, 32), (100, 100)} <= set(bench.shapes)
+    assert bench.solvers((10, 10)) == SOLVERS
+    assert bench.solvers((100, 100)) == ("reduced",)
+    assert replace(bench, readout=BenchFile(1, (3,)).readout) == bench
+
+
+def test_unsolved_runs_are_told(tmp_path: Path) -> None:
+    bench = BenchFile(1, (3,), frames=1, repeats=1, solver=Settings(max_iterations=1))
+    found = rows(run_bench(bench))
+    assert any(row.failed for row in found)
+    with pytest.raises(InputError):
+        read_bench(tmp_path / "missing.yaml")

@@ -1,0 +1,136 @@
+"""A batch in processes of its own, to be killed and starved; what it must leave behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from lampest.kirchhoff import two_point_resistance
+from lampest.readout import resistance_from_voltage
+from lampest.recording import Recording
+from lampest.scene import Panel, Scene, TwoPointReadout
+
+COMMAND = Path(sys.executable).with_name("lampest")
+TIMES = ("solve_time", "baseline_solve_time_s")
+RUN = """\
+schema: 1
+recordings: [one.h5, two.h5]
+estimators:
+  LSM: {terms: {misfit: {}}}
+  LSR-CR: {terms: {misfit: {}, cell_resistance: {weight: 1e-3}}, formulation: reduced}
+  LSR-gdCR: {terms: {misfit: {}, gradient_of_relative_change: {weight: 10}}}
+"""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A run's file and how many cases it makes."""
+
+    path: Path
+    cases: int
+
+    def start(self, out: Path, jobs: int) -> subprocess.Popen[str]:
+        """The command as the leader of a session, so that its processes are known."""
+        command = [str(COMMAND), "run", str(self.path), "--out", str(out), "--jobs", str(jobs)]
+        return subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+
+    def finish(self, out: Path, jobs: int = 1) -> str:
+        """Run to the end; what was printed."""
+        run = self.start(out, jobs)
+        printed, said = run.communicate(timeout=300)
+        assert (run.returncode, said) == (0, ""), (run.returncode, said)
+        return printed
+
+
+def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-2)) -> Batch:
+    """Two recordings, three estimators, a sweep."""
+    for number, name in enumerate(("one", "two")):
+        write_recording(folder / f"{name}.h5", frames, number)
+    path = folder / "run.yaml"
+    path.write_text(RUN + f"sweep: {{solver.tolerance: [1e-8, 1e-9], bounds.upper: {[1e6 / w for w in weights]}}}\n")
+    return Batch(path, 2 * 3 * 2 * len(weights))
+
+
+def write_recording(path: Path, frames: int, seed: int) -> None:
+    """One unloaded frame, then others, of 6 × 7 cells."""
+    rng, scene = np.random.default_rng(seed), Scene(Panel(6, 7), TwoPointReadout(), 140.0)
+    cells = 3000 * np.exp(0.3 * rng.standard_normal((frames + 1, 6, 7)))
+    volt = 5 * 1000 / (1000 + 140 + two_point_resistance(cells))
+    resistance = resistance_from_voltage(TwoPointReadout(), np.round(volt * 4096) / 4096)
+    role = (np.arange(frames + 1) > 0).astype(np.uint8)
+    Recording(scene, resistance, np.arange(frames + 1.0), role, truth_cell_resistance=cells).save(path)
+
+
+def session(leader: int) -> list[int]:
+    """The living processes of a session."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(fields[3]) == leader and fields[0] not in "ZX":
+                found.append(int(entry.name))
+    return found
+
+
+def until(true: Callable[[], Any], seconds: float = 60.0) -> None:
+    """Wait until it is."""
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def content(path: Path) -> dict[str, Any]:
+    """Every bit of a results file but its times: path → type, shape and bytes of datasets and attributes."""
+    found: dict[str, Any] = {}
+
+    def keep(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and name.rpartition("/")[2] not in TIMES:
+            found[name] = (str(node.dtype), node.shape, np.asarray(node[()]).tobytes())
+        for key, value in node.attrs.items():
+            if key not in (*TIMES, "REFERENCE_LIST", "DIMENSION_LIST"):
+                found[f"{name}@{key}"] = (str(np.asarray(value).dtype), np.asarray(value).tobytes())
+
+    with h5py.File(path) as file:
+        keep("/", file)
+        file.visititems(keep)
+    return found
+
+
+def finished(out: Path) -> int:
+    """How many cases have their result."""
+    return len(list((out / "cases").glob("[!.]*.h5")))
+
+
+def kill(process: subprocess.Popen[str], whom: str, rng: np.random.Generator) -> None:
+    """SIGKILL to the command alone, to all its processes, or to one of its workers."""
+    workers = [number for number in session(process.pid) if number != process.pid]
+    if whom == "all":
+        targets = [process.pid, *workers]
+    elif whom == "worker" and workers:
+        targets = [int(rng.choice(workers))]
+    else:
+        targets = [process.pid]
+    for target in targets:
+        try:
+            os.kill(target, signal.SIGKILL)
+        except ProcessLookupError:
+            continue

@@ -1,0 +1,147 @@
+"""What is broken leaves the model; what only bounds a reading is used as a bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.errors import InputError
+from lampest.estimator import Bounds, Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.readings import AT_LEAST, AT_MOST, Readings
+from lampest.readout import rails
+from lampest.recording import Recording
+from lampest.scene import Faults, Scene, TwoPointReadout
+from lampest.sequence import reconstruct
+from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.terms.term import Term
+
+SHAPE = (6, 7)
+SIGMA = 0.01
+LSM = (Misfit(),)
+
+
+def cells(seed: int = 0) -> Array:
+    """Three frames of some thousand ohm, the last with a pressed patch."""
+    generator = np.random.default_rng(seed)
+    frames = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
+    frames[2, 2:4, 3:5] *= 0.2
+    return frames
+
+
+def recording(truth: Array, faults: Faults | None = None, readout: TwoPointReadout | None = None) -> Recording:
+    """Exact readings with a small σ, one unloaded frame."""
+    scene = Scene(Panel(*SHAPE), readout, 0.0, faults)
+    role = np.array([0, *([1] * (len(truth) - 1))], dtype=np.uint8)
+    resistance = two_point_resistance(truth)
+    sigma = np.full(resistance.shape, SIGMA)
+    finite = np.where(np.isfinite(resistance) & (resistance > 0), resistance, 1.0)
+    return Recording(scene, finite, np.arange(len(truth), dtype=float), role, sigma)
+
+
+FAULTS = {
+    "open cell": (Faults(open=((1, 2),)), lambda truth: truth[:, 1, 2].fill(np.inf)),
+    "shorted cell": (Faults(shorted=((4, 5),)), lambda truth: truth[:, 4, 5].fill(0.0)),
+    "dead row": (Faults(dead_rows=(3,)), lambda truth: truth[:, 3].fill(np.inf)),
+    "dead column": (Faults(dead_columns=(0,)), lambda truth: truth[:, :, 0].fill(np.inf)),
+}
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
+@pytest.mark.parametrize("name", FAULTS)
+def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
+    faults, breaks = FAULTS[name]
+    truth = cells()
+    breaks(truth)
+    found = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))  # type: ignore[arg-type]
+    sound = ~(faults.open_cells(Panel(*SHAPE)) | faults.shorted_cells(Panel(*SHAPE)))
+    # The two lines of a short are one node: what joins another line to either of them is only seen in parallel.
+    if faults.shorted:
+        ((row, column),) = faults.shorted
+        sound[row], sound[:, column] = False, False
+    assert all(step.solution.solved for step in found.steps)
+    assert_allclose(found.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (Misfit(), CellResistance()),
+        (Misfit(), Gradient()),
+        (Misfit(), RelativeChange()),
+        (Misfit(), GradientOfRelativeChange()),
+    ],
+    ids=lambda terms: terms[1].kind,
+)
+def test_penalties_do_not_see_broken_cells(terms: tuple[Term, ...]) -> None:
+    """An open cell of 10⁹ times the others would drown every penalty that reads it."""
+    truth = cells()
+    truth[:, 1, 2] = np.inf
+    found = reconstruct(recording(truth, Faults(open=((1, 2),))), Estimator(terms, formulation="reduced"))
+    assert all(step.solution.solved for step in found.steps)
+    assert all(step.solution.objective < 1e9 for step in found.steps)
+    others = np.ones(SHAPE, dtype=bool)
+    others[1, 2] = False
+    assert np.all(found.cell_resistance[:, others] < 1e5)
+
+
+def test_unknown_open_cell_is_flagged() -> None:
+    truth = cells()
+    truth[:, 1, 2] = np.inf
+    found = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
+    flags = np.stack([step.solution.open_cell[-1] for step in found.steps])
+    assert np.all(flags[:, 1, 2])
+    assert flags.sum() == len(flags)
+
+
+def test_unknown_short_is_flagged() -> None:
+    """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
+    truth = cells()
+    truth[:, 4, 5] = 1e-3
+    found = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
+    for step in found.steps:
+        assert step.solution.solved
+        assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
+
+
+def test_saturated_codes_are_bounds() -> None:
+    """One cell far above what 4 bits can tell: its readings bound it from below and do not pull it down to the rail."""
+    readout = TwoPointReadout(adc_bits=4, noise_lsb=0.0, readings=1, reference_ohm=100.0)
+    truth = np.full((2, *SHAPE), 1e4)
+    made = recording(truth, readout=readout)
+    least, largest = rails(readout)
+    made = replace(made, resistance=np.where(made.resistance > largest, 10 * largest, made.resistance))
+    readings = Readings.of(made)
+    beyond = made.resistance > largest
+    assert np.any(beyond)
+    assert np.all(readings.side[beyond] == AT_LEAST)
+    assert np.all(readings.resistance[beyond] == largest)
+    low = replace(made, resistance=np.full_like(made.resistance, least / 2))
+    assert np.all(Readings.of(low).side == AT_MOST)
+    found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
+    model = found.steps[0].solution.two_point_resistance[-1]
+    assert found.steps[0].solution.solved
+    assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
+
+
+@pytest.mark.parametrize(
+    ("faults", "sentence"),
+    [
+        (Faults(open=((6, 0),)), "there is no cell"),
+        (Faults(dead_rows=(9,)), "there is no row 9"),
+        (Faults(open=((1, 1),), shorted=((1, 1),)), "open and shorted"),
+        (Faults(dead_rows=tuple(range(6))), "nothing is left"),
+    ],
+)
+def test_impossible_faults(faults: Faults, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Scene(Panel(*SHAPE), None, 0.0, faults)
+
+
+def test_reading_far_below_the_series_resistance_is_an_error() -> None:
+    made = recording(cells())
+    wrong = replace(made, scene=replace(made.scene, series_resistance_ohm=float(made.resistance.max()) * 2))
+    with pytest.raises(InputError, match="not above the scene's series resistance"):
+        Readings.of(wrong)
