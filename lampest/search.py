@@ -22,9 +22,9 @@ FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
     """The solution from the cheapest start; where the cost has several minima and the solve is hard, of all starts.
 
-    Starts are the previous estimate, r = R_m·MN/(M + N − 1), and the convex one where it is near the answer: without a
-    previous frame, or without a penalty. A solve is hard that has no previous frame, fails or takes many iterations; on
-    panels of up to 400 cells it is then begun from 1.2 R_m and 20 R_m too, which are far from all others.
+    The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
+    the convex one. A solve is hard that has no previous frame, fails or takes many iterations; it is then begun from
+    all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others.
     Costs that compare with a previous frame have several minima; for them the reduced solver searches, and any other
     solver goes on from what it found, so that all formulations stand in the same minimum.
     """
@@ -33,14 +33,14 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
         scout = best_solution(Newton(solver.cost, solver.settings), data, previous)
         return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
     plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
-    starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
-    starts += [convex(data)] if previous is None or plain else []
-    starts += [] if previous is None else [previous]
+    uniform = data.measured / uniform_factor(*data.measured.shape[1:])
+    starts = [uniform, convex(data, None)] if previous is None else [previous]
+    starts += [convex(data, previous)] if previous is not None and plain else []
     points = sorted((evaluated(solver.cost, data, start) for start in starts), key=lambda point: point.objective)
     found = solved(solver, points[0])
     if found.solved and not (relative and (previous is None or found.iterations > EASY)):
         return found
-    more = [] if previous is None or plain else [convex(data)]
+    more = [] if previous is None else [uniform, convex(data, None)]
     more += [data.measured * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
     others = [
         solved(solver, point) for point in (*points[1:], *(evaluated(solver.cost, data, start) for start in more))
@@ -48,9 +48,10 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     return min((other for other in (found, *others) if other.solved), key=lambda one: one.objective, default=found)
 
 
-def convex(data: Data) -> Array:
-    """The convex start of every frame."""
-    return np.stack([convex_start(*pair) for pair in zip(data.measured, data.upper, strict=True)])
+def convex(data: Data, near: Array | None) -> Array:
+    """The convex start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one."""
+    places = [None] * len(data.measured) if near is None else list(near)
+    return np.stack([convex_start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:

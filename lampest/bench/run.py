@@ -151,7 +151,7 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
     if isinstance(solver, Trf):
         plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
         starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
-        starts += [convex(data)] if previous is None or plain else []
+        starts += [convex(data, previous)] if previous is None or plain else []
         starts += [] if previous is None else [previous]
         points = [evaluated(solver.cost, data, start) for start in starts]
         start = min(points, key=lambda point: point.objective)

@@ -17,15 +17,16 @@ MOST_ITERATIONS = 30
 LEAST_LENGTH = 1e-6
 
 
-def convex_start(measured: Array, upper: Array, tolerance: float = 1e-3) -> Array:
+def convex_start(measured: Array, upper: Array, near: Array | None = None, tolerance: float = 1e-3) -> Array:
     """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
 
     Stops when no reading is missed by more than the tolerance, relative, or after 30 steps; the result is a start, not
-    an estimate. Starts at R_m·MN/(M + N − 1).
+    an estimate. Starts at `near`, an earlier frame's answer, or at R_m·MN/(M + N − 1).
     """
     tie = grounding(measured)
     least: Array = 1 / upper
-    conductance: Array = np.maximum(uniform_factor(*measured.shape) / measured, least)
+    first = measured / uniform_factor(*measured.shape) if near is None else near
+    conductance: Array = np.maximum(1 / first, least)
     value, network = _value(measured, conductance, tie)
     for _ in range(MOST_ITERATIONS):
         gradient = measured - network.two_point_resistance()

@@ -105,7 +105,7 @@ def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest
     import distributed
 
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
     ) as cluster:
         path = disk.run(disk.text + f"executor: {{kind: dask, address: '{cluster.scheduler_address}'}}\n")
         ended = lampest("run", path, "--out", disk.folder / "out", "--set", "formulation=reduced")
@@ -119,7 +119,7 @@ def test_workers_with_several_threads_are_refused() -> None:
 
     with (
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None, host="127.0.0.1"
+            n_workers=1, threads_per_worker=2, processes=True, dashboard_address=":0", host="127.0.0.1"
         ) as cluster,
         pytest.raises(InputError, match="has 2 threads; start it with --nthreads 1"),
     ):
