@@ -355,6 +355,29 @@ def tradeoff(
         print(file)
 
 
+@app.command()
+def extremes(
+    config: Annotated[Path, typer.Argument(help="The atlas' YAML file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")
+    ] = None,
+) -> None:
+    """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
+    from lampest.extremes.report import remarks, summary_table, write_atlas
+    from lampest.extremes.run import run_atlas
+    from lampest.extremes.settings import read_atlas
+    from lampest.plot.extremes import plot_extremes
+
+    atlas = read_atlas(config)
+    with progress("scenes") as on_step:
+        found = run_atlas(atlas, on_step)
+    folder = out or Path("results") / config.stem
+    files = (*write_atlas(folder, found), plot_extremes(found, folder / "extremes.png"))
+    print_table(summary_table(found))
+    for line in (*remarks(found), *files):
+        print(line)
+
+
 def check_positive(name: str, value: float | None) -> None:
     """Raise InputError unless a number that was given is positive and finite."""
     if value is not None and not 0 < value < float("inf"):

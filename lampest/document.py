@@ -139,7 +139,12 @@ def _plain(marks: Any) -> Any:
             return None
         raise ValueError(f"a value of type {type(node).__name__} has no place here")
 
-    return walk(marks)
+    content = walk(marks)
+    try:
+        json.dumps(content, ensure_ascii=False).encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise ValueError("a text holds half a sign, a surrogate") from error
+    return content
 
 
 @cache

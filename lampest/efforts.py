@@ -83,4 +83,7 @@ def named(effort: AnyEffort | Word) -> AnyEffort:
     if not isinstance(effort, str):
         return effort
     members = get_args(get_args(AnyEffort)[0])
-    return next(member(kind=effort) for member in members if effort in get_args(get_type_hints(member)["kind"]))
+    chosen: AnyEffort = next(
+        member(kind=effort) for member in members if effort in get_args(get_type_hints(member)["kind"])
+    )
+    return chosen

@@ -16,6 +16,7 @@ MOST_TEXT_BYTES = 5_000_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
+OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 
 @contextmanager
@@ -55,8 +56,11 @@ def _is_file(path: Path) -> bool:
 def _opened(path: Path) -> h5py.File:
     try:
         return h5py.File(path, "r")
-    except OSError:
-        # One that is being recorded, or whose recorder was killed, opens only as what it is.
+    except OSError as error:
+        # One that is being recorded, or whose recorder was killed, opens only as what it is. For others that would
+        # switch off the library's checks of sizes, and let a damaged file claim memory.
+        if not any(words in str(error) for words in OPEN_FOR_WRITING):
+            raise
         return h5py.File(path, "r", swmr=True)
 
 

@@ -88,14 +88,16 @@ class Network:
         """L_w·V: currents (lines, patterns) that conductances w (rows, columns) draw at potentials V."""
         return np.vstack(current_balance(weights, potentials[: self.rows], potentials[self.rows :]))
 
-    def differences(self, left: Array, right: Array) -> Array:
+    def differences(self, left: Array, right: Array, symmetric: bool) -> Array:
         """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i at once, b_i = the cell's ±1 incidence vector.
 
-        Only what is read is multiplied out: the diagonal and the blocks between rows and columns.
+        Only what is read is multiplied out: the diagonal and the blocks between rows and columns, one where P is known
+        to be symmetric.
         """
         rows = self.rows
         diagonal = np.einsum("ij,ji->i", left, right)
-        across = left[:rows] @ right[:, rows:] + (left[rows:] @ right[:, :rows]).T
+        across = left[:rows] @ right[:, rows:]
+        across = 2 * across if symmetric else across + (left[rows:] @ right[:, :rows]).T
         differences: Array = diagonal[:rows, None] + diagonal[None, rows:] - across
         return differences
 
@@ -104,7 +106,7 @@ class Network:
 
         Costs (rows + columns)³ and never forms the matrix of cells × cells.
         """
-        return -self.differences(self.impedance, self.injected(weights, self.impedance))
+        return -self.differences(self.impedance, self.injected(weights, self.impedance), symmetric=True)
 
     def transfer(self) -> Array:
         """D = Bᵀ Z B (cells, cells) ohm: ∂R_i/∂g_l = −D_il² and ∂R_i/∂r_l = (D_il/r_l)²."""
@@ -117,7 +119,8 @@ class Network:
     def bent_products(self, weights: Array, bend: Array) -> tuple[Array, Array]:
         """−(∂R/∂g)·p and ½ Σ_i w_i ∂²R_i/∂g² · p for p = `weights` and bend = Z L_w Z, both (rows, columns)."""
         injected = self.injected(weights, self.impedance)
-        return self.differences(self.impedance, injected), self.differences(bend, injected)
+        through = self.differences(self.impedance, injected, symmetric=True)
+        return through, self.differences(bend, injected, symmetric=False)
 
     def between_cells(self, matrix: Array) -> Array:
         """Bᵀ K B (cells, cells), B = the incidence vectors of all cells; K (lines, lines)."""

@@ -7,8 +7,9 @@ import numpy as np
 
 from lampest.errors import InputError
 from lampest.panel import Array
-from lampest.readout import rails
+from lampest.readout import rails, sigma_resistance
 from lampest.recording import Recording
+from lampest.scene import TwoPointReadout
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR_ZERO = 3.0
@@ -49,7 +50,9 @@ class Readings:
             recording.check_above_series(np.where(seen > 0, network, 1.0))
         else:
             recording.check_above_series(np.where(seen > 0, network + IMPOSSIBLE * sigma, 1.0))
-            small = (network <= NEAR_ZERO * sigma) & (seen > 0)
+            # The noise where nothing but the series resistance is read; that of a large resistance says no such thing.
+            noise = sigma if scene.readout is None else _at_most(sigma, scene.readout, scene.series_resistance_ohm)
+            small = (network <= NEAR_ZERO * noise) & (seen > 0) & (side != AT_LEAST)
             side[small] = AT_MOST
             network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * sigma, network)
         return cls(_filled(network, seen), sigma, side, seen)
@@ -86,6 +89,10 @@ class Readings:
 def plain(resistance: Array, sigma: Array | None) -> Readings:
     """Readings that are all values."""
     return Readings(resistance, sigma, np.zeros(resistance.shape), np.ones(resistance.shape))
+
+
+def _at_most(sigma: Array, readout: TwoPointReadout, series_ohm: float) -> Array:
+    return np.minimum(sigma, sigma_resistance(readout, np.array(series_ohm)))
 
 
 def _filled(network: Array, seen: Array) -> Array:

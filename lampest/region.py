@@ -1,31 +1,34 @@
 """Only what changed is unknown: blocks of cells are estimated, all others keep their baseline value."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.blocks import Block, area, changed, fitted, grown, widened
 from lampest.cost import Cost
-from lampest.kirchhoff import Network, Surroundings, laplacian
+from lampest.kirchhoff import Network
 from lampest.panel import Array, Panel
 from lampest.problem import Data, Evaluation
-from lampest.search import best_solution, evaluated
+from lampest.search import best_solution
+from lampest.solvers.convex import convex_start
+from lampest.solvers.curvature import Curvature
 from lampest.solvers.newton import Newton
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
 from lampest.terms.misfit import Misfit
+from lampest.terms.term import Term
 
-MARGIN = 1
+EXACT = 1e-6
 HALO = 2  # cells round a block that a gradient inside it reads
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
-MOST_GROWTHS = 6
-LARGEST_SHARE = 0.5
-MOST_FITS, FITTED, ROUNDING = 30, 1e-7, 1e-14
-LENGTHS = tuple(0.5**power for power in range(20))
+MOST_GROWTHS, SWEEPS = 6, 2
+LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-
-Block = tuple[slice, slice]
+MOST_STEPS, SMALL_STEP, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-4, 2.5, 1e8
+SHARPEST = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,65 +50,66 @@ class RegionSolver:
         until the change that cells fitted to the readings leave unexplained does not stand out; the cost is minimised
         there once they are known.
         """
-        network = self._resting()
+        network = self._exact
         change, noise = np.log(data.measured[0] / self.baseline.data.measured[0]), self._noise(data)
         plain = np.ones(change.shape, dtype=bool)
         for marks in (data.marks, self.baseline.data.marks):
             plain &= True if marks is None else (marks[0][0] == 0) & (marks[1][0] > 0)
         blocks: tuple[Block, ...] = ()
         for _ in range(MOST_GROWTHS):
-            explained = np.log(network.two_point_resistance() / self.baseline.two_point_resistance[0])
-            found = grown(self._outstanding(change - explained, noise) & plain, blocks)
+            left = change - np.log(network.two_point_resistance() / self._exact.two_point_resistance())
+            found = grown(self._outstanding(left, noise) & plain, blocks)
+            large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
+            if large or (found == blocks and self._moved(left, noise)):
+                return best_solution(Newton(self.cost, self.settings), data, previous[None])
             if found == blocks:
                 break
-            if sum(map(area, found)) > LARGEST_SHARE * change.size:
-                return best_solution(Newton(self.cost, self.settings), data, previous[None])
             blocks = found
-            for block in blocks:
+            for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
                 network = fitted(network, data, block, plain)
         return self._minimised(data, previous, network, blocks)
 
-    def _resting(self) -> Network:
-        network = self.baseline.networks[0]
-        assert isinstance(network, Network)
-        return network
+    @cached_property
+    def _exact(self) -> Network:
+        """A network that reproduces the baseline's readings, which a baseline with penalties does not."""
+        resting, data = self.baseline.networks[0], self.baseline.data
+        assert isinstance(resting, Network)
+        if all(isinstance(term, Misfit) for term in self.cost.terms):
+            return resting
+        cells = convex_start(data.measured[0], data.upper[0], tolerance=EXACT)
+        found = data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
+        assert isinstance(found, Network)
+        return found
 
-    def _minimised(self, data: Data, previous: Array, network: Network, blocks: tuple[Block, ...]) -> Solution:
+    def _minimised(self, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
         """The cost's minimum over the cells of each block in turn, all others as they are."""
-        dual, iterations = np.zeros(len(self.cost.functions.slope)), 0
+        network, steps = self.baseline.networks[0], 0
+        assert isinstance(network, Network)
         for block in blocks:
-            outcome, around = self._solve_block(data, previous, network, block)
-            iterations += outcome.iterations
-            network = changed(network, around, 1 / outcome.cell_resistance[0])
-        found = Outcome(1 / network.conductance[None], dual, Status.APPROXIMATE, iterations)
+            network = changed(network, block, fit.conductance[block])
+        for block in blocks:
+            inside = Inside.of(self.cost, data, network, block)
+            starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
+            network, taken = minimised(inside, min(starts, key=lambda point: point.objective))
+            steps += taken
+        dual = np.zeros(len(self.cost.functions.slope))
+        cells = self.baseline.cell_resistance.copy()
+        for block in blocks:
+            cells[0][block] = 1 / network.conductance[block]
+        found = Outcome(cells, dual, Status.APPROXIMATE, steps)
         return approximation(self.cost, data, found)
-
-    def _solve_block(self, data: Data, previous: Array, network: Network, block: Block) -> tuple[Outcome, Block]:
-        """The cells of a block with what penalties read round it, where nothing may move; and those cells' place."""
-        plain = all(isinstance(term, Misfit) for term in self.cost.terms)
-        around = block if plain else widened(block, HALO, data.measured[0].shape)
-        given = (data.measured, data.sigma, data.lower, data.upper, *(data.marks or ()))
-        measured, sigma, lower, upper, *marks = (np.ascontiguousarray(part[:, *around]) for part in given)
-        cells = 1 / network.conductance
-        for bound in (lower, upper):
-            own = bound.copy()
-            bound[:] = cells[around]
-            inner = tuple(slice(b.start - a.start, b.stop - a.start) for b, a in zip(block, around, strict=True))
-            bound[:, *inner] = own[:, *inner]
-        known = None if data.previous is None else data.previous[around]
-        surroundings = Surroundings.of(network, *around)
-        inside = Data(measured, sigma, lower, upper, known, surroundings, (marks[0], marks[1]) if marks else None)
-        _, rows, columns = measured.shape
-        cost = block_cost(self.cost, (rows, columns), faulty_within(self.cost, around))
-        starts = [evaluated(cost, inside, start[around][None]) for start in (cells, previous)]
-        start = min(starts, key=lambda point: point.objective)
-        return Newton(cost, self.settings).solve(inside, start), around
 
     def _noise(self, data: Data) -> Array:
         """Standard deviation of a reading's logarithmic change."""
         before = self.baseline.data
         noise: Array = np.hypot(data.sigma[0] / data.measured[0], before.sigma[0] / before.measured[0])
         return noise
+
+    def _moved(self, change: Array, noise: Array) -> bool:
+        """Whether the panel as a whole has changed: no reading stands out where all do."""
+        common = np.median(change)
+        spread = MAD * np.median(np.abs(change - common))
+        return bool(max(abs(common), spread) > self.significance * np.median(noise))
 
     def _outstanding(self, change: Array, noise: Array) -> NDArray[np.bool_]:
         """Where a change differs from those of its row and column by more than the noise explains.
@@ -121,108 +125,147 @@ class RegionSolver:
         return outstanding
 
 
-def changed(network: Network, block: Block, conductance: Array) -> Network:
-    """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
-    lines = lines_of(network, block)
-    change = laplacian(conductance - network.conductance[block])
-    towards = network.impedance[:, lines]
-    core = np.linalg.solve(np.eye(len(lines)) + change @ towards[lines], change)
-    whole = network.conductance.copy()
-    whole[block] = conductance
-    return Network(whole, network.impedance - towards @ core @ towards.T)
+@dataclass(frozen=True, eq=False)
+class Inside:
+    """φ as a function of one block's cells.
 
+    Readings count that share a line with the block, and penalties that read its cells: all that the block can move.
 
-def lines_of(network: Network, block: Block) -> NDArray[np.intp]:
-    """The numbers of a block's lines, rows first."""
-    rows, columns = network.conductance.shape
-    return np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
-
-
-def fitted(network: Network, data: Data, block: Block, plain: NDArray[np.bool_]) -> Network:
-    """The network with the block's cells such that they reproduce its plain readings, as far as bounds allow.
-
-    g* = argmin ⟨R_m, g⟩ − log det C(g), convex; see `lampest.solvers.convex`.
+    resting : the network whose other cells stay. block, around : the cells that move, and with those that penalties
+    read. reads : (readings) flat numbers on the panel. misfit, penalty : the terms on those readings, taken as a panel
+    of one row, and on `around`; None without such terms. readings, cells : what they are given.
     """
-    measured, least = data.measured[0][block], 1 / data.upper[0][block]
-    lines = lines_of(network, block)
-    resting, impedance = network.conductance[block], network.impedance[np.ix_(lines, lines)]
 
-    def at(conductance: Array) -> tuple[float, Network]:
-        system = np.eye(len(lines)) + impedance @ laplacian(conductance - resting)
-        value = float(np.sum(measured * conductance)) - float(np.linalg.slogdet(system)[1])
-        return value, Network(conductance, np.linalg.solve(system, impedance))
+    resting: Network
+    block: Block
+    around: Block
+    reads: NDArray[np.intp]
+    lower: Array
+    upper: Array
+    misfit: Cost | None
+    penalty: Cost | None
+    readings: Data
+    cells: Data
 
-    conductance = resting
-    value, here = at(conductance)
-    for _ in range(MOST_FITS):
-        gradient = measured - here.two_point_resistance()
-        free = plain[block] & ((conductance > least * (1 + 1e-12)) | (gradient < 0))
-        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < FITTED:
-            break
-        chosen, step = np.flatnonzero(free), np.zeros(measured.shape)
-        curvature = here.transfer()[np.ix_(chosen, chosen)] ** 2
-        step[free] = np.linalg.solve(curvature, -gradient[free])
-        for length in LENGTHS:
-            trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
-            trial_value, there = at(trial)
-            if trial_value <= value + 1e-4 * float(np.sum(gradient * (trial - conductance))) + ROUNDING * abs(value):
+    @classmethod
+    def of(cls, cost: Cost, data: Data, network: Network, block: Block) -> "Inside":
+        """Of a block of the panel that `cost` and `data` are for."""
+        shape = network.conductance.shape
+        cross = np.zeros(shape, dtype=bool)
+        cross[block[0]] = cross[:, block[1]] = True
+        around = widened(block, HALO, shape)
+        reads = np.flatnonzero(cross)
+        misfit = tuple(term for term in cost.terms if isinstance(term, Misfit))
+        penalty = tuple(term for term in cost.terms if not isinstance(term, Misfit))
+        high, wide = data.measured[0][around].shape
+        return cls(
+            network,
+            block,
+            around,
+            reads,
+            np.log(data.lower[0][block]).ravel(),
+            np.log(data.upper[0][block]).ravel(),
+            _part(cost, misfit, (1, len(reads)), ()) if misfit else None,
+            _part(cost, penalty, (high, wide), _within(cost, around)) if penalty else None,
+            _chosen(data, lambda part: part.reshape(-1)[reads][None]),
+            _chosen(data, lambda part: np.ascontiguousarray(part[around])),
+        )
+
+    def at(self, position: Array) -> "Place":
+        """The point u = log r of the block's cells, held to their bounds."""
+        position = np.clip(position, self.lower, self.upper)
+        conductance = np.exp(-position).reshape(self.resting.conductance[self.block].shape)
+        network = changed(self.resting, self.block, conductance)
+        cells, model = 1 / network.conductance, network.two_point_resistance()
+        parts = []
+        if self.misfit is not None:
+            own, read = (np.atleast_2d(whole.reshape(-1)[self.reads])[None] for whole in (cells, model))
+            parts.append(Evaluation(self.misfit, self.readings, own, read, ()))
+        if self.penalty is not None:
+            own, read = (np.ascontiguousarray(whole[self.around])[None] for whole in (cells, model))
+            parts.append(Evaluation(self.penalty, self.cells, own, read, ()))
+        return Place(position, network, tuple(parts), sum(part.objective for part in parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A point of a block: u, the whole panel's network, the misfit and the penalty there (those that exist), and φ."""
+
+    position: Array
+    network: Network
+    parts: tuple[Evaluation, ...]
+    objective: float
+
+
+def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
+    """(network, steps) of damped, projected Gauss-Newton steps in u = log r that lower φ until they are small."""
+    damping = 0.0
+    for count in range(MOST_STEPS):
+        slope, matrix = _model(inside, here, min(count, SHARPEST))
+        low, high = inside.lower, inside.upper
+        free = (low < high) & ~(((here.position <= low) & (slope > 0)) | ((here.position >= high) & (slope < 0)))
+        size = np.diag(matrix) + 1e-12 * np.abs(np.diag(matrix)).max(initial=1e-300)
+        while True:
+            step = np.zeros(len(slope))
+            system = matrix[np.ix_(free, free)] + np.diag((damping + 1e-12) * size[free])
+            step[free] = np.clip(np.linalg.solve(system, -slope[free]), -LONGEST_STEP, LONGEST_STEP)
+            there = inside.at(here.position + step)
+            if there.objective < here.objective:
                 break
+            damping = max(10 * damping, 1e-3)
+            if damping > LARGEST_DAMPING or np.abs(step).max(initial=0) < SMALL_STEP:
+                return here.network, count
+        moved, here = np.abs(there.position - here.position).max(initial=0), there
+        damping = damping / 10 if damping > 1e-3 else 0.0
+        if moved < SMALL_STEP:
+            return here.network, count + 1
+    return here.network, MOST_STEPS
+
+
+def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
+    """(∇φ, its curvature without that of R) in u over the block's cells; absolute losses smoothed more or less."""
+    rows, columns = here.network.conductance.shape
+    block = np.zeros((rows, columns), dtype=bool)
+    block[inside.block] = True
+    own = np.flatnonzero(block)
+    cells = np.exp(here.position)
+    slope, matrix = np.zeros(len(own)), np.zeros((len(own), len(own)))
+    for part in here.parts:
+        smoothing = Smoothing.start(part)
+        smoothing = replace(smoothing, width=smoothing.width / 10**sharpness)
+        smoothing = replace(smoothing, dual=smoothing.slope(part.rough))
+        direct, through = (side.ravel() for side in part.partials(smoothing.dual))
+        terms, count = Curvature(part, smoothing).terms, part.cell_resistance.size
+        if part.cost is inside.misfit:
+            impedance = here.network.impedance
+            from_own = impedance[:, own // columns] - impedance[:, rows + own % columns]
+            transfer = from_own[inside.reads // columns] - from_own[rows + inside.reads % columns]
+            jacobian = transfer**2 / cells
+            slope += jacobian.T @ through
+            matrix += jacobian.T @ (terms[count:, count:] @ jacobian)
         else:
-            break
-        conductance, value, here = trial, trial_value, there
-    return changed(network, block, conductance)
+            place = np.flatnonzero(block[inside.around])
+            bend = np.maximum(direct[place] * cells, 0)
+            slope += direct[place] * cells
+            matrix += terms[place][:, place].toarray() * np.outer(cells, cells) + np.diag(bend)
+    return slope, matrix
 
 
-def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-    """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
-    covered = np.zeros(cells.shape, dtype=bool)
-    for row, column in np.argwhere(cells):
-        covered[max(row - MARGIN, 0) : row + MARGIN + 1, max(column - MARGIN, 0) : column + MARGIN + 1] = True
-    for block in blocks:
-        covered[block] = True
-    count = -1
-    while count != np.count_nonzero(covered):
-        count = np.count_nonzero(covered)
-        found = tuple(patches(covered))
-        for block in found:
-            covered[block] = True
-    return found
-
-
-def patches(cells: NDArray[np.bool_]) -> Iterator[Block]:
-    """The rectangle round each group of cells that touch, corners included."""
-    left = {(int(row), int(column)) for row, column in np.argwhere(cells)}
-    while left:
-        group = [left.pop()]
-        for row, column in group:  # grows while it is walked through
-            near = {(row + down, column + right) for down in (-1, 0, 1) for right in (-1, 0, 1)} & left
-            left -= near
-            group += near
-        sides = [[cell[axis] for cell in group] for axis in (0, 1)]
-        down, across = (slice(min(side), max(side) + 1) for side in sides)
-        yield down, across
-
-
-def area(block: Block) -> int:
-    """Number of cells."""
-    return int((block[0].stop - block[0].start) * (block[1].stop - block[1].start))
-
-
-def widened(block: Block, by: int, shape: tuple[int, ...]) -> Block:
-    """The block with so many more cells on every side, as far as the panel goes."""
-    down, across = (
-        slice(max(side.start - by, 0), min(side.stop + by, n)) for side, n in zip(block, shape, strict=True)
-    )
-    return down, across
+def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:
+    """The data of some of a panel's readings or cells; pick : (rows, columns) → their own shape."""
+    given = (data.measured, data.sigma, data.lower, data.upper, *(data.marks or ()))
+    measured, sigma, lower, upper, *marks = (pick(part[0])[None] for part in given)
+    previous = None if data.previous is None else pick(data.previous)
+    return Data(measured, sigma, lower, upper, previous, marks=(marks[0], marks[1]) if marks else None)
 
 
 @lru_cache(maxsize=64)
-def block_cost(cost: Cost, shape: tuple[int, int], faulty: tuple[int, ...]) -> Cost:
-    """The same terms on a block; one object for a shape, so that it is compiled once."""
-    return replace(cost, panel=Panel(*shape), faulty=faulty)
+def _part(cost: Cost, terms: tuple[Term, ...], shape: tuple[int, int], faulty: tuple[int, ...]) -> Cost:
+    """Some of the terms on another panel; one object for a shape, so that it is compiled once."""
+    return replace(cost, panel=Panel(*shape), terms=terms, faulty=faulty)
 
 
-def faulty_within(cost: Cost, block: Block) -> tuple[int, ...]:
+def _within(cost: Cost, block: Block) -> tuple[int, ...]:
     """The numbers that faulty cells have within a block."""
     broken = np.zeros(cost.panel.cells, dtype=bool)
     broken[list(cost.faulty)] = True

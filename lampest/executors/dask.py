@@ -70,7 +70,7 @@ class Slurm:
             interface=self.interface,
             job_extra_directives=list(self.directives),
             job_script_prologue=[*self.prologue, *exports],
-            scheduler_options={"dashboard": False},
+            scheduler_options={"dashboard": False, "dashboard_address": ":0"},
         )
 
 
@@ -148,7 +148,7 @@ class Dask:
                 threads_per_worker=1,
                 memory_limit=0,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
                 silence_logs=logging.CRITICAL,
                 env=ONE_THREAD,
                 preload=["lampest.executors.worker"],

@@ -20,6 +20,9 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 MARKERS = "osD^vPX"
 SPOTS = ((0, 7), (0, -7), (7, 0), (-7, 0), (6, 6), (-6, 6), (6, -6), (-6, -6), (0, 14), (0, -14), (14, 10), (-14, 10))
 
+Placed = list[tuple[str, tuple[float, float]]]
+Box = tuple[float, float, float, float]
+
 
 def plot_tradeoff(found: Tradeoff, path: str | Path) -> Path:
     """Draw the figure into a .png or .pdf file; returns its path. Raises InputError where it cannot be written."""
@@ -39,11 +42,13 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
     figure = Figure(figsize=(WIDTH_INCH, ROW_INCH * len(shapes) + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(shapes), 2, squeeze=False, sharex="row")
+    labelled = []
     for number, (shape, pair) in enumerate(zip(shapes, grid, strict=True)):
         rows = [row for row in whole if (row.rows, row.columns) == shape]
         own = [row for row in single if (row.rows, row.columns) == shape]
         for side, axes in enumerate(pair):
-            _draw(axes, rows, own, methods, gap=bool(side))
+            placed = _draw(axes, rows, own, methods, gap=bool(side))
+            labelled.append((axes, placed))
             letter = chr(ord("a") + 2 * number + side)
             axes.set_title(f"({letter}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
         if number == len(shapes) - 1:
@@ -54,10 +59,14 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
         shown = dict(zip(labels, handles, strict=True))
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(shown)}
         figure.legend(shown.values(), shown.keys(), loc="outside lower center", **look)
+    figure.draw_without_rendering()
+    for axes, placed in labelled:
+        _label(axes, figure.dpi / 72, placed)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Sequence[str], gap: bool) -> None:
+def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Sequence[str], gap: bool) -> Placed:
+    """Everything but the names; returns the rungs' names and where they stand."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.tick_params(labelsize=SMALL_POINT, which="both")
@@ -72,7 +81,7 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
     placed = [(row, point) for row in rows if (point := _place(row, gap)) is not None]
     if not placed:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
-        return
+        return []
     points = [point for _, point in placed]
     best = front(points)
     x, y = zip(*(points[index] for index in best), strict=True)
@@ -87,7 +96,7 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
         )
         axes.set_ylim(bottom=FLOOR / 30)
     axes.margins(0.12, 0.14)
-    _label(axes, [row.effort.replace("_", " ") for row, _ in placed], points)
+    return [(row.effort.replace("_", " "), point) for row, point in placed]
 
 
 def _place(row: Row, gap: bool) -> tuple[float, float] | None:
@@ -98,16 +107,14 @@ def _place(row: Row, gap: bool) -> tuple[float, float] | None:
     return row.frame_ms, max(value, FLOOR) if gap else value
 
 
-def _label(axes: Axes, names: Sequence[str], points: Sequence[tuple[float, float]]) -> None:
-    """Each name at the first spot round its point where it covers neither a point nor a name."""
-    axes.figure.draw_without_rendering()
-    pixels = axes.transData.transform(points)
-    scale = axes.figure.dpi / 72
+def _label(axes: Axes, scale: float, placed: Placed) -> None:
+    """Each name at the spot round its point where it covers least of points and names; scale : pixels of a point."""
+    pixels = [(float(x), float(y)) for x, y in (axes.transData.transform(point) for _, point in placed)]
     taken = [(x - 4 * scale, y - 4 * scale, x + 4 * scale, y + 4 * scale) for x, y in pixels]
     frame = axes.get_window_extent()
-    for name, (x, y) in zip(names, pixels, strict=True):
+    for (name, point), (x, y) in zip(placed, pixels, strict=True):
         wide, high = 0.52 * SMALL_POINT * len(name) * scale, 1.1 * SMALL_POINT * scale
-        choices = []
+        choices: list[tuple[float, int, Box]] = []
         for right, up in SPOTS:
             left = x + right * scale - (wide / 2 if right == 0 else wide if right < 0 else 0)
             low = y + up * scale - high / 2
@@ -118,7 +125,7 @@ def _label(axes: Axes, names: Sequence[str], points: Sequence[tuple[float, float
         right, up = SPOTS[number]
         text = axes.annotate(
             name,
-            axes.transData.inverted().transform((x, y)),
+            point,
             (right, up),
             textcoords="offset points",
             fontsize=SMALL_POINT,
@@ -130,7 +137,7 @@ def _label(axes: Axes, names: Sequence[str], points: Sequence[tuple[float, float
         taken.append(box)
 
 
-def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> float:
+def _overlap(one: Box, other: Box) -> float:
     wide = min(one[2], other[2]) - max(one[0], other[0])
     high = min(one[3], other[3]) - max(one[1], other[1])
     return max(wide, 0) * max(high, 0)

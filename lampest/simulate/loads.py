@@ -151,7 +151,7 @@ def annulus_mm2(inner_mm: float, outer_mm: float) -> float:
     """π (d² − d_i²)/4 in mm². Raises ValueError where it is empty."""
     if not 0 <= inner_mm < outer_mm:
         raise ValueError("the inner diameter must be smaller than the outer one")
-    return pi * (outer_mm**2 - inner_mm**2) / 4
+    return pi * (outer_mm * outer_mm - inner_mm * inner_mm) / 4
 
 
 def pressure_of_weight(mass_g: float, area_mm2: float) -> float:

@@ -12,6 +12,7 @@ from scipy.linalg import lapack
 from lampest.kirchhoff import Network, grounding, uniform_factor
 from lampest.panel import Array
 from lampest.solvers.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.solvers.stencil import Stencil
 
 MOST_ITERATIONS = 30
 LEAST_LENGTH = 1e-6
@@ -62,8 +63,14 @@ def _step(network: Network, measured: Array, gradient: Array, free: NDArray[np.b
         whole[free] = search
         return -network.conductance_product(whole)[free]
 
-    size = measured[free] ** 2
-    step[free], _ = conjugate_gradients(product, lambda residual: residual / size, -gradient[free], 0.05)
+    stencil = Stencil.of(network.conductance, network.two_point_resistance(), free)
+
+    def precondition(residual: Array) -> Array:
+        whole = np.zeros(measured.shape)
+        whole[free] = residual
+        return stencil.solve(whole)[free]
+
+    step[free], _ = conjugate_gradients(product, precondition, -gradient[free], 0.05)
     return step
 
 

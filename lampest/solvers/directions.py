@@ -9,8 +9,11 @@ from scipy.sparse.linalg import splu
 from lampest.panel import Array
 from lampest.solvers.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
 from lampest.solvers.curvature import Curvature
+from lampest.solvers.reach import within_reach
+from lampest.solvers.stencil import Stencil
 
-LEAST_SIZE = 1e-3
+LEAST_DAMPING = 1e-3
+REACH = 2.5  # change of log r
 
 
 def direction(
@@ -18,8 +21,8 @@ def direction(
 ) -> tuple[Array, float]:
     """(step, damping): `known` at cells that are not free, a Newton step at the others given that.
 
-    The damping is raised where the matrix is not positive definite. accuracy : relative residual at which conjugate
-    gradients stop.
+    The damping limits the length of a step, and of one where the matrix is not positive definite. accuracy : relative
+    residual at which conjugate gradients stop.
     """
     slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
     chosen = np.flatnonzero(free)
@@ -38,13 +41,10 @@ def _by_factorisation(
     curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float
 ) -> tuple[Array, float]:
     matrix = curvature.matrix if len(free) == len(curvature.gradient) else curvature.matrix[np.ix_(free, free)]
-    size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
-    failed = 1
-    while failed:
-        shifted = matrix + np.diag(damping * size) if damping else matrix
-        _, step, failed = lapack.dposv(shifted.T, -slope)
-        damping = raised(damping) if failed else damping
-    return step, damping
+    step, failed = np.zeros(0), 1
+    if damping == 0:
+        _, step, failed = lapack.dposv(matrix.T, -slope)
+    return (within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)) if failed else step), damping
 
 
 def _by_conjugate_gradients(
@@ -58,7 +58,10 @@ def _by_conjugate_gradients(
         whole[free] = search
         return curvature.product(whole)[free] + damping * size[free] * search
 
-    precondition = local_inverse(curvature.local, damping * size, free)
+    if curvature.only_misfit:
+        precondition = misfit_inverse(curvature, free)
+    else:
+        precondition = local_inverse(curvature.local, damping * size, free)
     step, downhill = conjugate_gradients(product, precondition, -slope, accuracy)
     if downhill is None:
         return step, damping
@@ -68,7 +71,26 @@ def _by_conjugate_gradients(
 
 def raised(damping: float) -> float:
     """The next larger damping."""
-    return max(4 * damping, 1e-3)
+    return max(4 * damping, LEAST_DAMPING)
+
+
+def misfit_inverse(curvature: Curvature, free: NDArray[np.intp]) -> Linear:
+    """(Jᵀ W J)⁻¹ with the stencil in place of D∘D, on the free cells of one frame."""
+    resistance = curvature.at.cell_resistance[0]
+    weight = _at_least(curvature.terms.diagonal()[resistance.size :], 1e-6)
+    moving = np.zeros(resistance.size, dtype=bool)
+    moving[free] = True
+    model = curvature.at.two_point_resistance[0]
+    stencil = Stencil.of(1 / resistance, model, moving.reshape(resistance.shape))
+
+    def solve(values: Array) -> Array:
+        whole = np.zeros(resistance.size)
+        whole[free] = values
+        half = stencil.solve(whole.reshape(resistance.shape) * resistance)
+        solved: Array = stencil.solve(half / weight.reshape(resistance.shape)) * resistance
+        return solved.ravel()[free]
+
+    return solve
 
 
 def local_inverse(local: sparse.csr_array, damping: Array, free: NDArray[np.intp]) -> Linear:

@@ -138,7 +138,10 @@ def trial(point: Point, data: Data, target: Array, damping: float, residual: flo
     """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual."""
     cells = np.clip(np.exp(target).reshape(data.measured.shape), data.lower, data.upper)
     smoothing = point.curvature.smoothing
-    at = Evaluation.at(point.at.cost, data, cells)
+    try:
+        at = Evaluation.at(point.at.cost, data, cells)
+    except np.linalg.LinAlgError:
+        return None
     found = Point(Curvature(at, smoothing), smoothing.objective(at), damping)
     gain = point.objective - found.objective
     promised = -float(point.curvature.gradient @ (target - np.log(point.at.cell_resistance).ravel()))

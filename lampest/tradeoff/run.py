@@ -95,14 +95,14 @@ def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, 
     """Measure everything. on_step is told how many of how many parts are done."""
     settings = plan.settings
     fresh = list(_memory_tasks(plan))
-    total = len(plan.subjects) * len(settings.estimators) + len(fresh)
+    chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
+    total = len(chosen) + len(fresh)
     measured: list[Measured] = []
     done = 0
-    for subject in plan.subjects:
-        for method in settings.estimators:
-            measured += measure(settings, subject, method)
-            done += 1
-            on_step(done, total)
+    for subject, method in chosen:
+        measured += measure(settings, subject, method)
+        done += 1
+        on_step(done, total)
     memory = {}
     for shape, name, task in fresh:
         memory[shape, name] = _in_fresh_process(task)
@@ -114,7 +114,7 @@ def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, 
 def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[Measured]:
     """All rungs with one method on one recording."""
     recording = subject.recording
-    rungs = settings.rungs(recording.scene.panel.shape)
+    rungs = settings.rungs(subject.shape)
     runs: dict[str, list[_Run]] = {name: [] for name in rungs}
     begin = perf_counter()
     for turn in range(settings.repeats):
@@ -137,7 +137,7 @@ def _measured(subject: Subject, method: str, name: str, runs: list[_Run], object
         subject,
         method,
         name,
-        subject.recording.scene.panel.shape,
+        subject.shape,
         np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
         np.stack([run.cpu for run in runs], axis=1),
         0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
@@ -211,7 +211,7 @@ def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
         return
     seen = set()
     for subject in plan.subjects:
-        shape = subject.recording.scene.panel.shape
+        shape = subject.shape
         if shape in seen:
             continue
         seen.add(shape)

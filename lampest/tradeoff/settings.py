@@ -11,7 +11,7 @@ from lampest.bench.settings import BREATHING, LARGEST_SIDE, PAPER
 from lampest.case import check_name
 from lampest.config import FORBID, Terms, recording_paths
 from lampest.document import read_document, validated
-from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
+from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint, Word, named
 from lampest.errors import InputError
 from lampest.estimator import Bounds, Estimator
 from lampest.panel import Panel
@@ -65,7 +65,10 @@ def paper_methods() -> dict[str, Method]:
 
 @dataclass(frozen=True)
 class Limits:
-    """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is."""
+    """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
+
+    joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
+    """
 
     __pydantic_config__: ClassVar[Any] = FORBID
     two_point: int = LARGEST_SIDE
@@ -75,6 +78,7 @@ class Limits:
     region: int = LARGEST_SIDE
     nodal: int = 16
     per_pixel: int = 10
+    joint: int = 16
 
     def allow(self, effort: AnyEffort, shape: tuple[int, int]) -> bool:
         """Whether a rung runs on a panel."""
@@ -157,6 +161,11 @@ class Subject:
     scene: str
     noise: str
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.recording.scene.panel.shape
+
 
 @dataclass(frozen=True)
 class TradeoffFile:
@@ -181,7 +190,7 @@ class TradeoffFile:
     recordings: list[str] = field(default_factory=list)
     simulated: Simulated | None = None
     estimators: dict[str, Method] = field(default_factory=paper_methods)
-    efforts: tuple[AnyEffort, ...] = LADDER
+    efforts: tuple[Word | AnyEffort, ...] = LADDER
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
@@ -196,7 +205,7 @@ class TradeoffFile:
             raise ValueError("estimators must hold at least one")
         for name in self.estimators:
             check_name(name, "estimator")
-        labels = [label(effort) for effort in self.efforts]
+        labels = [label(effort) for effort in self.ladder]
         if REFERENCE not in labels:
             raise ValueError(f"efforts must hold {REFERENCE}, which the others are compared with")
         if len(set(labels)) < len(labels):
@@ -210,9 +219,20 @@ class TradeoffFile:
         if self.memory is not None and self.memory not in self.estimators:
             raise ValueError(f"memory: {self.memory} is none of the estimators")
 
+    @property
+    def ladder(self) -> tuple[AnyEffort, ...]:
+        """The efforts; words as what they stand for."""
+        return tuple(named(effort) for effort in self.efforts)
+
     def rungs(self, shape: tuple[int, int]) -> dict[str, AnyEffort]:
         """The rungs that are measured on a panel, by label."""
-        return {label(effort): effort for effort in self.efforts if self.limits.allow(effort, shape)}
+        return {label(effort): effort for effort in self.ladder if self.limits.allow(effort, shape)}
+
+    def methods(self, shape: tuple[int, int]) -> tuple[str, ...]:
+        """The methods that are measured on a panel."""
+        small = max(shape) <= self.limits.joint
+        chosen = self.estimators.items()
+        return tuple(name for name, method in chosen if small or not any(term.needs_previous for term in method.parts))
 
     def estimator(self, method: str, effort: AnyEffort) -> Estimator:
         """A method with an effort; what is no effort of its own follows the reduced formulation."""

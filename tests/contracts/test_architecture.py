@@ -33,6 +33,7 @@ FLOORS = (
     "problem",
     "solvers",
     "search",
+    "blocks",
     "region",
     "efforts",
     "estimator",
@@ -52,13 +53,15 @@ FLOORS = (
     "compare",
     "bench",
     "tradeoff",
+    "extremes",
     "plot",
     "cli",
 )
 # numpy is everywhere; each of the others has its rooms.
 DOORS = {
     "casadi": {"terms", "formulations", "cost", "solvers", "bench"},
-    "scipy": {"solvers", "acquire", "bench"},
+    "scipy": {"solvers", "acquire", "bench", "extremes"},
+    "mpmath": {"extremes"},
     "h5py": {"hdf5", "acquisition", "recording", "results", "acquire"},
     "pydantic": {"document"},
     "ruamel": {"document"},

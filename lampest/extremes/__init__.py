@@ -1,0 +1,1 @@
+"""The atlas of extremes: where estimates are verified, where they fail, and what is said then."""

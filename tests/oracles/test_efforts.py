@@ -1,0 +1,252 @@
+"""The rungs of the ladder against closed forms and against the full solution."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lampest.blocks import changed, grown, widened
+from lampest.config import read_run
+from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
+from lampest.errors import InputError
+from lampest.estimator import Estimator
+from lampest.kirchhoff import Network, grounding, two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.recording import Recording
+from lampest.scene import Scene
+from lampest.sequence import Reconstruction, reconstruct
+from lampest.solvers.solution import Status
+from lampest.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.terms.losses import Absolute, Huber
+from lampest.terms.term import Term
+
+SHAPE = (14, 15)
+BLOCK = (slice(5, 8), slice(6, 10))
+LSM: tuple[Term, ...] = (Misfit(),)
+RIDGE: tuple[Term, ...] = (Misfit(), CellResistance(weight=1e-6))
+SMOOTH: tuple[Term, ...] = (Misfit(), Gradient(weight=1e-7))
+REDUCED = Converged("reduced")
+
+
+def resting(shape: tuple[int, int] = SHAPE, seed: int = 3) -> Array:
+    return np.asarray(3000 * np.exp(0.2 * np.random.default_rng(seed).standard_normal(shape)))
+
+
+def pressed(cells: Array, strength: float = 0.2, block: tuple[slice, slice] = BLOCK) -> Array:
+    """A block of cells at that share of their resistance, give or take."""
+    found = cells.copy()
+    rng = np.random.default_rng(5)
+    found[block] *= strength * np.exp(0.3 * rng.standard_normal(found[block].shape))
+    return found
+
+
+def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: int = 1) -> Recording:
+    """Frames of readings with a relative noise; σ is what is told of it."""
+    exact = two_point_resistance(np.stack(cells))
+    readings = exact * (1 + noise * np.random.default_rng(7).standard_normal(exact.shape))
+    role = (np.arange(len(cells)) >= unloaded).astype(np.uint8)
+    scene = Scene(Panel(*cells[0].shape))
+    return Recording(scene, readings, np.arange(float(len(cells))), role, exact * max(noise, sigma))
+
+
+def found_by(effort: AnyEffort, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Reconstruction:
+    found = reconstruct(data, Estimator(terms, "reduced", effort=effort, **options))
+    assert all(step.solution.solved for step in found.steps)
+    return found
+
+
+@pytest.mark.parametrize("terms", [LSM, SMOOTH, (Misfit(), RelativeChange(weight=10))])
+def test_no_reconstruction_is_what_it_says(terms: tuple[Term, ...]) -> None:
+    data = recording(resting(), pressed(resting()), noise=1e-3)
+    rows, columns = SHAPE
+    measured = data.resistance[1]
+    assert_allclose(found_by(TwoPoint(), data, terms).cell_resistance[0], measured)
+    scaled = found_by(Scaled(), data, terms)
+    assert_allclose(scaled.cell_resistance[0], measured * rows * columns / (rows + columns - 1))
+
+
+def test_scaled_is_exact_for_equal_cells() -> None:
+    equal = np.full((4, 7), 1234.5)
+    assert_allclose(found_by(Scaled(), recording(equal, equal)).cell_resistance[0], equal)
+
+
+@pytest.mark.parametrize("effort", [TwoPoint(), Scaled(), Linearised(), Truncated(steps=1), Region()])
+def test_what_is_no_optimum_says_so(effort: AnyEffort) -> None:
+    found = found_by(effort, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
+    solution = found.steps[-1].solution
+    assert solution.status is Status.APPROXIMATE
+    assert solution.kkt_residual > 1e-6
+    assert np.isfinite(solution.objective)
+    assert solution.two_point_resistance[0] == pytest.approx(two_point_resistance(solution.cell_resistance[0]))
+
+
+@pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
+def test_many_steps_are_the_optimum(terms: tuple[Term, ...]) -> None:
+    data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
+    reached, optimum = (found_by(effort, data, terms) for effort in (Truncated(steps=100), REDUCED))
+    assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
+
+
+def test_more_steps_cost_less() -> None:
+    data = recording(resting(), pressed(resting()), noise=1e-3)
+    costs = [found_by(Truncated(steps=steps), data, RIDGE).steps[0].solution.objective for steps in (1, 2, 4, 30)]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[0] > costs[-1]
+
+
+@pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(loss=Huber(corner=5.0)),)])
+def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tuple[Term, ...]) -> None:
+    errors = []
+    direction = np.random.default_rng(2).standard_normal((6, 7))
+    for size in (1e-2, 1e-3):
+        data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
+        one, optimum = (found_by(effort, data, terms).cell_resistance[0] for effort in (Linearised(), REDUCED))
+        errors.append(np.max(np.abs(np.log(one / optimum))))
+    assert errors[0] < 0.1
+    assert errors[1] < errors[0] / 50
+
+
+def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
+    """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell is resolved."""
+    shape = (30, 30)
+    single = resting(shape)
+    single[11, 17] *= 0.7
+    found = found_by(Linearised(), recording(resting(shape), single)).cell_resistance[0]
+    assert found[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
+    assert np.median(np.abs(found / single - 1)) < 0.01
+
+
+@pytest.mark.parametrize("terms", [LSM, (Misfit(weighting="noise"),), (Misfit(loss=Huber(corner=1.0)),)])
+def test_region_is_exact_without_noise(terms: tuple[Term, ...]) -> None:
+    cells = pressed(resting())
+    found = found_by(Region(), recording(resting(), cells, 1.0 * cells), terms)
+    for frame in found.cell_resistance:
+        assert_allclose(frame[BLOCK], cells[BLOCK], rtol=1e-6)
+        assert_allclose(frame, cells, rtol=1e-5)
+    around = widened(BLOCK, 2, SHAPE)
+    outside = np.ones(SHAPE, dtype=bool)
+    outside[around] = False
+    assert_array_equal(found.cell_resistance[-1][outside], found.baseline_resistance[outside])
+
+
+def test_region_with_absolute_loss() -> None:
+    cells = pressed(resting())
+    found = found_by(Region(), recording(resting(), cells), (Misfit(loss=Absolute()),))
+    assert_allclose(found.cell_resistance[0][BLOCK], cells[BLOCK], rtol=1e-2)
+
+
+def test_region_is_the_full_solution_to_within_the_noise() -> None:
+    cells = pressed(resting())
+    data = recording(*[resting()] * 4, *[cells] * 6, noise=2e-4, unloaded=4)
+    region, full = (found_by(effort, data).cell_resistance for effort in (Region(), REDUCED))
+    ours, theirs = (np.abs(np.log(found[:, *BLOCK] / cells[BLOCK])) for found in (region, full))
+    assert np.median(ours) < 1.1 * np.median(theirs)
+    assert np.median(np.abs(np.log(region / full))[:, *BLOCK]) < 2 * np.median(theirs)
+
+
+def test_region_follows_a_change_that_moves_and_one_that_comes_later() -> None:
+    there = pressed(resting(), block=(slice(2, 4), slice(2, 5)))
+    both = pressed(there, 0.97, (slice(9, 11), slice(11, 13)))
+    for frame, cells in zip(
+        found_by(Region(), recording(resting(), there, both, resting())).cell_resistance,
+        (there, both, resting()),
+        strict=True,
+    ):
+        assert_allclose(frame, cells, rtol=1e-4)
+
+
+def test_region_of_nothing_is_the_baseline() -> None:
+    data = recording(*[resting()] * 3, noise=1e-4, unloaded=1)
+    for terms in (LSM, SMOOTH):
+        found = found_by(Region(), data, terms)
+        assert_array_equal(found.cell_resistance[-1], found.baseline_resistance)
+
+
+@pytest.mark.parametrize("terms", [LSM, RIDGE])
+def test_region_of_everything_is_the_full_solution(terms: tuple[Term, ...]) -> None:
+    rng = np.random.default_rng(11)
+    cells = resting() * np.exp(rng.standard_normal(SHAPE))
+    data = recording(resting(), cells, noise=1e-5)
+    region, full = (found_by(effort, data, terms) for effort in (Region(), REDUCED))
+    assert region.steps[0].solution.status is Status.OPTIMUM
+    assert region.steps[0].solution.objective == pytest.approx(full.steps[0].solution.objective, rel=1e-6, abs=1e-9)
+
+
+def test_region_minimises_the_cost_over_its_cells() -> None:
+    """No cell of the block can be moved without raising the whole panel's cost; penalties are read across its edge."""
+    data = recording(resting(), pressed(resting(), 0.5), noise=1e-5)
+    for terms in (RIDGE, SMOOTH):
+        solution = found_by(Region(), data, terms).steps[0].solution
+        estimator = Estimator(terms, "reduced", effort=REDUCED)
+        cells, least = solution.cell_resistance[0], solution.objective
+        measured = data.resistance[1]
+        for row, column in ((5, 6), (6, 8), (7, 9)):
+            for factor in (0.99, 1.01):
+                moved = cells.copy()
+                moved[row, column] *= factor
+                assert objective(estimator, moved, measured) > least * (1 - 1e-6)
+
+
+def objective(estimator: Estimator, cells: Array, measured: Array) -> float:
+    """Σ misfit² + λ Σ penalty², written down once more."""
+    total = float(np.sum((two_point_resistance(cells) - measured) ** 2))
+    for term in estimator.terms[1:]:
+        parts = np.gradient(cells) if isinstance(term, Gradient) else [cells]
+        total += term.weight * float(sum(np.sum(part**2) for part in parts))
+    return total
+
+
+def test_changed_network_is_the_network_of_the_changed_cells() -> None:
+    before, after = resting(), pressed(resting())
+    tie = grounding(two_point_resistance(before))
+    found = changed(Network.solve(1 / before, tie), BLOCK, 1 / after[BLOCK])
+    assert_allclose(found.impedance, Network.solve(1 / after, tie).impedance, rtol=1e-10, atol=1e-9)
+    assert_array_equal(found.conductance, 1 / after)
+
+
+def test_blocks_hold_all_cells_and_never_overlap() -> None:
+    rng = np.random.default_rng(4)
+    for share in (0.0, 0.01, 0.05, 0.2):
+        cells = rng.random((17, 23)) < share
+        blocks = grown(cells, ((slice(2, 4), slice(3, 9)),))
+        covered = np.zeros(cells.shape, dtype=int)
+        for block in blocks:
+            covered[block] += 1
+        assert covered.max() == 1
+        assert np.all(covered[cells] == 1)
+        assert np.all(covered[2:4, 3:9] == 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [("effort: regoin", "4:1"), ("effort: {kind: region, significanse: 3}", "4:"), ("effort: {kind: far}", "4:")],
+)
+def test_unknown_effort_is_one_sentence_with_its_place(tmp_path: Path, text: str, place: str) -> None:
+    recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
+    config = tmp_path / "run.yaml"
+    config.write_text(f"schema: 1\nrecordings: [small.h5]\nestimators: {{LSM: {{terms: {{misfit: {{}}}}}}}}\n{text}\n")
+    with pytest.raises(InputError) as caught:
+        read_run(config)
+    assert f"run.yaml:{place}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_words_stand_for_efforts(tmp_path: Path) -> None:
+    recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
+    config = tmp_path / "run.yaml"
+    config.write_text(
+        "schema: 1\nrecordings: [small.h5]\neffort: region\nestimators:\n"
+        "  A: {terms: {misfit: {}}}\n"
+        "  B: {terms: {misfit: {}}, effort: {kind: truncated, steps: 3}}\n"
+        "  C: {terms: {misfit: {}}, effort: nodal}\n"
+    )
+    efforts = [case.estimator.effort for case in read_run(config).cases]
+    assert efforts == [Region(), Truncated(steps=3), Converged("nodal")]
+
+
+def test_region_sees_that_all_cells_changed_alike() -> None:
+    data = recording(resting(), 0.8 * resting(), noise=1e-5)
+    region, full = (found_by(effort, data) for effort in (Region(), REDUCED))
+    assert_allclose(region.cell_resistance, full.cell_resistance, rtol=1e-6)

@@ -1,0 +1,85 @@
+"""Conjugate gradients on larger panels find what a factorisation finds; their preconditioner is what it says."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.estimator import Estimator
+from lampest.kirchhoff import Network, grounding, two_point_resistance
+from lampest.panel import Panel
+from lampest.readout import resistance_from_voltage, sigma_resistance, voltage_from_resistance
+from lampest.recording import Recording
+from lampest.scene import Scene, TwoPointReadout
+from lampest.sequence import reconstruct
+from lampest.solvers import convex, directions, linearised
+from lampest.solvers.stencil import Stencil
+from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.terms.losses import Absolute, Huber
+from lampest.terms.term import Term
+
+SHAPE = (9, 11)
+ESTIMATORS: dict[str, tuple[Term, ...]] = {
+    "LSM": (Misfit(),),
+    "weighted": (Misfit(weighting="noise"),),
+    "LSR-CR": (Misfit(), CellResistance()),
+    "LSR-dCR": (Misfit(), RelativeChange()),
+    "LSR-gCR": (Misfit(), Gradient()),
+    "LSR-gdCR": (Misfit(), GradientOfRelativeChange()),
+    "Huber": (Misfit(loss=Huber(corner=2.0)), Gradient()),
+    "absolute": (Misfit(), Gradient(weight=1.0, loss=Absolute())),
+}
+
+
+def recording(noise: float) -> Recording:
+    """One unloaded frame and two with a pressed ring, noise in units of the readout's σ."""
+    generator = np.random.default_rng(5)
+    truth = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
+    truth[1:, 2:6, 3:7] *= 0.3
+    truth[1:, 3:5, 4:6] *= 12
+    readout = TwoPointReadout()
+    exact = two_point_resistance(truth)
+    resistance = exact + noise * sigma_resistance(readout, exact) * generator.standard_normal(exact.shape)
+    assert_allclose(resistance_from_voltage(readout, voltage_from_resistance(readout, exact)), exact)
+    return Recording(Scene(Panel(*SHAPE), readout), resistance, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
+
+
+@pytest.mark.parametrize("noise", [1.0, 5.0])
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, estimator = recording(noise), Estimator(ESTIMATORS[name], formulation="reduced")
+    factored = reconstruct(recorded, estimator)
+    for module in (directions, convex, linearised):
+        monkeypatch.setattr(module, "DENSE_UNKNOWNS", 0)
+    products = reconstruct(recorded, estimator)
+    for one, other in zip(factored.steps, products.steps, strict=True):
+        assert one.solution.solved
+        assert other.solution.solved
+        assert other.solution.objective == pytest.approx(one.solution.objective, rel=1e-6, abs=1e-6)
+
+
+def test_stencil_is_close_to_the_response_of_an_even_panel() -> None:
+    """On equal cells D∘D and its stencil differ by little more than 1/(rows + columns)."""
+    cells = np.full((30, 40), 1000.0)
+    resistance = two_point_resistance(cells)
+    network = Network.solve(1 / cells, grounding(resistance))
+    stencil = Stencil.of(1 / cells, resistance, np.ones(cells.shape, dtype=bool))
+    generator = np.random.default_rng(1)
+    values = generator.standard_normal(cells.shape)
+    back = stencil.solve(-network.conductance_product(values))
+    assert np.linalg.norm(back - values) < 0.1 * np.linalg.norm(values)
+
+
+def test_stencil_inverts_what_it_stands_for() -> None:
+    generator = np.random.default_rng(2)
+    conductance = np.exp(generator.standard_normal((4, 5)))
+    resistance = two_point_resistance(1 / conductance)
+    free = generator.random((4, 5)) < 0.7
+    stencil = Stencil.of(conductance, resistance, free)
+    row, column = np.divmod(np.arange(20), 5)
+    matrix = np.diag(1 / np.where(free, stencil.own, 1.0).ravel())
+    matrix += (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
+    matrix += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
+    chosen = np.flatnonzero(free)
+    values = generator.standard_normal(20)
+    expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[chosen])
+    assert_allclose(stencil.solve(values.reshape(4, 5)).ravel()[chosen], expected, rtol=1e-10)
