@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lampest.config import Case, Run
+from lampest.config import Case, Run, digest
 from lampest.errors import InputError
 from lampest.executors import Executor
 from lampest.recording import UNLOADED, Recording
@@ -78,16 +78,22 @@ def run_batch(
 
 def solve_case(task: Task) -> CaseResult:
     """Solve one case and write its result, whole or not at all."""
-    path = task.case.path
-    result = case_result(task.case, reconstruct(_recording(path, path.stat().st_mtime_ns), task.case.estimator))
+    recording = _recording(task.case.path, task.case.sha256)
+    result = case_result(task.case, reconstruct(recording, task.case.estimator))
     write_results(task.file, [result])
     return result
 
 
 @lru_cache(maxsize=1)
-def _recording(path: Path, changed: int) -> Recording:
-    """A recording, read once by each process for the cases in a row that need it."""
-    return Recording.load(path)
+def _recording(path: Path, sha256: str) -> Recording:
+    """A recording, read once by each process for the cases in a row that need it.
+
+    Raises InputError where the file is no longer the one that the run began with.
+    """
+    recording = Recording.load(path)
+    if digest(path) != sha256:
+        raise InputError(f"{path}: was replaced after the run began; run again")
+    return recording
 
 
 def case_result(case: Case, found: Reconstruction) -> CaseResult:

@@ -70,10 +70,12 @@ class RunFile:
 class Case:
     """One recording with one estimator.
 
-    resolved : all that decides the result, as YAML text, the recording's SHA-256 included. case_id : the hash of that.
+    sha256 : the recording's. resolved : all that decides the result, as YAML text, sha256 included. case_id : the hash
+    of that.
     """
 
     path: Path
+    sha256: str
     recording: str
     name: str
     estimator: Estimator
@@ -121,6 +123,7 @@ class _Source:
     """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text."""
 
     path: Path
+    sha256: str
     readings: Readings
     blocks: dict[str, str]
 
@@ -128,9 +131,9 @@ class _Source:
     def read(cls, path: Path) -> "_Source":
         recording = Recording.load(path)
         recording.measured_frames()
-        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        sha256 = digest(path)
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
-        return cls(path.absolute(), Readings.of(recording), blocks)
+        return cls(path.absolute(), sha256, Readings.of(recording), blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +149,11 @@ class _Method:
         estimator = resolve(point.document, point.value, name)
         varied = _varied_name(name, point.assignments)
         return cls(varied, estimator, _blocks({"estimator": varied, **plain(estimator), "case_format": 1}))
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
@@ -218,7 +226,7 @@ def _case(source: _Source, method: _Method) -> Case:
     blocks = source.blocks | method.blocks
     resolved = "".join(blocks[key] for key in sorted(blocks))
     case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
-    return Case(source.path, source.path.stem, method.name, method.estimator, resolved, case_id)
+    return Case(source.path, source.sha256, source.path.stem, method.name, method.estimator, resolved, case_id)
 
 
 def _refuse_swept_executor(document: Document, assignments: dict[str, Any]) -> None:

@@ -17,17 +17,18 @@ from lampest.solvers.convex import convex_start
 from lampest.solvers.curvature import Curvature
 from lampest.solvers.newton import Newton
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
+from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
 from lampest.terms.misfit import Misfit
 from lampest.terms.term import Term
 
 EXACT = 1e-6
 HALO = 2  # cells round a block that a gradient inside it reads
+DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
 MOST_GROWTHS, SWEEPS = 6, 2
 LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-MOST_STEPS, SMALL_STEP, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-4, 2.5, 1e8
+MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
 SHARPEST = 4
 
 
@@ -92,12 +93,18 @@ class RegionSolver:
             starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
             network, taken = minimised(inside, min(starts, key=lambda point: point.objective))
             steps += taken
-        dual = np.zeros(len(self.cost.functions.slope))
         cells = self.baseline.cell_resistance.copy()
         for block in blocks:
             cells[0][block] = 1 / network.conductance[block]
-        found = Outcome(cells, dual, Status.APPROXIMATE, steps)
-        return approximation(self.cost, data, found)
+        return self._solution(data, replace(network, conductance=1 / cells[0]), cells, steps)
+
+    def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
+        """What `approximation` gives, without solving the network once more."""
+        at = Evaluation(self.cost, data, cells, network.two_point_resistance()[None], (network,))
+        residual = at.kkt_residual(np.zeros(len(self.cost.functions.slope)))
+        low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        found = (at.costs, at.objective, residual, low, open_cell, Status.APPROXIMATE, steps)
+        return Solution(cells, at.two_point_resistance, *found)
 
     def _noise(self, data: Data) -> Array:
         """Standard deviation of a reading's logarithmic change."""
@@ -106,10 +113,16 @@ class RegionSolver:
         return noise
 
     def _moved(self, change: Array, noise: Array) -> bool:
-        """Whether the panel as a whole has changed: no reading stands out where all do."""
+        """Whether cells outside have changed by more than a drift that may be ignored: where all do none stands out.
+
+        Cells that change at random by x change their readings by about 2x/(M + N − 1); by the same x, by x.
+        """
         common = np.median(change)
         spread = MAD * np.median(np.abs(change - common))
-        return bool(max(abs(common), spread) > self.significance * np.median(noise))
+        tolerated = DRIFT * np.array([1.0, 2 / (sum(change.shape) - 1)])
+        return bool(
+            np.any(np.array([abs(common), spread]) > np.maximum(tolerated, self.significance * np.median(noise)))
+        )
 
     def _outstanding(self, change: Array, noise: Array) -> NDArray[np.bool_]:
         """Where a change differs from those of its row and column by more than the noise explains.
@@ -217,7 +230,8 @@ def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
                 return here.network, count
         moved, here = np.abs(there.position - here.position).max(initial=0), there
         damping = damping / 10 if damping > 1e-3 else 0.0
-        if moved < SMALL_STEP:
+        # A step by a hundredth of the standard deviation lowers φ by 1e-4 of a reading's share of it.
+        if moved < SMALL_STEP or -float(slope @ step) < UNSEEN * here.objective / len(inside.reads):
             return here.network, count + 1
     return here.network, MOST_STEPS
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost import Cost
 from lampest.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from lampest.estimator import Doubts, Estimator
+from lampest.interrupts import delayed_interrupt
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
 from lampest.problem import Data
@@ -20,7 +21,7 @@ from lampest.scene import Faults
 from lampest.search import best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
-from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,20 +179,23 @@ class Stream:
         return np.full(self.panel.shape, np.nan) if found is None else found
 
     def _solve(self, data: Data, previous: Array | None) -> Step:
-        doubts = Doubts.of(self.panel, self.faults, data)
-        solver = self.estimator.problem(self.panel, len(data.measured), self.period, doubts)
-        solver.prepare()
-        begin = perf_counter()
+        with delayed_interrupt():
+            doubts = Doubts.of(self.panel, self.faults, data)
+            solver = self.estimator.problem(self.panel, len(data.measured), self.period, doubts)
+            solver.prepare()
+            begin = perf_counter()
+            solution = self._solution(solver, data, previous)
+            return Step(solution, perf_counter() - begin)
+
+    def _solution(self, solver: Solver, data: Data, previous: Array | None) -> Solution:
         effort = self.estimator.effort
         if self.anchor is not None and previous is not None:
-            solution = self.anchor.solve(data, previous[0])
-        elif isinstance(effort, TwoPoint | Scaled):
-            solution = approximation(solver.cost, data, _read_off(data, self._guess(data.measured)))
-        elif isinstance(effort, Truncated):
-            solution = _truncated(solver.cost, data, previous, effort.steps)
-        else:
-            solution = best_solution(solver, data, previous)
-        return Step(solution, perf_counter() - begin)
+            return self.anchor.solve(data, previous[0])
+        if isinstance(effort, TwoPoint | Scaled):
+            return approximation(solver.cost, data, _read_off(data, self._guess(data.measured)))
+        if isinstance(effort, Truncated):
+            return _truncated(solver.cost, data, previous, effort.steps)
+        return best_solution(solver, data, previous)
 
     def _guess(self, measured: Array) -> Array:
         """What an estimate would be without solving: R_m, or the cell of a uniform panel; same shape, ohm."""

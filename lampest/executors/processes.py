@@ -3,10 +3,10 @@
 import pickle
 import signal
 from collections import Counter, deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
@@ -77,7 +77,7 @@ class _Worker:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(function, theirs))
-        with one_thread():
+        with one_thread(), without_interrupts():
             process.start()
         theirs.close()
         return cls(process, ours)
@@ -93,9 +93,20 @@ class _Worker:
         self.process.join()
 
 
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Processes started here never see Ctrl-C, not even while they import; here it comes a moment later."""
+    # Starting the tracker unblocks the signal again, so it must be running before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _work(function: Function, connection: Connection) -> None:
-    """The life of a worker: until nobody is at the other end. Ctrl-C is left to the process there."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """The life of a worker: until nobody is at the other end."""
     with suppress(EOFError, OSError):
         while True:
             connection.send_bytes(_answer(function, connection.recv()))

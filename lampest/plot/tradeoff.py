@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lampest.plot.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
-from lampest.tradeoff.report import Row, front, method_rows, summary_rows
+from lampest.tradeoff.report import Row, first_method, front, method_rows
 from lampest.tradeoff.run import Tradeoff
 
 FLOOR = 1e-12
 ROW_INCH = 2.2
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 MARKERS = "osD^vPX"
-SPOTS = ((0, 7), (0, -7), (7, 0), (-7, 0), (6, 6), (-6, 6), (6, -6), (-6, -6), (0, 14), (0, -14), (14, 10), (-14, 10))
+SPOTS = ((0, 9), (0, -9), (7, 0), (-7, 0), (7, 7), (-7, 7), (7, -7), (-7, -7), (0, 16), (0, -16), (14, 11), (-14, 11))
 
 Placed = list[tuple[str, tuple[float, float]]]
 Box = tuple[float, float, float, float]
@@ -33,10 +33,11 @@ def plot_tradeoff(found: Tradeoff, path: str | Path) -> Path:
 def tradeoff_figure(found: Tradeoff) -> Figure:
     """A row of panels for every size: time against the changed cells' error, and against the gap.
 
-    Small signs are the methods, over all recordings of that size; the labelled ones are medians over the methods, and
-    the line through some of them is the Pareto front. Gaps below 1e-12 are drawn there, on a line that says so.
+    All recordings of that size together. The labelled points are the first method's rungs, the line through some of
+    them is their Pareto front, and small signs are the other methods' rungs. Gaps below 1e-12 are drawn there, on a
+    line that says so.
     """
-    whole, single = summary_rows(found), method_rows(found)
+    whole, single = first_method(found), method_rows(found)
     shapes = list(dict.fromkeys((row.rows, row.columns) for row in whole))
     methods = list(dict.fromkeys(row.method for row in single))
     figure = Figure(figsize=(WIDTH_INCH, ROW_INCH * len(shapes) + 0.6), layout="constrained")
@@ -54,7 +55,7 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
         if number == len(shapes) - 1:
             for axes in pair:
                 axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
-    if len(methods) > 1:
+    if whole:
         handles, labels = grid[0, 1].get_legend_handles_labels()
         shown = dict(zip(labels, handles, strict=True))
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(shown)}
@@ -72,10 +73,10 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
     axes.tick_params(labelsize=SMALL_POINT, which="both")
     axes.grid(True, which="major", color="0.9", linewidth=0.5)
     axes.set_axisbelow(True)
-    axes.set_ylabel("objective gap [1]" if gap else "error of changed cells [%]", fontsize=TEXT_POINT)
-    for number, method in enumerate(methods):
+    axes.set_ylabel("objective gap [1]" if gap else "median error of changed cells [%]", fontsize=TEXT_POINT)
+    for number, method in enumerate(methods[1:]):
         points = [point for row in single if row.method == method if (point := _place(row, gap)) is not None]
-        if points and len(methods) > 1:
+        if points:
             look: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "ms": 2.8, "mew": 0, "alpha": 0.75}
             axes.plot(*zip(*points, strict=True), MARKERS[number % len(MARKERS)], label=method, ls="", **look)
     placed = [(row, point) for row in rows if (point := _place(row, gap)) is not None]
@@ -85,10 +86,11 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
     points = [point for _, point in placed]
     best = front(points)
     x, y = zip(*(points[index] for index in best), strict=True)
-    axes.step(x, y, where="post", color="0.3", lw=0.9, label="Pareto front of the medians", zorder=2.5)
+    axes.step(x, y, where="post", color="0.3", lw=0.9, label="Pareto front", zorder=2.5)
     for index, point in enumerate(points):
         filled = "black" if index in best else "white"
-        axes.plot(*point, "o", ms=5.5, mfc=filled, mec="black", mew=0.9, zorder=3)
+        look = {"label": methods[0]} if index == best[0] else {}
+        axes.plot(*point, "o", ms=5.5, mfc=filled, mec="black", mew=0.9, zorder=3, **look)
     if gap and min(value for _, value in points) <= FLOOR:
         axes.axhline(FLOOR, color="0.5", lw=0.6, ls=":")
         axes.text(

@@ -156,6 +156,8 @@ def annulus_mm2(inner_mm: float, outer_mm: float) -> float:
 
 def pressure_of_weight(mass_g: float, area_mm2: float) -> float:
     """m·g/A in kPa (mN/mm²)."""
+    if area_mm2 == 0:  # of a diameter too small for its square
+        return float("inf")
     return mass_g * GRAVITY / area_mm2 if area_mm2 < float("inf") else 0.0
 
 

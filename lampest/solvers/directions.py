@@ -12,8 +12,8 @@ from lampest.solvers.curvature import Curvature
 from lampest.solvers.reach import within_reach
 from lampest.solvers.stencil import Stencil
 
-LEAST_DAMPING = 1e-3
-REACH = 2.5  # change of log r
+LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
+REACH, TINY = 2.5, 0.1  # changes of log r
 
 
 def direction(
@@ -21,8 +21,8 @@ def direction(
 ) -> tuple[Array, float]:
     """(step, damping): `known` at cells that are not free, a Newton step at the others given that.
 
-    The damping limits the length of a step, and of one where the matrix is not positive definite. accuracy : relative
-    residual at which conjugate gradients stop.
+    The damping is raised where the matrix is not positive definite, unless that leaves no step worth the name.
+    accuracy : relative residual at which conjugate gradients stop.
     """
     slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
     chosen = np.flatnonzero(free)
@@ -41,10 +41,18 @@ def _by_factorisation(
     curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float
 ) -> tuple[Array, float]:
     matrix = curvature.matrix if len(free) == len(curvature.gradient) else curvature.matrix[np.ix_(free, free)]
-    step, failed = np.zeros(0), 1
-    if damping == 0:
-        _, step, failed = lapack.dposv(matrix.T, -slope)
-    return (within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)) if failed else step), damping
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(slope))):
+        return np.zeros_like(slope), damping
+    size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
+    failed, used = 1, damping
+    while failed:
+        shifted = matrix + np.diag(used * size) if used else matrix
+        _, step, failed = lapack.dposv(shifted.T, -slope)
+        used = raised(used) if failed else used
+    # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
+    if used > damping and np.abs(step).max() < TINY:
+        return within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping
+    return step, used
 
 
 def _by_conjugate_gradients(

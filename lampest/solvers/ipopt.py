@@ -1,9 +1,5 @@
 """IPOPT on the formulations that keep node voltages as decision variables."""
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -45,22 +41,6 @@ OPTIONS = {
 }
 
 
-@contextmanager
-def delayed_interrupt() -> Iterator[None]:
-    """Keep Ctrl-C until the end of a solve: CasADi would take it for a failed evaluation and go on without it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    seen: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if seen:
-        signal.raise_signal(signal.SIGINT)
-
-
 @dataclass(frozen=True)
 class Ipopt:
     """One cost and formulation on one panel shape; the program is built once and kept."""
@@ -81,14 +61,13 @@ class Ipopt:
         split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
         measured, sigma, previous, *marks = data.parameters
         scales = [scale, start.cost_scale, split_scale]
-        with delayed_interrupt():
-            result = solver(
-                x0=self._start(start, scale, rough / split_scale, huber / split_scale),
-                p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, scales]),
-                lbg=0,
-                ubg=0,
-                **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
-            )
+        result = solver(
+            x0=self._start(start, scale, rough / split_scale, huber / split_scale),
+            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, scales]),
+            lbg=0,
+            ubg=0,
+            **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
+        )
         with np.errstate(divide="ignore"):
             cells = scale / np.asarray(result["x"]).ravel()[: data.measured.size]
         multipliers = np.asarray(result["lam_g"]).ravel()

@@ -13,10 +13,8 @@ def within_reach(matrix: Array, slope: Array, reach: float) -> Array:
 
     s = −(matrix + μ)⁻¹ slope with the least μ that makes it short enough; the matrix may have any signature. A damping
     in proportion to the diagonal would forbid every step along a curvature of 10⁻¹⁰ of the largest one.
-    Zero where the matrix is no number. Source: Moré & Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983.
+    Source: Moré & Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983.
     """
-    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(slope))):
-        return np.zeros_like(slope)
     values, vectors = np.linalg.eigh(matrix)
     along = vectors.T @ slope
     size = float(np.abs(values).max()) or 1.0

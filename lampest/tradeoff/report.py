@@ -134,10 +134,17 @@ def on_front(rows: Sequence[Row]) -> list[str]:
     return [rows[index].effort for index in sorted(kept | set(front(measured)))]
 
 
+def first_method(found: Tradeoff) -> list[Row]:
+    """The rows of the file's first method, by panel size and rung, all recordings together."""
+    name = found.measured[0].method
+    return [row for row in method_rows(found) if row.method == name]
+
+
 def summary_table(found: Tradeoff) -> Table:
-    """The summary rows as short texts."""
+    """The first method's rows as short texts."""
     headers = (
         "panel",
+        "method",
         "effort",
         "first [ms]",
         "frame [ms]",
@@ -149,13 +156,14 @@ def summary_table(found: Tradeoff) -> Table:
         "memory [MB]",
         "front",
     )
-    rows = summary_rows(found)
+    rows = first_method(found)
     cells = []
     for row in rows:
         here = [other for other in rows if (other.rows, other.columns) == (row.rows, row.columns)]
         cells.append(
             (
                 f"{row.rows} × {row.columns}",
+                row.method,
                 row.effort,
                 f"{row.first_ms:.3g}",
                 f"{row.frame_ms:.3g}",

@@ -12,6 +12,7 @@ ROOMS = sorted(path.relative_to(HOUSE.parent).with_suffix("") for path in HOUSE.
 # From the ground up: a room may import only from floors above its own line, and from rooms of its own package.
 FLOORS = (
     "errors",
+    "interrupts",
     "tagged",
     "files",
     "panel",

@@ -89,8 +89,7 @@ def test_recording_that_is_replaced_under_way(tmp_path: Path) -> None:
     _, said = run.communicate(timeout=120)
     assert "Traceback" not in said
     for case in read_results(tmp_path / "out" / "results.h5").cases:
-        if case.recording == "two" and not np.array_equal(case.measured, before):
-            pytest.xfail("a case is solved with what the file holds then, under the hash of what it held before")
+        assert case.recording == "one" or np.array_equal(case.measured, before)
 
 
 @LONG
@@ -123,8 +122,6 @@ def test_ctrl_c_at_a_terminal(tmp_path: Path, jobs: int) -> None:
     run = started(made, out, jobs)
     os.killpg(run.pid, signal.SIGINT)
     printed, said = run.communicate(timeout=120)
-    if jobs == 1 and run.returncode in (0, 3):
-        pytest.xfail("an interrupt that arrives within the symbolic library is lost there")
     assert (run.returncode, printed, said) == (130, "", "lampest: interrupted; what was finished is kept\n")
     until(lambda: not session(run.pid))
     cases = read_results(out / "results.h5").cases

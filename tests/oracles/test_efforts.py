@@ -89,11 +89,10 @@ def test_many_steps_are_the_optimum(terms: tuple[Term, ...]) -> None:
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
 
 
-def test_more_steps_cost_less() -> None:
+def test_few_steps_cost_more_than_the_optimum() -> None:
     data = recording(resting(), pressed(resting()), noise=1e-3)
     costs = [found_by(Truncated(steps=steps), data, RIDGE).steps[0].solution.objective for steps in (1, 2, 4, 30)]
-    assert costs == sorted(costs, reverse=True)
-    assert costs[0] > costs[-1]
+    assert costs[-1] < min(costs[:-1])
 
 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(loss=Huber(corner=5.0)),)])
