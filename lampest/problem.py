@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from lampest.cost import Compiled, Cost
-from lampest.kirchhoff import Embedded, Network, Surroundings, grounding
+from lampest.kirchhoff import Network, grounding
 from lampest.panel import Array
 
 
@@ -22,7 +22,6 @@ class Data:
     lower, upper : same shape, ohm; bounds of the cell resistance.
     previous : (rows, columns) ohm, the known r0, or None.
     marks : side and seen of the readings (frames, rows, columns), as `Readings` has them; None: all are values.
-    surroundings : the rest of the network where these cells are only a block of it; None for a whole panel.
     """
 
     measured: Array
@@ -30,7 +29,6 @@ class Data:
     lower: Array
     upper: Array
     previous: Array | None = None
-    surroundings: Surroundings | None = None
     marks: tuple[Array, Array] | None = None
 
     @property
@@ -48,11 +46,9 @@ class Data:
         """(frames, rows + columns) siemens: each frame's tie to ground."""
         return np.stack([grounding(measured) for measured in self.measured])
 
-    def network(self, frame: int, cell_resistance: Array) -> Network | Embedded:
+    def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        if self.surroundings is None:
-            return Network.solve(1 / cell_resistance, self.ties[frame])
-        return Embedded.solve(1 / cell_resistance, self.surroundings)
+        return Network.solve(1 / cell_resistance, self.ties[frame])
 
     @cached_property
     def parameters(self) -> tuple[Array, ...]:
@@ -70,7 +66,7 @@ class Evaluation:
     data: Data
     cell_resistance: Array
     two_point_resistance: Array
-    networks: tuple[Network | Embedded, ...]
+    networks: tuple[Network, ...]
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":

@@ -74,18 +74,15 @@ class RegionSolver:
     def _exact(self) -> Network:
         """A network that reproduces the baseline's readings, which a baseline with penalties does not."""
         resting, data = self.baseline.networks[0], self.baseline.data
-        assert isinstance(resting, Network)
         if all(isinstance(term, Misfit) for term in self.cost.terms):
             return resting
         cells = convex_start(data.measured[0], data.upper[0], tolerance=EXACT)
         found = data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
-        assert isinstance(found, Network)
         return found
 
     def _minimised(self, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
         """The cost's minimum over the cells of each block in turn, all others as they are."""
         network, steps = self.baseline.networks[0], 0
-        assert isinstance(network, Network)
         for block in blocks:
             network = changed(network, block, fit.conductance[block])
         for block in blocks:

@@ -86,9 +86,9 @@ class Curvature:
 
     @property
     def only_misfit(self) -> bool:
-        """Whether nothing but the readings of one whole panel bends the cost."""
+        """Whether nothing but the readings of one frame bends the cost."""
         frames, size = len(self.at.networks), self.at.cell_resistance.size
-        return frames == 1 and self.at.data.surroundings is None and self.terms[:size, :size].nnz == 0
+        return frames == 1 and self.terms[:size, :size].nnz == 0
 
     @cached_property
     def local(self) -> sparse.csr_array:

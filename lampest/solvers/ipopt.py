@@ -9,7 +9,6 @@ import numpy as np
 
 from lampest.cost import Cost, huber_residuals
 from lampest.formulations import Formulation
-from lampest.kirchhoff import Network
 from lampest.panel import Array
 from lampest.problem import Data, Evaluation
 from lampest.solvers.program import Program
@@ -79,8 +78,7 @@ class Ipopt:
 
     def _start(self, start: Evaluation, scale: float, rough: Array, huber: Array) -> Array:
         conductance = scale / start.cell_resistance.ravel()
-        whole = [network for network in start.networks if isinstance(network, Network)]
-        potentials = [self.formulation.potentials(network) / scale for network in whole]
+        potentials = [self.formulation.potentials(network) / scale for network in start.networks]
         parts = [rough, *np.split(huber, np.cumsum(self._huber_sizes)[:-1])]
         split = [side for part in parts for side in (np.maximum(part, 0) + 0.01, np.maximum(-part, 0) + 0.01)]
         return np.concatenate([conductance, *potentials, *split])

