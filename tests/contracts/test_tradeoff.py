@@ -42,7 +42,10 @@ def test_every_rung_is_measured_with_every_method_on_every_recording(found: Trad
     assert len(names) == len(found.measured) == 2 * 2 * (7 + 6)
     assert {one.effort for one in found.measured} == set(RUNGS)
     for one in found.measured:
-        assert one.wall.shape == one.cpu.shape == (3, 2)
+        # A rung that takes long is not repeated.
+        assert one.wall.shape == one.cpu.shape
+        assert one.wall.shape[0] == 3
+        assert one.wall.shape[1] in (1, 2)
         assert one.cell_error.shape == one.gap.shape == one.iterations.shape == (3,)
         assert one.solved.all()
 
