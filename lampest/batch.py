@@ -132,10 +132,13 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
             term_kind(term): np.array([solution.costs[number] for solution in solutions])
             for number, term in enumerate(case.estimator.terms)
         },
+        weights={term_kind(term): np.full(len(solutions), float(term.weight)) for term in case.estimator.terms},
         baseline_status=found.baseline.solution.status.value,
         baseline_solve_time=found.baseline.seconds,
         joint_start=found.joint_start,
         solved=np.array([solution.solved for solution in solutions]),
+        sigma=found.sigma,
+        sigma_baseline=found.sigma_baseline,
         truth=None if truth is None else truth[found.frame],
         truth_baseline=truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None,
     )

@@ -34,6 +34,8 @@ GIVEN = (
     Column(
         "measured_baseline", "baseline", AXES[1:], np.float64, "ohm", "mean of the unloaded frames, series taken off"
     ),
+    Column("sigma", "sigma", AXES, np.float64, "ohm", "standard deviation of the measured two-point resistance", True),
+    Column("sigma_baseline", "sigma_baseline", AXES[1:], np.float64, "ohm", "standard deviation of the baseline", True),
     Column("truth", "truth", AXES, np.float64, "ohm", "true cell resistance", True),
     Column("truth_baseline", "truth_baseline", AXES[1:], np.float64, "ohm", "mean true unloaded cell resistance", True),
 )
@@ -54,6 +56,54 @@ FOUND = (
     Column("kkt_residual", "kkt_residual", AXES[:1], np.float64, "1", "violation of the optimality conditions"),
     Column("solved", "solved", AXES[:1], np.uint8, "1", "1: solved, 0: failed"),
 )
+# What is known of an estimate beyond its value; absent where the noise of the readings is unknown or nobody asked.
+CERTAINTY = (
+    Column(
+        "cell_resistance_errors",
+        "cell_resistance_errors",
+        AXES,
+        np.float64,
+        "ohm",
+        "posterior standard deviation of the cell resistance",
+        True,
+    ),
+    Column("cell_resistance_lower", "cell_resistance_lower", AXES, np.float64, "ohm", "95 % interval, lower end", True),
+    Column("cell_resistance_upper", "cell_resistance_upper", AXES, np.float64, "ohm", "95 % interval, upper end", True),
+    Column(
+        "relative_change_errors",
+        "relative_change_errors",
+        AXES,
+        np.float64,
+        "percent",
+        "posterior standard deviation of the relative change",
+        True,
+    ),
+    Column(
+        "relative_change_lower", "relative_change_lower", AXES, np.float64, "percent", "95 % interval, lower end", True
+    ),
+    Column(
+        "relative_change_upper", "relative_change_upper", AXES, np.float64, "percent", "95 % interval, upper end", True
+    ),
+    Column("resolution", "resolution", AXES, np.float64, "1", "diagonal of the averaging kernel", True),
+    Column("data_share", "data_share", AXES, np.float64, "1", "share of the estimate that comes from the data", True),
+    Column(
+        "baseline_resistance_errors",
+        "baseline_resistance_errors",
+        AXES[1:],
+        np.float64,
+        "ohm",
+        "posterior standard deviation of the unloaded cell resistance",
+        True,
+    ),
+)
+PRESSURE = (
+    Column("pressure", "pressure", AXES, np.float64, "kPa", "pressure of the load on the cell", True),
+    Column("pressure_errors", "pressure_errors", AXES, np.float64, "kPa", "standard deviation of the pressure", True),
+    Column("pressure_lower", "pressure_lower", AXES, np.float64, "kPa", "95 % interval, lower end", True),
+    Column("pressure_upper", "pressure_upper", AXES, np.float64, "kPa", "95 % interval, upper end", True),
+    Column("saturated", "saturated", AXES, np.uint8, "1", "1: the response says no more than a bound", True),
+)
+ESTIMATED = (*FOUND, *CERTAINTY, *PRESSURE)
 
 
 @dataclass(frozen=True)
@@ -104,11 +154,13 @@ class CaseResult:
     baseline_resistance : (rows, columns) ohm.
     status : (frames) how each solve ended, a sentence.
     iterations, solve_time, objective, kkt_residual : (frames), solve_time in s.
-    costs : term → (frames).
+    costs, weights : term → (frames).
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     joint_start : whether the first frame was solved together with the baseline.
     solved : (frames) False where a frame failed.
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
+    sigma, sigma_baseline : standard deviations of what was measured, same shapes, ohm; None where unknown.
+    the fields of CERTAINTY and PRESSURE : as their columns say; None where nobody asked. NaN where a frame failed.
 
     Raises InputError where a name is unfit, shapes disagree, or a value is impossible.
     """
@@ -136,12 +188,29 @@ class CaseResult:
     objective: Array
     kkt_residual: Array
     costs: dict[str, Array]
+    weights: dict[str, Array]
     baseline_status: str
     baseline_solve_time: float
     joint_start: bool
     solved: NDArray[np.bool_]
     truth: Array | None = None
     truth_baseline: Array | None = None
+    sigma: Array | None = None
+    sigma_baseline: Array | None = None
+    cell_resistance_errors: Array | None = None
+    cell_resistance_lower: Array | None = None
+    cell_resistance_upper: Array | None = None
+    relative_change_errors: Array | None = None
+    relative_change_lower: Array | None = None
+    relative_change_upper: Array | None = None
+    resolution: Array | None = None
+    data_share: Array | None = None
+    baseline_resistance_errors: Array | None = None
+    pressure: Array | None = None
+    pressure_errors: Array | None = None
+    pressure_lower: Array | None = None
+    pressure_upper: Array | None = None
+    saturated: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")
@@ -153,15 +222,16 @@ class CaseResult:
                 f"{self._path(SHARED, 'resistance')} must be frames × rows × columns with at least one frame"
             )
         sizes = dict(zip(AXES, self.measured.shape, strict=True))
-        for group, columns in ((SHARED, GIVEN), (self.estimator, FOUND)):
+        for group, columns in ((SHARED, GIVEN), (self.estimator, ESTIMATED)):
             for column in columns:
                 value = getattr(self, column.field)
                 if value is not None or not column.optional:
                     self._check_shape(group, column.dataset, value, tuple(sizes[axis] for axis in column.axes))
         self._check_shape(SHARED, "time", self.time, (sizes["time"],))
-        for term, cost in self.costs.items():
-            check_name(term, "term")
-            self._check_shape(self.estimator, f"cost/{term}", cost, (sizes["time"],))
+        for folder, figures in (("cost", self.costs), ("weight", self.weights)):
+            for term, figure in figures.items():
+                check_name(term, "term")
+                self._check_shape(self.estimator, f"{folder}/{term}", figure, (sizes["time"],))
         if len(self.status) != sizes["time"]:
             raise InputError(f"{self._path(self.estimator, 'status')} must hold one sentence for each frame")
         self._check_values()
@@ -190,6 +260,14 @@ class CaseResult:
                 raise InputError(
                     f"{self._path(self.estimator, name)} must be numbers where solved is 1, and NaN elsewhere"
                 )
+        for column in (*CERTAINTY, *PRESSURE):
+            value = getattr(self, column.field)
+            if value is not None and column.axes == AXES and column.kind is np.float64:
+                missing = np.isnan(value)
+                if not np.all(np.where(self.solved, ~missing.any(axis=(1, 2)), missing.all(axis=(1, 2)))):
+                    raise InputError(
+                        f"{self._path(self.estimator, column.dataset)} must be NaN where solved is 0, only"
+                    )
 
 
 @dataclass(frozen=True, eq=False)

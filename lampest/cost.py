@@ -1,10 +1,11 @@
 """The cost function: terms over one frame, or over a baseline and its first frame jointly, with sparse derivatives.
 
 φ = Σ_terms weight · loss(residual). This module is symbolic; values and the way from potentials to cells are elsewhere.
+Weights are parameters of what is compiled: costs that differ in nothing else share it.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi
@@ -36,12 +37,22 @@ class Cost:
         """Whether a single frame needs a known previous one."""
         return self.frames == 1 and any(term.needs_previous for term in self.terms)
 
-    def residuals(self, *symbols: casadi.SX) -> list[tuple[Term, casadi.SX]]:
-        """(term, residual) pairs of expressions in the order of `symbols`."""
+    @cached_property
+    def weights(self) -> Array:
+        """Of the terms, in their order. Raises ValueError where one is still to be chosen."""
+        return np.array([float(term.weight) for term in self.terms])
+
+    @property
+    def unweighted(self) -> "Cost":
+        """The same cost with weights of one."""
+        return replace(self, terms=tuple(replace(term, weight=1.0) for term in self.terms))
+
+    def residuals(self, *symbols: casadi.SX) -> list[tuple[int, casadi.SX]]:
+        """(number of the term, residual) pairs of expressions in the order of `symbols`, frame by frame."""
         pairs = self._all_residuals(*symbols)
         if not self.faulty:
             return pairs
-        return [(term, part[rows]) for (term, part), rows in zip(pairs, self._sound_rows, strict=True)]
+        return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
 
     def _all_residuals(
         self,
@@ -51,15 +62,16 @@ class Cost:
         sigma: casadi.SX,
         previous: casadi.SX,
         *marks: casadi.SX,
-    ) -> list[tuple[Term, casadi.SX]]:
+    ) -> list[tuple[int, casadi.SX]]:
         pairs = []
         for frame in range(self.frames):
             before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
             cell, model, reading, noise = (part[:, frame] for part in (cells, two_point, measured, sigma))
             side, seen = (mark[:, frame] for mark in marks) if marks else (None, None)
             state = State(self.panel, cell, model, reading, noise, before, side, seen)
-            terms = [term for term in self.terms if before is not None or not term.needs_previous]
-            pairs += [(term, term.residual(state)) for term in terms]
+            for number, term in enumerate(self.terms):
+                if before is not None or not term.needs_previous:
+                    pairs.append((number, term.residual(state)))
         return pairs
 
     @cached_property
@@ -84,7 +96,12 @@ class Cost:
     @cached_property
     def functions(self) -> "CostFunctions":
         """The cost and its derivatives, compiled at first use."""
-        return CostFunctions.build(self)
+        return _functions(self.unweighted)
+
+    @cached_property
+    def slope(self) -> Array:
+        """The weight of every residual with an absolute loss."""
+        return self.weights[self.functions.rough_terms]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +133,10 @@ class Compiled:
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of flat cells, two-point resistances, measured, σ, previous and, but for costs and rough, the duals.
+    """Functions of flat cells, two-point resistances, measured, σ, previous, the terms' weights and the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
-    two-point resistances). rough, rough_jacobian, slope : residuals x with an absolute loss, their weights.
+    two-point resistances). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.
     huber : residuals with Huber's loss.
     """
 
@@ -129,48 +146,57 @@ class CostFunctions:
     rough: Compiled
     rough_jacobian: Compiled
     huber: Compiled
-    slope: Array
+    rough_terms: NDArray[np.intp]
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically; sparse."""
-        symbols = cost.symbols()
+        symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
         pairs = cost.residuals(*symbols)
-        costs = {id(term): casadi.SX(0) for term in cost.terms}
-        for term, residual in pairs:
-            costs[id(term)] += term.weight * term.loss.cost(residual)
-        smooth, rough, slope = smooth_and_rough(pairs)
+        costs = [casadi.SX(0) for _ in cost.terms]
+        for number, residual in pairs:
+            costs[number] += weights[number] * cost.terms[number].loss.cost(residual)
+        smooth, rough, slope = smooth_and_rough(cost, pairs, weights)
         dual = casadi.SX.sym("dual", rough.shape[0])
-        lagrangian = smooth + casadi.dot(casadi.DM(slope) * dual, rough)
+        lagrangian = smooth + casadi.dot(slope * dual, rough)
         unknown = casadi.vertcat(casadi.vec(symbols[0]), casadi.vec(symbols[1]))
         gradient = casadi.gradient(lagrangian, unknown)
+        corners = [residual for *_, residual in huber_residuals(cost, pairs)]
         outputs = {
-            "costs": casadi.vertcat(*costs.values()),
+            "costs": casadi.vertcat(*costs),
             "gradient": casadi.densify(gradient),
             "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
             "rough": casadi.densify(rough),
             "rough_jacobian": casadi.jacobian(rough, unknown),
-            "huber": casadi.densify(casadi.vertcat(casadi.SX(0, 1), *(part for *_, part in huber_residuals(pairs)))),
+            "huber": casadi.densify(casadi.vertcat(casadi.SX(0, 1), *corners)),
         }
-        inputs = [casadi.vec(symbol) for symbol in symbols]
-        compiled = {
-            name: Compiled(casadi.Function(name, [*inputs, dual], [output])) for name, output in outputs.items()
-        }
-        return cls(**compiled, slope=slope)
+        inputs = [*(casadi.vec(symbol) for symbol in symbols), weights, dual]
+        compiled = {name: Compiled(casadi.Function(name, inputs, [output])) for name, output in outputs.items()}
+        owners = [[number] * part.shape[0] for number, part in pairs if isinstance(cost.terms[number].loss, Absolute)]
+        return cls(**compiled, rough_terms=np.array(sum(owners, []), dtype=np.intp))
 
 
-def smooth_and_rough(pairs: list[tuple[Term, casadi.SX]]) -> tuple[casadi.SX, casadi.SX, Array]:
+@lru_cache(maxsize=128)
+def _functions(cost: Cost) -> CostFunctions:
+    return CostFunctions.build(cost)
+
+
+def smooth_and_rough(
+    cost: Cost, pairs: list[tuple[int, casadi.SX]], weights: casadi.SX
+) -> tuple[casadi.SX, casadi.SX, casadi.SX]:
     """Σ weight·loss over terms with a differentiable loss; the residuals with an absolute loss, and their weights."""
-    smooth, rough, slopes = casadi.SX(0), [casadi.SX(0, 1)], [np.zeros(0)]
-    for term, residual in pairs:
-        if isinstance(term.loss, Absolute):
+    smooth, rough, slopes = casadi.SX(0), [casadi.SX(0, 1)], [casadi.SX(0, 1)]
+    for number, residual in pairs:
+        loss = cost.terms[number].loss
+        if isinstance(loss, Absolute):
             rough.append(residual)
-            slopes.append(np.full(residual.shape[0], term.weight))
+            slopes.append(casadi.repmat(weights[number], residual.shape[0], 1))
         else:
-            smooth += term.weight * term.loss.cost(residual)
-    return smooth, casadi.vertcat(*rough), np.concatenate(slopes)
+            smooth += weights[number] * loss.cost(residual)
+    return smooth, casadi.vertcat(*rough), casadi.vertcat(*slopes)
 
 
-def huber_residuals(pairs: list[tuple[Term, casadi.SX]]) -> list[tuple[float, float, casadi.SX]]:
-    """(weight, corner, residual) of the terms with Huber's loss."""
-    return [(term.weight, term.loss.corner, residual) for term, residual in pairs if isinstance(term.loss, Huber)]
+def huber_residuals(cost: Cost, pairs: list[tuple[int, casadi.SX]]) -> list[tuple[int, float, casadi.SX]]:
+    """(number of the term, corner, residual) of the terms with Huber's loss."""
+    losses = [(number, cost.terms[number].loss, residual) for number, residual in pairs]
+    return [(number, loss.corner, residual) for number, loss, residual in losses if isinstance(loss, Huber)]

@@ -77,7 +77,11 @@ class Evaluation:
 
     def call(self, function: Compiled, dual: Array) -> Array:
         """One of the cost's functions at this point."""
-        return function(self.cell_resistance.ravel(), self.two_point_resistance.ravel(), *self.data.parameters, dual)
+        return self._called(function, self.two_point_resistance, dual)
+
+    def _called(self, function: Compiled, two_point_resistance: Array, dual: Array) -> Array:
+        given = (*self.data.parameters, self.cost.weights)
+        return function(self.cell_resistance.ravel(), two_point_resistance.ravel(), *given, dual)
 
     @cached_property
     def costs(self) -> Array:
@@ -91,7 +95,7 @@ class Evaluation:
 
     @property
     def _no_dual(self) -> Array:
-        return np.zeros(len(self.cost.functions.slope))
+        return np.zeros(len(self.cost.slope))
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """(∂φ/∂r at fixed R, ∂φ/∂R), each (frames, rows, columns)."""
@@ -110,9 +114,7 @@ class Evaluation:
     @cached_property
     def cost_scale(self) -> float:
         """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
-        nothing = np.zeros(self.cell_resistance.size)
-        functions = self.cost.functions
-        blank = functions.costs(self.cell_resistance.ravel(), nothing, *self.data.parameters, self._no_dual)
+        blank = self._called(self.cost.functions.costs, np.zeros(self.cell_resistance.shape), self._no_dual)
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property
@@ -122,7 +124,7 @@ class Evaluation:
 
     def dual_gap(self, dual: Array) -> float:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
-        return float(np.sum(self.cost.functions.slope * (np.abs(self.rough) - dual * self.rough)))
+        return float(np.sum(self.cost.slope * (np.abs(self.rough) - dual * self.rough)))
 
     def kkt_residual(self, dual: Array) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.

@@ -98,7 +98,7 @@ class RegionSolver:
     def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
         """What `approximation` gives, without solving the network once more."""
         at = Evaluation(self.cost, data, cells, network.two_point_resistance()[None], (network,))
-        residual = at.kkt_residual(np.zeros(len(self.cost.functions.slope)))
+        residual = at.kkt_residual(np.zeros(len(self.cost.slope)))
         low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         found = (at.costs, at.objective, residual, low, open_cell, Status.APPROXIMATE, steps)
         return Solution(cells, at.two_point_resistance, *found)

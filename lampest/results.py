@@ -12,7 +12,7 @@ import numpy as np
 from lampest import hdf5
 from lampest.case import (
     AXES,
-    FOUND,
+    ESTIMATED,
     GIVEN,
     SHARED,
     CaseResult,
@@ -84,14 +84,14 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult]) -> 
             baseline_solve_time_s=float(case.baseline_solve_time),
             joint_start=np.uint8(case.joint_start),
         )
-        _write_columns(found, case, (*FOUND, GIVEN[0]))
+        _write_columns(found, case, (*ESTIMATED, GIVEN[0]))
         hdf5.write_dataset(found, "status", hdf5.ascii_array(case.status), "1", "how the solve ended", AXES[:1])
-        for term, cost in case.costs.items():
-            hdf5.write_dataset(
-                found, f"cost/{term}", np.asarray(cost, float), "1", f"cost of the term {term}", AXES[:1]
-            )
-        if case.costs:
-            hdf5.set_attributes(found["cost"], NX_class="NXcollection")
+        for folder, figures in (("cost", case.costs), ("weight", case.weights)):
+            for term, figure in figures.items():
+                text = f"{folder} of the term {term}"
+                hdf5.write_dataset(found, f"{folder}/{term}", np.asarray(figure, float), "1", text, AXES[:1])
+            if figures:
+                hdf5.set_attributes(found[folder], NX_class="NXcollection")
 
 
 def _frames_group(parent: h5py.Group, name: str, signal: str, case: CaseResult) -> h5py.Group:
@@ -136,7 +136,7 @@ def _read_recording(file: h5py.File, name: str) -> list[CaseResult]:
     resistance = hdf5.read_array(file, f"{base}/resistance", 3)
     sizes = dict(zip(AXES, resistance.shape, strict=True))
     estimators = [child for child in hdf5.child_groups(file, f"/entry/{name}") if child != SHARED]
-    if len(estimators) * len(FOUND) * resistance.size > hdf5.MOST_VALUES:
+    if len(estimators) * len(ESTIMATED) * resistance.size > hdf5.MOST_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
         )
@@ -151,11 +151,10 @@ def _read_recording(file: h5py.File, name: str) -> list[CaseResult]:
 
 def _read_case(file: h5py.File, recording: str, name: str, given: dict[str, Any], sizes: dict[str, int]) -> CaseResult:
     base = f"/entry/{recording}/{name}"
-    found = _read_columns(file, base, FOUND, sizes)
+    found = _read_columns(file, base, ESTIMATED, sizes)
     found["solved"] = found["solved"].astype(bool)
     texts = {attribute: hdf5.read_attribute(file, base, attribute) for attribute in hdf5.attribute_names(file, base)}
     try:
-        terms = hdf5.child_datasets(file, f"{base}/cost") if hdf5.has(file, f"{base}/cost") else []
         return CaseResult(
             recording=recording,
             estimator=name,
@@ -163,7 +162,8 @@ def _read_case(file: h5py.File, recording: str, name: str, given: dict[str, Any]
             case_yaml=str(texts.get("case", "")),
             versions={key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
             status=hdf5.read_texts(file, f"{base}/status", sizes["time"]),
-            costs={term: hdf5.read_array(file, f"{base}/cost/{term}", 1, (sizes["time"],)) for term in terms},
+            costs=_read_figures(file, f"{base}/cost", sizes["time"]),
+            weights=_read_figures(file, f"{base}/weight", sizes["time"]),
             baseline_status=str(texts.get("baseline_status", "")),
             baseline_solve_time=hdf5.read_number(file, base, "baseline_solve_time_s", float("nan")),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
@@ -172,6 +172,12 @@ def _read_case(file: h5py.File, recording: str, name: str, given: dict[str, Any]
         )
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(file.filename) else f"{file.filename}: {error}") from error
+
+
+def _read_figures(file: h5py.File, path: str, frames: int) -> dict[str, Any]:
+    """term → (frames)."""
+    terms = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
+    return {term: hdf5.read_array(file, f"{path}/{term}", 1, (frames,)) for term in terms}
 
 
 def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: dict[str, int]) -> dict[str, Any]:

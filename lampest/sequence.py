@@ -38,6 +38,7 @@ class Reconstruction:
 
     frame : (frames) index into the recording. measured : (frames, rows, columns) ohm, series resistance taken off.
     measured_baseline : (rows, columns) ohm, mean of the unloaded frames, or the first frame where there is none.
+    sigma, sigma_baseline : standard deviations of the two, or None where unknown.
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     """
 
@@ -46,6 +47,8 @@ class Reconstruction:
     frame: NDArray[np.intp]
     measured: Array
     measured_baseline: Array
+    sigma: Array | None
+    sigma_baseline: Array | None
     baseline_resistance: Array
     baseline: Step
     steps: tuple[Step, ...]
@@ -84,6 +87,8 @@ def reconstruct(
         frames,
         readings.resistance[frames],
         stream.resting.resistance,
+        None if readings.sigma is None else readings.sigma[frames],
+        stream.resting.sigma,
         stream.baseline_resistance,
         stream.baseline or steps[0],
         tuple(steps),

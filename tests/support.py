@@ -66,6 +66,7 @@ def invented_case(
         objective=own.uniform(1, 2, frames),
         kkt_residual=10.0 ** own.uniform(-12, -9, frames),
         costs={"misfit": own.uniform(0, 1, frames)},
+        weights={term: np.full(frames, 0.5) for term in ("misfit", "gradient")},
         baseline_status="solved to the tolerance",
         baseline_solve_time=0.2,
         joint_start=estimator in ("LSR-dCR", "LSR-gdCR"),

@@ -59,7 +59,7 @@ class Trf:
     def _parts(self) -> tuple[list[Any], Any, Any]:
         symbols = self.cost.symbols()
         pairs = self.cost.residuals(*symbols)
-        residual = casadi.vertcat(*(np.sqrt(term.weight) * part for term, part in pairs))
+        residual = casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs))
         unknown = casadi.vertcat(casadi.vec(symbols[0]), casadi.vec(symbols[1]))
         return [casadi.vec(symbol) for symbol in symbols], residual, casadi.jacobian(residual, unknown)
 

@@ -14,7 +14,7 @@ def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = N
     """φ(r) with f(r) by elimination that never subtracts; cells (frames, rows, columns) ohm."""
     two_point = exact_two_point_resistance(cells) if two_point is None else two_point
     nothing = np.zeros(0)
-    return float(cost.functions.costs(cells.ravel(), two_point.ravel(), *data.parameters, nothing).sum())
+    return float(cost.functions.costs(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing).sum())
 
 
 def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
@@ -30,7 +30,7 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     for costs without an absolute loss.
     """
     two_point, nothing = exact_two_point_resistance(cells), np.zeros(0)
-    partials = cost.functions.gradient(cells.ravel(), two_point.ravel(), *data.parameters, nothing)
+    partials = cost.functions.gradient(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing)
     direct, through = (part.reshape(cells.shape) for part in np.split(partials, 2))
     slope = direct * cells
     for frame, row, column in np.ndindex(cells.shape):

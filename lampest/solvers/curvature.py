@@ -65,9 +65,9 @@ class Curvature:
         functions, size = self.at.cost.functions, 2 * self.at.cell_resistance.size
         values = self.at.call(functions.hessian, self.smoothing.dual)
         matrix = sparse.csr_array((values, functions.hessian.pattern), shape=(size, size))
-        if len(functions.slope):
+        if len(self.at.cost.slope):
             jacobian = self.smoothing.jacobian(self.at)
-            weight = functions.slope * self.smoothing.stiffness(self.at.rough)
+            weight = self.at.cost.slope * self.smoothing.stiffness(self.at.rough)
             matrix = matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian)
         return sparse.csr_array(matrix)
 
@@ -139,7 +139,7 @@ class Curvature:
     def _triplets(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """(rows, columns, values) of H."""
         functions = self.at.cost.functions
-        if not len(functions.slope):
+        if not len(self.at.cost.slope):
             return *functions.hessian.pattern, self.at.call(functions.hessian, self.smoothing.dual)
         matrix = sparse.coo_array(self.terms)
         return matrix.row, matrix.col, matrix.data

@@ -1,7 +1,7 @@
 """IPOPT on the formulations that keep node voltages as decision variables."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi
@@ -62,7 +62,7 @@ class Ipopt:
         scales = [scale, start.cost_scale, split_scale]
         result = solver(
             x0=self._start(start, scale, rough / split_scale, huber / split_scale),
-            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, scales]),
+            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, self.cost.weights, scales]),
             lbg=0,
             ubg=0,
             **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
@@ -70,7 +70,7 @@ class Ipopt:
         with np.errstate(divide="ignore"):
             cells = scale / np.asarray(result["x"]).ravel()[: data.measured.size]
         multipliers = np.asarray(result["lam_g"]).ravel()
-        weights = np.maximum(self.cost.functions.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
+        weights = np.maximum(self.cost.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
         dual = multipliers[len(multipliers) - len(rough) :] / weights
         stats = solver.stats()
         status = STATUS.get(stats["return_status"], Status.BREAKDOWN)
@@ -93,16 +93,23 @@ class Ipopt:
 
     @cached_property
     def _huber_sizes(self) -> list[int]:
-        return [part.shape[0] for *_, part in huber_residuals(self.cost.residuals(*self.cost.symbols()))]
+        pairs = self.cost.residuals(*self.cost.symbols())
+        return [part.shape[0] for *_, part in huber_residuals(self.cost, pairs)]
 
     @cached_property
     def _solver(self) -> casadi.Function:
-        program = Program.build(self.cost, self.formulation)
-        limits = {"tol": self.settings.tolerance, "max_iter": self.settings.max_iterations}
-        several_minima = any(term.needs_previous for term in self.cost.terms)
-        options: dict[str, Any] = {
-            "ipopt": OPTIONS | (NEAR if several_minima else FAR) | limits,
-            "hess_lag": program.hessian(),
-            "print_time": False,
-        }
-        return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
+        return _compiled(self.cost.unweighted, self.formulation, self.settings)
+
+
+@lru_cache(maxsize=32)
+def _compiled(cost: Cost, formulation: Formulation, settings: Settings) -> casadi.Function:
+    """One program serves all weights."""
+    program = Program.build(cost, formulation)
+    limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
+    several_minima = any(term.needs_previous for term in cost.terms)
+    options: dict[str, Any] = {
+        "ipopt": OPTIONS | (NEAR if several_minima else FAR) | limits,
+        "hess_lag": program.hessian(),
+        "print_time": False,
+    }
+    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

@@ -21,7 +21,7 @@ class Program:
     split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
 
     parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous (cells, 1) ohm,
-    side and seen if readings have them, s in ohm, the size of the cost, the size of the absolute residuals.
+    side and seen if readings have them, the terms' weights, s in ohm, the size of the cost, the size of the absolute residuals.
     """
 
     conductance: casadi.SX
@@ -59,17 +59,19 @@ class Program:
         ]
         two_point = scale * casadi.horzcat(*(network.two_point_resistance for network in networks))
         pairs = cost.residuals(scale / conductance, two_point, measured, sigma, previous, *marks)
-        smooth, rough, slope = smooth_and_rough([pair for pair in pairs if not isinstance(pair[0].loss, Huber)])
+        weights = casadi.SX.sym("weights", len(cost.terms))
+        others = [pair for pair in pairs if not isinstance(cost.terms[pair[0]].loss, Huber)]
+        smooth, rough, slope = smooth_and_rough(cost, others, weights)
         positive, negative = (casadi.SX.sym(name, rough.shape[0]) for name in ("positive", "negative"))
-        objective = smooth + split_scale * casadi.dot(casadi.DM(slope), positive + negative)
+        objective = smooth + split_scale * casadi.dot(slope, positive + negative)
         split = [positive, negative]
-        for weight, corner, residual in huber_residuals(pairs):
+        for number, corner, residual in huber_residuals(cost, pairs):
             above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
             inside = residual - split_scale * (above - below)
             outside = 2 * corner * split_scale * casadi.sum1(above + below)
-            objective += weight * (casadi.sumsqr(inside) + outside)
+            objective += weights[number] * (casadi.sumsqr(inside) + outside)
             split += [above, below]
-        given = (measured, sigma, tie, previous, *marks, scale, cost_scale, split_scale)
+        given = (measured, sigma, tie, previous, *marks, weights, scale, cost_scale, split_scale)
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),

@@ -36,7 +36,7 @@ class Smoothing:
     def objective(self, at: Evaluation) -> float:
         """φ with smoothed losses."""
         excess = np.sqrt(at.rough**2 + self.width**2) - np.abs(at.rough)
-        return at.objective + float(np.sum(at.cost.functions.slope * excess))
+        return at.objective + float(np.sum(at.cost.slope * excess))
 
     def jacobian(self, at: Evaluation) -> sparse.csr_array:
         """∂x/∂(r; R), sparse."""

@@ -196,8 +196,8 @@ def _objective(cost: Cost, data: Data, cells: Array) -> float:
 def _noise_cost(cost: Cost, data: Data) -> float:
     """The misfit terms where every reading is missed by its standard deviation."""
     missed = (data.measured + data.sigma).ravel()
-    nothing = np.zeros(len(cost.functions.slope))
-    costs = cost.functions.costs(data.measured.ravel(), missed, *data.parameters, nothing)
+    nothing = np.zeros(len(cost.slope))
+    costs = cost.functions.costs(data.measured.ravel(), missed, *data.parameters, cost.weights, nothing)
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if isinstance(term, Misfit)))
 
 

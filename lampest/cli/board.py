@@ -1,0 +1,167 @@
+"""Commands for a board on a serial port."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lampest.cli.screen import INTERRUPTED, check_positive
+from lampest.errors import InputError
+
+if TYPE_CHECKING:
+    from lampest.acquire.record import Progress, Recorded
+
+Port = Annotated[str | None, typer.Option("--port", help="Port or URL; else the one that looks like an Arduino.")]
+SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
+Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames.")]
+Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames; 1 if the board can.")]
+
+
+def ports() -> None:
+    """List the serial ports, those that look like an Arduino first."""
+    from lampest.acquire.port import ports as all_ports
+
+    found = all_ports()
+    for port in found:
+        print(f"{port.url}  {port.description}{'  (looks like an Arduino)' if port.likely else ''}")
+    if not found:
+        print("there is no serial port", file=sys.stderr)
+
+
+def record(
+    out: Annotated[Path, typer.Option("--out", help="The recording that is written; must not exist.")],
+    port: Port = None,
+    frames: Frames = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds of frames.")] = None,
+    scene: SceneFile = None,
+    baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
+    period: Period = None,
+) -> None:
+    """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
+    from lampest.acquire.keys import pressed_keys
+    from lampest.acquire.record import record as record_board
+    from lampest.importing import read_scene
+
+    if frames is not None and seconds is not None:
+        raise InputError("--frames and --seconds: give one of them")
+    check_positive("--seconds", seconds)
+    check_positive("--period", period)
+    agreed = read_scene(scene) if scene else None
+    with pressed_keys() as keys, recording_line() as on_progress:
+        done = record_board(
+            port,
+            out,
+            frames=frames,
+            seconds=seconds,
+            scene=agreed,
+            baseline=baseline,
+            period=period,
+            on_progress=on_progress,
+            keys=keys,
+        )
+    report_recorded(done)
+
+
+def repair(file: Annotated[Path, typer.Argument(help="A recording that was not closed.")]) -> None:
+    """Turn what a crash left into a clean recording; one that is clean stays as it is."""
+    from lampest.acquire.record import repair as repair_recording
+
+    print(f"{repair_recording(file)} frames: {file}")
+
+
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="A recording of shorted lines or known resistors.")],
+    known: Annotated[
+        str, typer.Option("--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them.")
+    ] = "0",
+    out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
+) -> None:
+    """Find the resistance in series with every reading and write it into a scene, with its uncertainty."""
+    from lampest.acquire.calibrate import calibrate as calibrate_recording
+    from lampest.acquire.calibrate import calibrated_scene_text
+    from lampest.acquire.known import known_resistors
+    from lampest.files import write_text
+    from lampest.recording import Recording
+
+    recording = Recording.load(file)
+    found = calibrate_recording(recording, known_resistors(known, recording.scene.panel))
+    text = calibrated_scene_text(recording.scene, found)
+    if out is None:
+        print(text, end="")
+        return
+    write_text(out, text)
+    print(f"series resistance {found.series_ohm:.3f} ± {found.sigma_ohm:.3f} ohm from {found.cells} cells: {out}")
+    if found.lines_differ:
+        print("lampest: the lines differ by more than their noise; the scene's comments say how much", file=sys.stderr)
+
+
+def live(
+    port: Port = None,
+    recording: Annotated[Path | None, typer.Option("--recording", help="A recording to replay instead.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option("--estimator", help="LSR-gCR by default; with --config its first.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option("--config", help="A run's YAML file with estimators.")] = None,
+    speed: Annotated[float, typer.Option("--speed", help="So many times as fast as the recording.")] = 1.0,
+    http: Annotated[
+        str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
+    ] = "127.0.0.1:8137",
+    frames: Frames = None,
+    baseline: Annotated[
+        int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
+    ] = 3,
+    scene: SceneFile = None,
+    period: Period = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Record the board into this file as well.")] = None,
+) -> None:
+    """Reconstruct each frame as it comes and show it in the browser."""
+    import signal
+
+    from lampest.importing import read_scene
+    from lampest.live.run import Board, Replay
+    from lampest.live.run import live as run_live
+
+    check_positive("--speed", speed)
+    check_positive("--period", period)
+    if recording is not None and (port or scene or period or out):
+        raise InputError("--recording: --port, --scene, --period and --out are for a board")
+    if recording is None:
+        source: Board | Replay = Board(port, read_scene(scene) if scene else None, baseline, period, out)
+    else:
+        source = Replay(recording, speed, baseline)
+    # A board is told to stop, however live ends.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        done = run_live(source, estimator, config, http, frames, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if done is not None:
+        report_recorded(done)
+
+
+def report_recorded(done: "Recorded") -> None:
+    """Say what was recorded; a recording that was interrupted ends with 130."""
+    noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
+    print(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    if done.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+@contextmanager
+def recording_line() -> Iterator[Callable[["Progress"], None]]:
+    """One line on stderr that says where a recording stands, silent where that is no terminal."""
+    if not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("waiting for the board") as line:
+
+        def update(progress: "Progress") -> None:
+            at = "" if progress.sample is None else f" at {progress.sample.time:.1f} s"
+            line.update(f"{progress.frames} frames{at}, {progress.lost} lost{progress.state and '; ' + progress.state}")
+
+        yield update

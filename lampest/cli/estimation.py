@@ -1,0 +1,96 @@
+"""Commands that make recordings and estimate cells."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lampest.cli.screen import SOME_FAILED, print_table, progress
+
+
+def run(
+    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results; results/<config> by default.")
+    ] = None,
+    assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Processes here; else the file's executor, or all cores.")
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
+) -> None:
+    """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
+    from lampest.batch import run_batch
+    from lampest.config import read_run
+    from lampest.executors import local
+
+    cases = read_run(config, tuple(assign or ()))
+    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases))
+    with progress("cases") as on_case:
+        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
+    print(
+        f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed: {report.results}"
+    )
+    for name, sentence in report.failed:
+        print(f"lampest: {name} failed: {sentence}", file=sys.stderr)
+    if report.failed:
+        raise typer.Exit(SOME_FAILED)
+
+
+def starts(
+    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
+    random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
+    seed: Annotated[int, typer.Option("--seed")] = 0,
+) -> None:
+    """Say how often every case of a run reaches the best objective known from random starts."""
+    from lampest.compare import Table
+    from lampest.config import read_run
+    from lampest.starts import tally
+
+    cases = read_run(config).cases
+    rows = []
+    with progress("cases") as on_case:
+        for number, case in enumerate(cases, 1):
+            found = tally(case, random, seed)
+            share = f"{found.best}/{found.frames}"
+            excess = f"{100 * found.worst_excess:.2g}"
+            ended = f"{found.random_solved}/{found.random}"
+            rows.append((found.recording, found.estimator, share, excess, str(found.most_minima), ended))
+            on_case(number, len(cases))
+    headers = ("recording", "estimator", "frames at the best", "worst excess [%]", "most minima", "random solved")
+    print_table(Table(headers, tuple(rows)))
+
+
+def simulate(
+    config: Annotated[Path, typer.Argument(help="The simulation's YAML file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="The recording, or a folder where the file sweeps.")] = None,
+) -> None:
+    """Make recordings with their truth from a scene."""
+    from lampest.simulate import run as run_simulation
+
+    for path in run_simulation(config, out):
+        print(path)
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(help="CSV, .npy or .mat.")],
+    rows: Annotated[int, typer.Option("--rows", min=1)],
+    columns: Annotated[int, typer.Option("--columns", min=1)],
+    out: Annotated[Path, typer.Option("--out", help="The recording that is written.")],
+    scene: Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene.")] = None,
+    unit: Annotated[str, typer.Option("--unit", help="ohm, volt or code.")] = "ohm",
+    baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
+    transpose: Annotated[bool, typer.Option("--transpose", help="Rows and columns of the file are swapped.")] = False,
+    variable: Annotated[str | None, typer.Option("--variable", help="The variable of a .mat file.")] = None,
+) -> None:
+    """Turn a table of two-point measurements into a recording."""
+    from lampest.importing import import_file, read_scene
+
+    recording, notes = import_file(
+        file, rows, columns, read_scene(scene) if scene else None, unit, baseline, transpose, variable
+    )
+    recording.save(out)
+    for note in notes:
+        print(note)
+    print(out)

@@ -1,0 +1,64 @@
+"""Commands that read results and say what there is."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lampest.cli.screen import Out, print_table
+
+
+def compare(
+    results: Annotated[list[Path], typer.Argument(help="Results files.")],
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the table to this file too.")] = None,
+) -> None:
+    """Table over methods and recordings: times, data errors, cell errors, published figures."""
+    from lampest.compare import compare_files, screen_table, write_csv
+
+    rows = compare_files(results)
+    if csv:
+        write_csv(csv, rows)
+    print_table(screen_table(rows))
+
+
+def plot(results: Annotated[Path, typer.Argument(help="A results file.")], out: Out = None) -> None:
+    """Mapping contours of every recording, side by side."""
+    from lampest.plot import plot_results
+
+    for path in plot_results(results, out):
+        print(path)
+
+
+def terms() -> None:
+    """List the cost terms with their formulas, units and options."""
+    import dataclasses
+
+    from lampest.compare import Table
+    from lampest.terms import term_types
+
+    rows = []
+    for kind, term in term_types().items():
+        options = ", ".join(
+            f"{field.name}: {getattr(field.default, 'kind', field.default)}"
+            for field in dataclasses.fields(term)
+            if field.name != "kind"
+        )
+        rows.append((kind, " ".join((term.__doc__ or "").split("\n\n")[0].split()), term.unit, options))
+    print_table(Table(("term", "residual", "unit", "options and defaults"), tuple(rows)))
+
+
+def schema() -> None:
+    """Print the JSON schema of a run's file."""
+    import json
+
+    from lampest.config import json_schema
+
+    print(json.dumps(json_schema(), indent=2))
+
+
+def info(file: Annotated[Path, typer.Argument(help="A recording or a results file.")]) -> None:
+    """Say what a file holds and draw the first frame as a small map."""
+    from lampest.info import describe
+
+    for line in describe(file):
+        print(line)

@@ -1,0 +1,53 @@
+"""What all commands share: exit codes, options, tables and progress."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lampest.errors import InputError
+
+if TYPE_CHECKING:
+    from lampest.compare import Table
+
+WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
+
+Out = Annotated[Path | None, typer.Option("--out", help="Where the output goes.")]
+Folder = Annotated[Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")]
+
+
+def check_positive(name: str, value: float | None) -> None:
+    """Raise InputError unless a number that was given is positive and finite."""
+    if value is not None and not 0 < value < float("inf"):
+        raise InputError(f"{name} must be positive and finite")
+
+
+def print_table(table: "Table") -> None:
+    """Draw a table; as wide as the terminal, or as it needs where the output is no terminal."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    drawn = RichTable(*table.headers, box=box.SIMPLE)
+    for cells in table.cells:
+        drawn.add_row(*cells)
+    Console(width=None if sys.stdout.isatty() else 200, highlight=False, markup=False).print(drawn)
+
+
+class progress:  # noqa: N801
+    """A progress bar on stderr, silent where that is no terminal."""
+
+    def __init__(self, what: str) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        self._bar = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty())
+        self._task = self._bar.add_task(what, total=None)
+
+    def __enter__(self) -> Any:
+        self._bar.__enter__()
+        return lambda done, total: self._bar.update(self._task, completed=done, total=total)
+
+    def __exit__(self, *error: Any) -> None:
+        self._bar.__exit__(*error)

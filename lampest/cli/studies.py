@@ -1,0 +1,66 @@
+"""Commands that measure lampest itself."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lampest.cli.screen import Folder, print_table, progress
+
+
+def bench(
+    config: Annotated[Path, typer.Argument(help="The benchmark's YAML file.")],
+    out: Folder = None,
+) -> None:
+    """Compare the speed of reduced, nodal and scipy's solvers over panel sizes, with the accuracy that each reaches."""
+    from lampest.bench.report import remarks, summary_table, write_bench
+    from lampest.bench.run import run_bench
+    from lampest.bench.settings import read_bench
+
+    settings = read_bench(config)
+    with progress("methods") as on_step:
+        found = run_bench(settings, on_step)
+    files = write_bench(out or Path("results") / config.stem, found)
+    print_table(summary_table(found))
+    for line in (*remarks(found), *files):
+        print(line)
+
+
+def tradeoff(
+    config: Annotated[Path, typer.Argument(help="The trade-off's YAML file.")],
+    out: Folder = None,
+) -> None:
+    """Measure what every rung of the ladder of efforts costs in time and in accuracy; table, HDF5 and figure."""
+    from lampest.plot.tradeoff import plot_tradeoff
+    from lampest.tradeoff.report import summary_table, write_tradeoff
+    from lampest.tradeoff.run import run_tradeoff
+    from lampest.tradeoff.settings import read_plan
+
+    plan = read_plan(config)
+    with progress("measurements") as on_step:
+        found = run_tradeoff(plan, on_step)
+    folder = out or Path("results") / config.stem
+    files = (*write_tradeoff(folder, found), plot_tradeoff(found, folder / "tradeoff.png"))
+    print_table(summary_table(found))
+    for file in files:
+        print(file)
+
+
+def extremes(
+    config: Annotated[Path, typer.Argument(help="The atlas' YAML file.")],
+    out: Folder = None,
+) -> None:
+    """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
+    from lampest.extremes.report import remarks, summary_table, write_atlas
+    from lampest.extremes.run import run_atlas
+    from lampest.extremes.settings import read_atlas
+    from lampest.plot.extremes import plot_extremes
+
+    atlas = read_atlas(config)
+    with progress("scenes") as on_step:
+        found = run_atlas(atlas, on_step)
+    folder = out or Path("results") / config.stem
+    files = (*write_atlas(folder, found), plot_extremes(found, folder / "extremes.png"))
+    print_table(summary_table(found))
+    for line in (*remarks(found), *files):
+        print(line)
