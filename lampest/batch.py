@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lampest.config import Case, Run, digest
 from lampest.errors import InputError
 from lampest.executors import Executor
+from lampest.panel import Array
+from lampest.pressure import pressure_of
 from lampest.recording import UNLOADED, Recording
 from lampest.results import CaseResult, read_results, write_results
 from lampest.sequence import Reconstruction, reconstruct
@@ -137,11 +140,48 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
         baseline_solve_time=found.baseline.seconds,
         joint_start=found.joint_start,
         solved=np.array([solution.solved for solution in solutions]),
+        **certainty_columns(found),
         sigma=found.sigma,
         sigma_baseline=found.sigma_baseline,
         truth=None if truth is None else truth[found.frame],
         truth_baseline=truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None,
     )
+
+
+def certainty_columns(found: Reconstruction) -> dict[str, Any]:
+    """The fields of CERTAINTY and PRESSURE, where there are error bars; those of an estimate without any are infinite."""
+    barred = [step.bars for step in found.steps]
+    if not any(barred) or found.baseline_bars is None:
+        return {}
+    cells, change = found.cell_resistance, found.cell_resistance / found.baseline_resistance
+
+    def stacked(part: str, name: str) -> Array:
+        unknown = np.full(cells.shape[1:], 0.0 if name in ("resolution", "data_share") else np.inf)
+        values = np.stack([unknown if bars is None else getattr(getattr(bars, part), name) for bars in barred])
+        values[np.isnan(cells)] = np.nan
+        return values
+
+    ends = [change * np.exp(-stacked("change", "below")), change * np.exp(stacked("change", "above"))]
+    columns = {
+        "cell_resistance_errors": cells * stacked("frame", "deviation"),
+        "cell_resistance_lower": cells * np.exp(-stacked("frame", "below")),
+        "cell_resistance_upper": cells * np.exp(stacked("frame", "above")),
+        "relative_change_errors": 100 * change * stacked("change", "deviation"),
+        "relative_change_lower": 100 * (ends[0] - 1),
+        "relative_change_upper": 100 * (ends[1] - 1),
+        "resolution": stacked("frame", "resolution"),
+        "data_share": stacked("frame", "data_share"),
+        "baseline_resistance_errors": found.baseline_resistance * found.baseline_bars.deviation,
+        "error_bar_time": np.array([step.bars_seconds for step in found.steps]),
+    }
+    pressure = pressure_of(change, ends[0], ends[1], found.recording.scene)
+    return columns | {
+        "pressure": pressure.pressure,
+        "pressure_errors": pressure.errors,
+        "pressure_lower": pressure.lower,
+        "pressure_upper": pressure.upper,
+        "saturated": pressure.saturated,
+    }
 
 
 @contextmanager

@@ -86,6 +86,7 @@ CERTAINTY = (
     ),
     Column("resolution", "resolution", AXES, np.float64, "1", "diagonal of the averaging kernel", True),
     Column("data_share", "data_share", AXES, np.float64, "1", "share of the estimate that comes from the data", True),
+    Column("error_bar_time", "error_bar_time", AXES[:1], np.float64, "s", "wall time of the error bars", True),
     Column(
         "baseline_resistance_errors",
         "baseline_resistance_errors",
@@ -101,7 +102,7 @@ PRESSURE = (
     Column("pressure_errors", "pressure_errors", AXES, np.float64, "kPa", "standard deviation of the pressure", True),
     Column("pressure_lower", "pressure_lower", AXES, np.float64, "kPa", "95 % interval, lower end", True),
     Column("pressure_upper", "pressure_upper", AXES, np.float64, "kPa", "95 % interval, upper end", True),
-    Column("saturated", "saturated", AXES, np.uint8, "1", "1: the response says no more than a bound", True),
+    Column("saturated", "saturated", AXES, np.uint8, "1", "1: the response does not tell the pressure", True),
 )
 ESTIMATED = (*FOUND, *CERTAINTY, *PRESSURE)
 
@@ -206,6 +207,7 @@ class CaseResult:
     resolution: Array | None = None
     data_share: Array | None = None
     baseline_resistance_errors: Array | None = None
+    error_bar_time: Array | None = None
     pressure: Array | None = None
     pressure_errors: Array | None = None
     pressure_lower: Array | None = None

@@ -41,6 +41,7 @@ class EstimatorEntry:
     solver: Settings | None = None
     bounds: Bounds | None = None
     effort: Word | AnyEffort | None = None
+    error_bars: Literal["auto"] | bool | None = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class RunFile:
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     effort: Word | AnyEffort = "converged"
+    error_bars: Literal["auto"] | bool = "auto"
     executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
@@ -182,7 +184,7 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
-    """An estimator with the run's formulation, solver, bounds and effort where its own are silent."""
+    """An estimator with the run's formulation, solver, bounds, effort and error bars where its own are silent."""
     entry = run.estimators[name]
     own = document.content["estimators"][name]
     parts = {}
@@ -196,7 +198,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     try:
         check_name(name, "estimator")
         formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort)
+        bars = run.error_bars if entry.error_bars is None else entry.error_bars
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

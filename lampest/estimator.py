@@ -26,6 +26,7 @@ FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
 FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
 NODAL_CELLS, NODAL_PERIOD = 144, 0.5
+BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
 @dataclass(frozen=True)
@@ -80,13 +81,18 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Estimator:
-    """Terms, formulation, solver settings, bounds and effort. Raises ValueError without a term."""
+    """Terms, formulation, solver settings, bounds and effort. Raises ValueError without a term.
+
+    error_bars : whether estimates get them; 'auto': on panels of up to 600 cells. Only verified optima of readings
+    whose noise is known can have them.
+    """
 
     terms: tuple[Term, ...]
     formulation: FormulationName = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     effort: AnyEffort = Converged()
+    error_bars: Literal["auto"] | bool = "auto"
 
     def __post_init__(self) -> None:
         if not self.terms:
@@ -106,6 +112,12 @@ class Estimator:
     def absolute_terms(self) -> tuple[Term, ...]:
         """The terms that need no previous frame."""
         return tuple(term for term in self.terms if not term.needs_previous)
+
+    def barred(self, readings: Readings) -> bool:
+        """Whether estimates of such readings get error bars."""
+        rows, columns = readings.resistance.shape[-2:]
+        asked = self.error_bars if isinstance(self.error_bars, bool) else rows * columns <= BARRED_CELLS
+        return asked and isinstance(self.effort, Converged) and readings.sigma is not None
 
     def needs_sigma(self) -> bool:
         """Whether a term divides by the readings' standard deviation."""

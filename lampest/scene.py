@@ -103,6 +103,62 @@ class Faults:
 
 
 @dataclass(frozen=True)
+class Water:
+    """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
+
+    Raises ValueError where the depth is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    top_row_depth_mm: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.top_row_depth_mm < float("inf"):
+            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
+class Temperature:
+    """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
+
+    Exponential, because 1 + α (T − T_b) turns negative far from T_b and depends on which temperature is called the
+    first; both agree within (α (T − T_b))²/2, which is 3e-4 for −0.3 % per kelvin over 8 kelvin.
+
+    Parameters
+    ----------
+    coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
+    baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    coefficient_per_kelvin: float
+    baseline_celsius: float
+    measured_celsius: float
+    coefficient_sd_per_kelvin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not -1 <= self.coefficient_per_kelvin <= 1:
+            raise ValueError("coefficient_per_kelvin must lie between -1 and 1")
+        if not 0 <= self.coefficient_sd_per_kelvin <= 1:
+            raise ValueError("coefficient_sd_per_kelvin must lie between 0 and 1")
+        for name in ("baseline_celsius", "measured_celsius"):
+            if not -273.15 <= getattr(self, name) <= 1000:
+                raise ValueError(f"{name} must lie between -273.15 and 1000")
+
+    @property
+    def difference_kelvin(self) -> float:
+        """T − T_b."""
+        return self.measured_celsius - self.baseline_celsius
+
+    @property
+    def logarithm(self) -> float:
+        """ln(r(T)/r(T_b)) = α (T − T_b)."""
+        return self.coefficient_per_kelvin * self.difference_kelvin
+
+
+@dataclass(frozen=True)
 class Scene:
     """The panel, how it is read, and what stands between the two.
 
@@ -112,6 +168,8 @@ class Scene:
     readout : the electronics; None where only resistances are known, and then their σ is unknown too.
     series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm.
     faults : what is known to be broken, or None.
+    water : how deep the panel stands under water; None: in air, or not known.
+    temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
 
     Raises ValueError where a number is out of range.
     """
@@ -121,6 +179,8 @@ class Scene:
     readout: TwoPointReadout | None = None
     series_resistance_ohm: float = 0.0
     faults: Faults | None = None
+    water: Water | None = None
+    temperature: Temperature | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):

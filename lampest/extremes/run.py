@@ -17,9 +17,10 @@ from lampest.panel import Array
 from lampest.problem import Data
 from lampest.readings import Readings
 from lampest.recording import Recording
-from lampest.sequence import Step, Stream, first_stream, frame_period
+from lampest.sequence import first_stream, frame_period
 from lampest.solvers.solution import VERIFIED
 from lampest.starmesh import exact_two_point_resistance
+from lampest.stream import Step, Stream
 from lampest.terms.misfit import Misfit
 from lampest.terms.term import Term
 

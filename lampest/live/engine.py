@@ -13,7 +13,7 @@ from lampest.live.view import POINTS, Picture, Point, View
 from lampest.panel import Array, Panel
 from lampest.readings import plain
 from lampest.response import pressure_from_ratio
-from lampest.sequence import Step, Stream
+from lampest.stream import Step, Stream
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,7 +92,7 @@ def contours(results: Results, recording: str, frame: int | None = None) -> Figu
     Source: paper, figure 8.
     """
     cases = results.of(recording)
-    place = strongest_frame(cases) if frame is None else _place(cases[0], frame)
+    place = strongest_frame(cases) if frame is None else place_of(cases[0], frame)
     maps = _maps(cases, place)
     rows, columns = cases[0].baseline_resistance.shape
     panel = Panel(rows, columns, cases[0].pitch_mm)
@@ -130,7 +130,8 @@ def strongest_frame(cases: Sequence[CaseResult]) -> int:
     return int(np.flatnonzero(strength >= STRONG * strength.max())[-1])
 
 
-def _place(case: CaseResult, frame: int) -> int:
+def place_of(case: CaseResult, frame: int) -> int:
+    """Where a recording's frame stands in the case. Raises InputError where it has no results."""
     places = np.flatnonzero(case.frame == frame)
     if places.size == 0:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What presses on the panel or sucks at it: rod, ring, suction cup, oral disc; and the water above."""
+"""What presses on the panel or sucks at it: rod, ring, suction cup, oral disc."""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from math import isfinite, pi
 from typing import Annotated, Any, ClassVar, Literal
 
+from lampest.pressure import GRAVITY, VACUUM_KPA
 from lampest.tagged import ByKind
-
-GRAVITY = 9.81
-KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY
-VACUUM_KPA = -101.325
 
 
 @dataclass(frozen=True)
@@ -133,18 +130,6 @@ class OralDisc(Load):
 
 
 AnyLoad = Annotated[Rod | Ring | SuctionCup | OralDisc, ByKind()]
-
-
-@dataclass(frozen=True)
-class Water:
-    """p_j = ρ g (depth + j·pitch): an upright panel under water, row 0 on top, top_row_depth_mm below the surface."""
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    top_row_depth_mm: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.top_row_depth_mm < float("inf"):
-            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
 
 
 def annulus_mm2(inner_mm: float, outer_mm: float) -> float:

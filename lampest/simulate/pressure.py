@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from lampest.panel import Array, Panel
+from lampest.pressure import water_pressure
+from lampest.scene import Water
 from lampest.simulate.course import Course
-from lampest.simulate.loads import KPA_PER_MM_OF_WATER, Load, Water
+from lampest.simulate.loads import Load
 
 POINTS = 8
 
@@ -49,14 +51,6 @@ def patch_pressure(panel: Panel, patch_mm: float, load: Load) -> tuple[Array, Ar
         contact = contact + inside * zone.contact_kpa * tilting
         suction = suction + inside * zone.suction_kpa
     return _patch_mean(panel, contact), _patch_mean(panel, suction)
-
-
-def water_pressure(panel: Panel, water: Water | None) -> Array:
-    """ρ g h of every row, (rows, columns) kPa; zero without water."""
-    if water is None:
-        return np.zeros(panel.shape)
-    depth = water.top_row_depth_mm + panel.centres_mm()[1]
-    return np.repeat(KPA_PER_MM_OF_WATER * depth[:, None], panel.columns, axis=1)
 
 
 def _patch_mean(panel: Panel, points: Array) -> Array:

@@ -11,9 +11,9 @@ from lampest.kirchhoff import two_point_resistance
 from lampest.panel import Array
 from lampest.recording import MEASURED, UNLOADED, Recording
 from lampest.response import ratio_from_pressure
-from lampest.scene import Scene
+from lampest.scene import Scene, Water
 from lampest.simulate.course import Course
-from lampest.simulate.loads import AnyLoad, Water
+from lampest.simulate.loads import AnyLoad
 from lampest.simulate.measure import measured, raw_sums
 from lampest.simulate.pressure import pressure_on_cells
 from lampest.simulate.unmodelled import Unmodelled, stream
@@ -57,7 +57,7 @@ class Simulation:
     baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
     frame_period_s : time between frames.
     loads, course : what touches the panel, and when; absent in the unloaded frames.
-    water : the panel is under water, in the unloaded frames too; None: in air.
+    water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
     unmodelled : what the estimator is not told.
     output : where the recording goes, relative to the file that says so; see `lampest.simulate.files`.
 
@@ -104,7 +104,7 @@ class Simulation:
 
 
 def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
-    """r = r0·e^drift·f(p), R = network(r), measured: the recording with its truth; the same seed, the same numbers.
+    """r = r0·e^drift·f(p)·e^(α(T − T_b)), R = network(r), measured: the recording with its truth, all from the seed.
 
     Raises ValueError where a cell's or a measured resistance leaves its range.
     """
@@ -112,11 +112,14 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
     panel = simulation.scene.panel
+    water = simulation.water or simulation.scene.water
     pressure = pressure_on_cells(
-        panel, simulation.cells.patch_mm, simulation.loads, simulation.course, simulation.water, loaded_time
+        panel, simulation.cells.patch_mm, simulation.loads, simulation.course, water, loaded_time
     )
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         cells = unloaded_cells(simulation) * drift(simulation, time) * ratio_from_pressure(pressure)
+        if simulation.scene.temperature is not None:
+            cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
     if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
         raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
     resistance, sums = measured(simulation.scene, two_point_resistance(cells), simulation.unmodelled, simulation.seed)

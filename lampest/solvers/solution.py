@@ -65,6 +65,7 @@ class Solution:
 
     cell_resistance, two_point_resistance : (frames, rows, columns) ohm.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
+    at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
     """
 
     cell_resistance: Array
@@ -76,6 +77,8 @@ class Solution:
     open_cell: NDArray[np.bool_]
     status: Status
     iterations: int
+    at: Evaluation | None = None
+    dual: Array | None = None
 
     @property
     def solved(self) -> bool:
@@ -137,6 +140,8 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
         cells >= data.upper * OPEN_FRACTION,
         status,
         outcome.iterations,
+        evaluation,
+        outcome.dual,
     )
 
 

@@ -21,6 +21,7 @@ FLOORS = (
     "starmesh",
     "kirchhoff",
     "response",
+    "pressure",
     "document",
     "sweep",
     "hdf5",
@@ -34,10 +35,12 @@ FLOORS = (
     "problem",
     "solvers",
     "search",
+    "posterior",
     "blocks",
     "region",
     "efforts",
     "estimator",
+    "stream",
     "sequence",
     "case",
     "results",
@@ -60,8 +63,8 @@ FLOORS = (
 )
 # numpy is everywhere; each of the others has its rooms.
 DOORS = {
-    "casadi": {"terms", "formulations", "cost", "solvers", "bench"},
-    "scipy": {"solvers", "acquire", "bench", "extremes"},
+    "casadi": {"terms", "formulations", "cost", "solvers", "posterior", "bench"},
+    "scipy": {"solvers", "posterior", "acquire", "bench", "extremes"},
     "mpmath": {"extremes"},
     "h5py": {"hdf5", "acquisition", "recording", "results", "acquire"},
     "pydantic": {"document"},

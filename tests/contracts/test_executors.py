@@ -21,7 +21,7 @@ from lampest.executors import Dask, Processes, Serial, Slurm, local
 from lampest.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
-TIMES = ("solve_time", "baseline_solve_time")
+TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
 DEATH = "__import__('os')._exit(9)"
 EVERY = [Serial(), Processes(2), Dask(workers=2)]
 NAMES = [executor.kind for executor in EVERY]

@@ -24,7 +24,7 @@ from lampest.terms import term_types
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")
 Command = Callable[..., SimpleNamespace]
-TIMES = ("solve_time", "baseline_solve_time")
+TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
 
 
 def same(one: CaseResult, other: CaseResult) -> None:

@@ -6,6 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lampest.response import (
+    RESPONSE_SD,
+    TOLD_KPA,
+    pressure_from_logarithm,
     pressure_from_ratio,
     pressure_from_relative_change,
     ratio_from_pressure,
@@ -52,3 +55,28 @@ def test_any_shape() -> None:
 def test_no_pressure_for_an_impossible_ratio(ratio: float) -> None:
     with pytest.raises(ValueError, match="must be positive"):
         pressure_from_ratio(np.array([1.0, ratio]))
+
+
+@given(st.floats(-700, 700))
+def test_inverse_in_logarithms(logarithm: float) -> None:
+    assert pressure_from_logarithm(logarithm) == pytest.approx(pressure_from_ratio(np.exp(logarithm)), abs=1e-9)
+
+
+def test_ends_of_the_logarithm() -> None:
+    ends = pressure_from_logarithm(np.array([-np.inf, np.inf, np.nan, 0.0]))
+    np.testing.assert_array_equal(ends, [np.inf, -np.inf, np.nan, 0.0])
+
+
+def test_flat_begins_where_the_scatter_of_the_response_exceeds_the_pressure() -> None:
+    """σ_p/p = RESPONSE_SD·|ln f|/(|d ln f/dp|·p) jumps over 1 at the end of TOLD_KPA, and the slope falls ninefold."""
+
+    def slope(pressure: float) -> float:
+        return float(-np.diff(np.log(ratio_from_pressure([pressure - 1e-3, pressure + 1e-3])))[0] / 2e-3)
+
+    def relative(pressure: float) -> float:
+        return float(-RESPONSE_SD * np.log(ratio_from_pressure(pressure)) / slope(pressure) / pressure)
+
+    flat = TOLD_KPA[1]
+    assert relative(flat - 0.01) < 0.2
+    assert relative(flat + 0.01) > 1
+    assert slope(flat - 0.01) / slope(flat + 0.01) == pytest.approx(9.2, abs=0.1)

@@ -1,0 +1,84 @@
+"""What is known of an estimate beyond its value: standard deviation, 95 % interval, resolution, share of the data."""
+
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel import Array
+from lampest.posterior.interval import TWO_SIDED, one_sided
+from lampest.posterior.linear import LinearModel
+
+
+class Errors(Protocol):
+    """The error of an estimate in log r, over its free cells, however it is computed."""
+
+    @property
+    def model(self) -> LinearModel:
+        """The estimate's surroundings."""
+
+    @property
+    def variance(self) -> Array:
+        """Of log r."""
+
+    @property
+    def resolution(self) -> Array:
+        """The diagonal of the averaging kernel."""
+
+    @property
+    def data_share(self) -> Array:
+        """The row sums of the averaging kernel."""
+
+    def released(self, cells: NDArray[np.intp]) -> Array:
+        """Variance of cells that stand at a bound, if each alone were free."""
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """Of log r, all (frames, rows, columns).
+
+    deviation : standard deviation; infinite for an open cell. below, above : how far the 95 % interval reaches down and
+    up; infinite upwards for an open cell. resolution, data_share : diagonal and row sums of the averaging kernel, 0
+    where a bound decides.
+    """
+
+    deviation: Array
+    below: Array
+    above: Array
+    resolution: Array
+    data_share: Array
+
+    @classmethod
+    def of(cls, errors: Errors) -> "Certainty":
+        """Two-sided for free cells, one-sided for cells that press against a bound, none for cells without a choice.
+
+        Below a lower bound that is itself a reading, the interval reaches as far as that reading's noise.
+        """
+        model = errors.model
+        at, free = model.at, model.free
+        size = at.cell_resistance.size
+        deviation, below, above, resolution, data_share = np.zeros((5, size))
+        deviation[free] = np.sqrt(errors.variance)
+        below[free] = above[free] = TWO_SIDED * deviation[free]
+        resolution[free], data_share[free] = errors.resolution, errors.data_share
+        noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()
+        pressed = np.flatnonzero(model.at_lower | model.at_upper)
+        if len(pressed):
+            slope = np.abs(model.gradient[pressed]) / (2 * model.scale)
+            deviation[pressed], reach = one_sided(slope, errors.released(pressed))
+            low = model.at_lower[pressed]
+            above[pressed] = np.where(low, reach, np.inf)
+            below[pressed] = np.where(low, noise[pressed], reach)
+        lower, upper = (bound.ravel() for bound in at.data.log_bounds)
+        position = np.log(at.cell_resistance).ravel()
+        beyond = (position + above >= upper) & ~model.at_lower & (lower < upper)
+        above[beyond] = np.inf
+        deviation[model.at_upper] = np.inf
+        below[free] = np.minimum(below[free], position[free] - lower[free] + noise[free])
+        shape = at.cell_resistance.shape
+        return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share)))
+
+    def of_frame(self, frame: int) -> "Certainty":
+        """That of one frame, (rows, columns)."""
+        return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))

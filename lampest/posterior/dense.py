@@ -1,0 +1,200 @@
+"""Posterior covariance of log r in closed form, as matrices over the cells.
+
+With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
+estimate is K·noise plus what the penalties pull it away from the truth:
+
+    S = K τ² Kᵀ + s² A⁻¹ (Zᵀ C Ω Z + ε s²) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+
+where S₀ is the error of the previous frame. With C = 1 and one noise for all data this is the Laplace approximation
+s² A⁻¹. A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of
+1, of ω x̂²/s², how much larger it is than its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where
+data determine γ of the term's residuals; c = 1 where the weight maximises the evidence.
+Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import blas, lapack
+
+from lampest.cost import Cost
+from lampest.panel import Array
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.residuals import residuals
+
+MOST_RANKED = 2048
+IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything
+
+
+@dataclass(frozen=True, eq=False)
+class DenseMemory:
+    """Covariances of log r, (cells, cells): of the last estimate with itself, and with the baseline's."""
+
+    last: Array
+    with_baseline: Array
+
+    def shared(self) -> Array:
+        """The diagonal of the latter."""
+        return np.asarray(np.diag(self.with_baseline))
+
+
+@dataclass(frozen=True, eq=False)
+class DenseErrors:
+    """model : the estimate's surroundings. before : what is known of the previous frame's error, if it is read."""
+
+    model: LinearModel
+    before: DenseMemory | None = None
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """∂x/∂u of the data (rows, frames · cells)."""
+        at, size = self.model.at, self.model.at.cell_resistance[0].size
+        through = np.zeros((at.cell_resistance.size, at.cell_resistance.size))
+        for frame, network in enumerate(at.networks):
+            block = slice(frame * size, (frame + 1) * size)
+            transfer = network.transfer()
+            np.multiply(transfer, transfer, out=transfer)
+            np.multiply(transfer, network.conductance.ravel(), out=through[block, block])
+        return np.asarray(self.model.through @ through)
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        return self._of_free(self.sensitivity)
+
+    @cached_property
+    def _penalties(self) -> Array:
+        """√Ω Z."""
+        rows = self._of_free(self.model.penalty_jacobian.toarray())
+        return np.asarray(rows * np.sqrt(self.model.penalty_curvature)[:, None])
+
+    def _of_free(self, columns: Array) -> Array:
+        free = self.model.free
+        return columns if len(free) == columns.shape[1] else np.asarray(columns[:, free])
+
+    @cached_property
+    def inverse(self) -> Array:
+        """A⁻¹ (free, free). Raises numpy.linalg.LinAlgError where A is not positive definite."""
+        if not len(self.model.free):
+            return np.zeros((0, 0))
+        matrix = blas.dsyrk(1.0, (self._jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
+        if len(self._penalties):
+            matrix = blas.dsyrk(1.0, self._penalties.T, 1.0, matrix, overwrite_c=True)
+        matrix[np.diag_indices(len(matrix))] += IGNORANCE * self.model.scale
+        return positive_inverse(matrix)
+
+    @cached_property
+    def _gain(self) -> Array:
+        """K (free, data rows)."""
+        return self.inverse @ (self._jacobian.T * self.model.data_curvature)
+
+    @cached_property
+    def _pulls(self) -> Array:
+        """A⁻¹ Zᵀ √Ω (free, penalty rows)."""
+        return self.inverse @ self._penalties.T
+
+    @cached_property
+    def _pulled(self) -> Array:
+        """s² C."""
+        model = self.model
+        squares = model.penalty_curvature * model.penalty**2 / model.scale
+        widened = np.maximum(1.0, squares)
+        for number, expected in determined(model, self._penalties, self.inverse).items():
+            own = model.penalty_term == number
+            widened[own] = np.maximum(widened[own], squares[own].sum() / max(expected, 1.0))
+        return model.scale * widened
+
+    @cached_property
+    def _carried(self) -> Array:
+        """−A⁻¹ M (free, cells): what an error of the previous frame does to this one."""
+        rows = self.model.previous_jacobian.toarray() * np.sqrt(self.model.penalty_curvature)[:, None]
+        return np.asarray(-self._pulls @ rows)
+
+    @cached_property
+    def variance(self) -> Array:
+        """The diagonal of S over the free cells."""
+        variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
+        variance += IGNORANCE * self.model.scale**2 * np.sum(self.inverse**2, axis=1)
+        if self.before is not None:
+            variance += np.sum((self._carried @ self.before.last) * self._carried, axis=1)
+        return np.asarray(variance)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """S over all cells (frames · cells)²; zero for those that are not free."""
+        covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
+        covariance += IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
+        if self.before is not None:
+            covariance += self._carried @ self.before.last @ self._carried.T
+        whole = np.zeros((self.model.at.cell_resistance.size,) * 2)
+        whole[np.ix_(self.model.free, self.model.free)] = covariance
+        return whole
+
+    def memory(self) -> DenseMemory:
+        """What the next frame must know of the last one here; of two frames the first is the baseline."""
+        size = self.model.at.cell_resistance[0].size
+        if len(self.model.at.cell_resistance) == 2:
+            return DenseMemory(self.covariance[size:, size:], self.covariance[size:, :size])
+        with_baseline = np.zeros((size, size))
+        if self.before is not None:
+            with_baseline[self.model.free] = self._carried @ self.before.with_baseline
+        return DenseMemory(self.covariance, with_baseline)
+
+    @cached_property
+    def resolution(self) -> Array:
+        """The diagonal of the averaging kernel K·J."""
+        return np.asarray(np.einsum("ij,ji->i", self._gain, self._jacobian))
+
+    @cached_property
+    def data_share(self) -> Array:
+        """The row sums of the averaging kernel."""
+        return np.asarray(self._gain @ self._jacobian.sum(axis=1))
+
+    def released(self, cells: NDArray[np.intp]) -> Array:
+        """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
+        weighted = self.sensitivity * np.sqrt(self.model.data_curvature)[:, None]
+        rows = self.model.penalty_jacobian.toarray() * np.sqrt(self.model.penalty_curvature)[:, None]
+        both = np.vstack([weighted, rows])
+        own, free = both[:, cells], self._of_free(both)
+        across = free.T @ own
+        left = np.sum(own**2, axis=0) - np.sum(across * (self.inverse @ across), axis=0)
+        return np.asarray(self.model.scale / np.maximum(left, IGNORANCE * self.model.scale))
+
+
+def positive_inverse(matrix: Array) -> Array:
+    """A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError where A is not positive definite."""
+    factor, failed = lapack.dpotrf(matrix)
+    inverse, broken = lapack.dpotri(factor)
+    if failed or broken or not np.all(np.isfinite(inverse)):
+        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    inverse = np.triu(inverse)
+    inverse += np.triu(inverse, 1).T
+    return np.asarray(inverse)
+
+
+def determined(model: LinearModel, penalties: Array, inverse: Array) -> dict[int, float]:
+    """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t) of every penalty, B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t is B_t's rank if alone."""
+    numbers = np.unique(model.penalty_term)
+    blocks = {int(number): penalties[model.penalty_term == number] for number in numbers}
+    if len(blocks) == 1:
+        alone = {number: float(min(rank(model.at.cost.unweighted), len(inverse))) for number in blocks}
+    else:
+        whole = np.linalg.pinv(penalties.T @ penalties, hermitian=True)
+        alone = {number: float(np.sum((block @ whole) * block)) for number, block in blocks.items()}
+    return {number: alone[number] - float(np.sum((block @ inverse) * block)) for number, block in blocks.items()}
+
+
+@lru_cache(maxsize=64)
+def rank(cost: Cost) -> int:
+    """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered."""
+    function = residuals(cost).penalties.by_cells
+    shape = function.function.sparsity_out(0).shape
+    if shape[1] > MOST_RANKED:
+        return int(min(shape))
+    sizes = [function.function.size1_in(number) for number in range(function.function.n_in())]
+    anywhere = np.random.default_rng(0)
+    values = function(*(anywhere.uniform(0.5, 2.0, size) for size in sizes))
+    jacobian = sparse.csr_array((values, function.pattern), shape=shape)
+    return int(np.linalg.matrix_rank((jacobian.T @ jacobian).toarray(), hermitian=True))

@@ -1,0 +1,148 @@
+"""The surroundings of an estimate as a linear model with Gaussian noise and Gaussian penalties, in u = log r.
+
+Residuals are x ≈ x̂ + Z·p for a change p of u, each with a curvature ω, so that the cost is Σ ω x². Rows that read
+two-point resistances are data, with noise τ, all others penalties. With s² = mean ω τ² over the data, cost/s² stands
+for −2·log probability, whatever the unit of the misfit.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from lampest.panel import Array
+from lampest.problem import Evaluation
+from lampest.posterior.residuals import Part, residuals
+from lampest.terms.losses import Absolute, Huber
+
+NEAR_BOUND = 1e-3  # in log r
+ABSOLUTE = float(np.sqrt(2 / np.pi)) / 2  # of E|x + noise|, half the second derivative at 0, in units of 1/noise
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows."""
+
+    at: Evaluation
+    dual: Array
+
+    @cached_property
+    def gradient(self) -> Array:
+        """∂φ/∂u."""
+        return self.at.log_gradient(np.clip(self.dual, -1, 1)).ravel()
+
+    @cached_property
+    def at_lower(self) -> NDArray[np.bool_]:
+        """Cells that press against their lower bound."""
+        near = self._position - self._log_bounds[0] <= NEAR_BOUND
+        return near & (self.gradient > 0) & ~self.fixed if near.any() else near
+
+    @cached_property
+    def at_upper(self) -> NDArray[np.bool_]:
+        """Cells that press against their upper bound."""
+        near = self._log_bounds[1] - self._position <= NEAR_BOUND
+        return near & (self.gradient < 0) & ~self.fixed if near.any() else near
+
+    @cached_property
+    def fixed(self) -> NDArray[np.bool_]:
+        """Cells that bounds leave no choice."""
+        return (self.at.data.lower >= self.at.data.upper).ravel()
+
+    @cached_property
+    def free(self) -> NDArray[np.intp]:
+        """The numbers of all other cells."""
+        return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
+
+    @cached_property
+    def _position(self) -> Array:
+        return np.log(self.at.cell_resistance).ravel()
+
+    @cached_property
+    def _log_bounds(self) -> tuple[Array, Array]:
+        lower, upper = self.at.data.log_bounds
+        return lower.ravel(), upper.ravel()
+
+    @cached_property
+    def _data(self) -> Part:
+        return residuals(self.at.cost).data
+
+    @cached_property
+    def _penalties(self) -> Part:
+        return residuals(self.at.cost).penalties
+
+    @cached_property
+    def through(self) -> sparse.csc_array:
+        """∂x/∂R of the data."""
+        return self._data.jacobian("by_model", self.at)
+
+    @cached_property
+    def noise(self) -> Array:
+        """τ of the data."""
+        squares = sparse.csc_array(
+            (self.through.data**2, self.through.indices, self.through.indptr), shape=self.through.shape
+        )
+        noise: Array = np.sqrt(squares @ self.at.data.sigma.ravel() ** 2)
+        return noise
+
+    @cached_property
+    def data_curvature(self) -> Array:
+        """ω of the data; zero where a row says nothing."""
+        weights, losses = self.at.cost.weights, [term.loss for term in self.at.cost.terms]
+        curvature: Array = weights[self._data.term] * (self.noise > 0)
+        for number, loss in enumerate(losses):
+            own = self._data.term == number
+            if isinstance(loss, Huber) and own.any():
+                curvature[own] *= np.abs(self._data.values(self.at)[own]) <= loss.corner
+            elif isinstance(loss, Absolute) and own.any():
+                curvature[own] *= ABSOLUTE / np.maximum(self.noise[own], np.finfo(float).tiny)
+        return curvature
+
+    @cached_property
+    def scale(self) -> float:
+        """s²."""
+        seen = self.data_curvature > 0
+        return float(np.mean(self.data_curvature[seen] * self.noise[seen] ** 2)) if seen.any() else 1.0
+
+    @cached_property
+    def penalty(self) -> Array:
+        """x̂ of the penalties."""
+        return self._penalties.values(self.at)
+
+    @cached_property
+    def penalty_term(self) -> NDArray[np.intp]:
+        """The number of the term that every penalty row belongs to."""
+        return self._penalties.term
+
+    @cached_property
+    def penalty_curvature(self) -> Array:
+        """ω of the penalties; for an absolute loss that of the normal distribution with the same variance.
+
+        exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
+        """
+        weights = self.at.cost.weights
+        curvature: Array = weights[self.penalty_term]
+        for number, term in enumerate(self.at.cost.terms):
+            own = self.penalty_term == number
+            if isinstance(term.loss, Huber) and own.any():
+                curvature[own] *= np.abs(self.penalty[own]) <= term.loss.corner
+            elif isinstance(term.loss, Absolute) and own.any():
+                curvature[own] *= weights[number] / (8 * self.scale)
+        return curvature
+
+    @cached_property
+    def penalty_jacobian(self) -> sparse.csc_array:
+        """∂x/∂u of the penalties."""
+        jacobian = self._penalties.jacobian("by_cells", self.at)
+        cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
+        return sparse.csc_array((jacobian.data * cells, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
+
+    @cached_property
+    def previous_jacobian(self) -> sparse.csc_array:
+        """∂x/∂u₀ of the penalties, u₀ = log of the previous frame's cells."""
+        jacobian = self._penalties.jacobian("by_previous", self.at)
+        previous = self.at.data.previous
+        if previous is None:
+            return jacobian
+        return sparse.csc_array(jacobian @ sparse.diags_array(previous.ravel()))

@@ -1,0 +1,166 @@
+"""The same errors from samples, in product form: no matrix over the cells is ever formed.
+
+ε = A⁻¹ (Jᵀ Ω τ z₁ + s Zᵀ √(C Ω) z₂ − M ε₀), z normal: each sample costs one solve by conjugate gradients and has the
+covariance S of `lampest.posterior.dense`. Standard deviations from n samples scatter by 1/√(2n).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from lampest.panel import Array
+from lampest.posterior.dense import IGNORANCE, rank
+from lampest.posterior.linear import LinearModel
+from lampest.solvers.conjugate import Linear, conjugate_gradients
+from lampest.solvers.curvature import Curvature
+from lampest.solvers.directions import local_inverse, misfit_inverse
+from lampest.solvers.smoothing import Smoothing
+
+SAMPLES, PROBES = 100, 8
+ACCURACY, FINE = 1e-3, 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMemory:
+    """Samples of the errors of log r, (samples, cells): of the last estimate, and of the baseline's."""
+
+    last: Array
+    baseline: Array
+
+    def shared(self) -> Array:
+        """Their covariance, cell by cell."""
+        return np.asarray(np.mean(self.last * self.baseline, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class SampledErrors:
+    """model : the estimate's surroundings. before : samples of the previous frame's error, if it is read."""
+
+    model: LinearModel
+    before: SampledMemory | None = None
+
+    @cached_property
+    def _curvature(self) -> Curvature:
+        return Curvature(self.model.at, Smoothing.start(self.model.at))
+
+    @cached_property
+    def _penalties(self) -> sparse.csr_array:
+        """√Ω Z, all cells."""
+        return sparse.csr_array(sparse.diags_array(np.sqrt(self.model.penalty_curvature)) @ self.model.penalty_jacobian)
+
+    def _forward(self, change: Array) -> Array:
+        return np.asarray(self.model.through @ self._curvature.forward(change).ravel())
+
+    def _adjoint(self, rows: Array) -> Array:
+        weights = np.asarray(self.model.through.T @ rows).reshape(self.model.at.cell_resistance.shape)
+        return self._curvature.adjoint(weights)
+
+    def _data(self, change: Array) -> Array:
+        """Jᵀ Ω J p."""
+        return self._adjoint(self.model.data_curvature * self._forward(change))
+
+    @cached_property
+    def _inverse(self) -> Linear:
+        return partial(self._solved, accuracy=ACCURACY)
+
+    @cached_property
+    def _system(self) -> tuple[Linear, Linear]:
+        """A, and what approximates A⁻¹, on vectors over the free cells."""
+        model, whole, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
+        least = IGNORANCE * model.scale
+
+        def product(search: Array) -> Array:
+            whole[free] = search
+            image = self._data(whole) + self._penalties.T @ (self._penalties @ whole)
+            return np.asarray(image[free] + least * search)
+
+        return product, self._preconditioner(least)
+
+    def _solved(self, right: Array, accuracy: float) -> Array:
+        return conjugate_gradients(*self._system, right, accuracy)[0]
+
+    def _preconditioner(self, least: float) -> Linear:
+        model, at = self.model, self.model.at
+        if not self._penalties.nnz and len(at.cell_resistance) == 1:
+            return misfit_inverse(self._curvature, model.free)
+        through = sparse.csr_array(model.through)
+        weight = through.multiply(through).T @ model.data_curvature
+        own = weight * (at.two_point_resistance**2 / at.cell_resistance).ravel() ** 2
+        local = sparse.csr_array(self._penalties.T @ self._penalties + sparse.diags_array(own + least))
+        return local_inverse(local, np.zeros(len(model.free)), model.free)
+
+    @cached_property
+    def _widened(self) -> Array:
+        """C, as in the closed form, with γ from probes."""
+        model, random = self.model, np.random.default_rng(1)
+        squares = model.penalty_curvature * model.penalty**2 / model.scale
+        widened = np.maximum(1.0, squares)
+        terms = np.unique(model.penalty_term)
+        for number in terms:
+            own = model.penalty_term == number
+            rows = self._penalties[own]
+            used = 0.0
+            for _ in range(PROBES):
+                right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[model.free]
+                used += float(right @ self._inverse(right)) / PROBES
+            alone = min(rank(model.at.cost.unweighted), len(model.free)) / len(terms)
+            widened[own] = np.maximum(widened[own], squares[own].sum() / max(alone - used, 1.0))
+        return widened
+
+    @cached_property
+    def _drawn(self) -> tuple[Array, Array]:
+        """(samples of ε, the diagonal of A⁻¹ Zᵀ Ω Z), over the free cells."""
+        model, random = self.model, np.random.default_rng(0)
+        pulled, samples = np.zeros(len(model.free)), np.empty((SAMPLES, len(model.free)))
+        size = np.sqrt(self._widened * model.scale)
+        previous = sparse.diags_array(model.penalty_curvature) @ model.previous_jacobian
+        for number in range(SAMPLES):
+            noise = random.standard_normal(len(model.noise)) * model.noise
+            pull = random.standard_normal(len(size))
+            right = self._adjoint(model.data_curvature * noise) + self._penalties.T @ (size * pull)
+            if self.before is not None:
+                right -= model.penalty_jacobian.T @ (previous @ self.before.last[number])
+            samples[number] = self._inverse(right[model.free])
+            pulled += samples[number] * (self._penalties.T @ (pull / size))[model.free] / SAMPLES
+        return samples, pulled
+
+    @property
+    def variance(self) -> Array:
+        """The diagonal of S over the free cells."""
+        return np.asarray(np.mean(self._drawn[0] ** 2, axis=0))
+
+    @property
+    def resolution(self) -> Array:
+        """The diagonal of the averaging kernel, held within 0 and 1 against the scatter of the samples."""
+        return np.clip(1 - self._drawn[1], 0, 1)
+
+    @cached_property
+    def data_share(self) -> Array:
+        """The row sums of the averaging kernel."""
+        everywhere = np.zeros(self.model.at.cell_resistance.size)
+        everywhere[self.model.free] = 1.0
+        return self._solved(self._data(everywhere)[self.model.free], FINE)
+
+    def released(self, cells: NDArray[np.intp]) -> Array:
+        """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
+        variance = np.empty(len(cells))
+        for place, cell in enumerate(cells):
+            unit = np.zeros(self.model.at.cell_resistance.size)
+            unit[cell] = 1.0
+            image = self._data(unit) + self._penalties.T @ (self._penalties @ unit)
+            across = image[self.model.free]
+            left = image[cell] - across @ self._inverse(across)
+            variance[place] = self.model.scale / max(left, IGNORANCE * self.model.scale)
+        return variance
+
+    def memory(self) -> SampledMemory:
+        """What the next frame must know of the last one here; of two frames the first is the baseline."""
+        size = self.model.at.cell_resistance[0].size
+        samples = np.zeros((SAMPLES, self.model.at.cell_resistance.size))
+        samples[:, self.model.free] = self._drawn[0]
+        if len(self.model.at.cell_resistance) == 2:
+            return SampledMemory(samples[:, size:], samples[:, :size])
+        return SampledMemory(samples, np.zeros_like(samples) if self.before is None else self.before.baseline)

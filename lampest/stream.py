@@ -1,0 +1,193 @@
+"""Frames as they come: each solved after the last, with the baseline where the method asks for that."""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from lampest.cost import Cost
+from lampest.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
+from lampest.estimator import Doubts, Estimator
+from lampest.interrupts import delayed_interrupt
+from lampest.kirchhoff import uniform_factor
+from lampest.panel import Array, Panel
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.track import Bars, Track
+from lampest.problem import Data
+from lampest.readings import Readings
+from lampest.region import RegionSolver
+from lampest.scene import Faults
+from lampest.search import BROKEN, best_solution, evaluated
+from lampest.solvers.linearised import LinearisedSolver
+from lampest.solvers.newton import Newton
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
+
+    bars : the estimate's error bars, or None; they took `bars_seconds`.
+    """
+
+    solution: Solution
+    seconds: float
+    bars: Bars | None = None
+    bars_seconds: float = 0.0
+
+
+def _estimate(step: Step, frame: int) -> Array | None:
+    return step.solution.cell_resistance[frame] if step.solution.solved else None
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Where a sequence of frames stands. Pushing a frame gives the next stream and how the frame was solved.
+
+    Parameters
+    ----------
+    estimator, panel : the method and the panel. period : s between frames.
+    resting : the unloaded readings (rows, columns). faults : what is known to be broken, or None.
+    baseline : how the baseline was solved; None for a relative method until a frame was.
+    previous : (rows, columns) ohm, the last estimate, or None.
+    anchor : what an effort has prepared from the solved baseline, or None.
+    track : what error bars need of earlier frames; None where there are to be none.
+    """
+
+    estimator: Estimator
+    panel: Panel
+    period: float
+    resting: Readings
+    faults: Faults | None = None
+    baseline: Step | None = None
+    previous: Array | None = None
+    anchor: LinearisedSolver | RegionSolver | None = None
+    track: Track | None = None
+
+    @classmethod
+    def begin(
+        cls, estimator: Estimator, panel: Panel, period: float, resting: Readings, faults: Faults | None = None
+    ) -> "Stream":
+        """Before the first frame; an absolute method solves its baseline now.
+
+        Raises InputError where the noise is needed and unknown, or bounds leave no room.
+        """
+        stream = cls(estimator, panel, period, resting, faults, track=Track() if estimator.barred(resting) else None)
+        if estimator.joint_start:
+            return stream
+        if isinstance(estimator.effort, Linearised | Region):
+            return stream._anchored(estimator.effort)
+        baseline = stream._solve(*stream.given(resting))
+        with suppress(*BROKEN):
+            model = _surroundings(baseline)
+            if stream.track is not None and model is not None:
+                stream = replace(stream, track=stream.track.resting(model))
+        return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
+
+    def push(self, readings: Readings) -> tuple["Stream", Step]:
+        """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
+
+        Raises InputError as `begin`.
+        """
+        data, start = self.given(readings)
+        step = self._solve(data, start)
+        found = _estimate(step, -1)
+        track, step = self._barred(step)
+        step = replace(step, solution=replace(step.solution, at=None, dual=None))
+        return replace(
+            self,
+            baseline=step if len(data.measured) == 2 else self.baseline,
+            previous=self.previous if found is None else found,
+            track=track,
+        ), step
+
+    def _barred(self, step: Step) -> tuple[Track | None, Step]:
+        """The step with error bars, where they are wanted and can be had."""
+        model = _surroundings(step)
+        if self.track is None or model is None:
+            return self.track, step
+        begin = perf_counter()
+        with suppress(*BROKEN):
+            track, bars = self.track.advanced(model)
+            return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
+        return self.track, step
+
+    def given(self, readings: Readings) -> tuple[Data, Array | None]:
+        """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
+
+        The joint pair: paper, equations (15) and (21).
+        """
+        if self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved):
+            return self.estimator.data(self.resting.together(readings), None, self.faults), None
+        known = None
+        if self.estimator.relative:
+            known = self._guess(readings.resistance) if self.previous is None else self.previous
+        data = self.estimator.data(readings.alone(), known, self.faults)
+        return data, None if self.previous is None else self.previous[None]
+
+    @property
+    def baseline_resistance(self) -> Array:
+        """(rows, columns) ohm; NaN where the baseline is not solved."""
+        found = None if self.baseline is None else _estimate(self.baseline, 0)
+        return np.full(self.panel.shape, np.nan) if found is None else found
+
+    def _solve(self, data: Data, previous: Array | None) -> Step:
+        with delayed_interrupt():
+            doubts = Doubts.of(self.panel, self.faults, data)
+            solver = self.estimator.problem(self.panel, len(data.measured), self.period, doubts)
+            solver.prepare()
+            begin = perf_counter()
+            solution = self._solution(solver, data, previous)
+            return Step(solution, perf_counter() - begin)
+
+    def _solution(self, solver: Solver, data: Data, previous: Array | None) -> Solution:
+        effort = self.estimator.effort
+        if self.anchor is not None and previous is not None:
+            return self.anchor.solve(data, previous[0])
+        if isinstance(effort, TwoPoint | Scaled):
+            return approximation(solver.cost, data, _read_off(data, self._guess(data.measured)))
+        if isinstance(effort, Truncated):
+            return _truncated(solver.cost, data, previous, effort.steps)
+        return best_solution(solver, data, previous)
+
+    def _guess(self, measured: Array) -> Array:
+        """What an estimate would be without solving: R_m, or the cell of a uniform panel; same shape, ohm."""
+        if isinstance(self.estimator.effort, TwoPoint):
+            return measured
+        return measured / uniform_factor(*self.panel.shape)
+
+    def _anchored(self, effort: Linearised | Region) -> "Stream":
+        """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
+        absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
+        alone = replace(self, estimator=absolute)
+        baseline = alone._solve(*alone.given(self.resting))
+        found = _estimate(baseline, 0)
+        stream = replace(self, baseline=baseline, previous=found)
+        if found is None:
+            return stream
+        data = self.estimator.data(self.resting.alone(), found if self.estimator.relative else None, self.faults)
+        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
+        here = evaluated(cost, data, found[None])
+        settings = self.estimator.solver
+        if isinstance(effort, Linearised):
+            return replace(stream, anchor=LinearisedSolver(cost, here))
+        return replace(stream, anchor=RegionSolver(cost, here, effort.significance, settings))
+
+
+def _surroundings(step: Step) -> LinearModel | None:
+    """What error bars follow from: a verified optimum."""
+    solution = step.solution
+    if solution.status is not Status.OPTIMUM or solution.at is None or solution.dual is None:
+        return None
+    return LinearModel(solution.at, solution.dual)
+
+
+def _read_off(data: Data, cells: Array) -> Outcome:
+    return Outcome(np.clip(cells, data.lower, data.upper), np.zeros(0), Status.APPROXIMATE, 0)
+
+
+def _truncated(cost: Cost, data: Data, previous: Array | None, steps: int) -> Solution:
+    start = data.measured / uniform_factor(*data.measured.shape[1:]) if previous is None else previous
+    outcome = Newton(cost, Settings(max_iterations=steps)).solve(data, evaluated(cost, data, start))
+    return approximation(cost, data, outcome)

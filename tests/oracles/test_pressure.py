@@ -1,0 +1,167 @@
+"""Pressure from resistance against pressures put in: round trips, coverage of the interval, flags, open ends."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lampest.document import parse_document, to_yaml, validated
+from lampest.errors import InputError
+from lampest.panel import Array, Panel
+from lampest.pressure import VACUUM_KPA, pressure_of, water_pressure
+from lampest.response import RESPONSE_SD, ratio_from_pressure
+from lampest.scene import Scene, Temperature, Water
+from lampest.simulate import Simulation, simulate
+from lampest.simulate.loads import SuctionCup
+from lampest.simulate.simulation import Cells
+
+COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
+AIR = Scene(Panel(4, 3))
+SCENES = {
+    "air": AIR,
+    "water": Scene(Panel(4, 3), water=Water(70.0)),
+    "cold": Scene(Panel(4, 3), temperature=COOLING),
+    "cold water": Scene(Panel(4, 3), water=Water(3000.0), temperature=COOLING),
+}
+
+
+def log_change(pressure: Array, scene: Scene) -> Array:
+    """ln(f(p_w + p)/f(p_w)) + α (T − T_b), written out once more; (frames, rows, columns)."""
+    film = 9.81e-3 * (scene.water.top_row_depth_mm + 10 * np.arange(4))[:, None] if scene.water else 0.0
+    warm = scene.temperature
+    shift = warm.coefficient_per_kelvin * (warm.measured_celsius - warm.baseline_celsius) if warm else 0.0
+    return np.asarray(np.log(ratio_from_pressure(film + pressure) / ratio_from_pressure(film)) + shift)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_round_trip(name: str) -> None:
+    pressure = np.linspace(-20, 235, 2001)[:, None, None] * np.ones((4, 3))
+    ratio = np.exp(log_change(pressure, SCENES[name]))
+    found = pressure_of(ratio, ratio, ratio, SCENES[name])
+    np.testing.assert_allclose(found.pressure, pressure, atol=1e-9)
+    assert np.all(np.diff(found.pressure, axis=0) > 0)
+    for ends in (found.lower, found.upper):
+        assert np.all(np.diff(ends, axis=0) > 0)
+    assert np.all((found.lower <= found.pressure) & (found.pressure <= found.upper))
+
+
+def test_simulation_puts_in_what_the_scene_tells() -> None:
+    scene = Scene(Panel(8, 8), water=Water(50.0), temperature=COOLING)
+    cup = SuctionCup(
+        kind="suction_cup", centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8
+    )
+    simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
+    recording = simulate(simulation)
+    cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
+    assert cells is not None and pressure is not None
+    ratio = cells[1:] / cells[0]
+    found = pressure_of(ratio, ratio, ratio, scene)
+    np.testing.assert_allclose(found.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
+    assert found.pressure.min() < -5 and found.pressure.max() > 5
+    untold = simulate(dataclasses.replace(simulation, scene=Scene(Panel(8, 8)), water=Water(50.0)))
+    assert untold.truth_cell_resistance is not None
+    np.testing.assert_array_equal(untold.truth_cell_resistance[0], cells[0])
+    np.testing.assert_allclose(cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("sd", [0.003, 0.05, 0.2])
+def test_interval_covers_the_truth(name: str, sd: float) -> None:
+    """4,000 draws of estimate, response and temperature coefficient, each with the error that it is said to have."""
+    generator = np.random.default_rng([7, round(1000 * sd)])
+    scene, draws = SCENES[name], 4000
+    pressure = generator.uniform(-6, 20, (draws, 4, 3))
+    warm = scene.temperature
+    shift = warm.logarithm if warm else 0.0
+    change = (log_change(pressure, scene) - shift) * (1 + RESPONSE_SD * generator.standard_normal(pressure.shape))
+    change += shift + sd * generator.standard_normal(pressure.shape)
+    if warm:
+        error = warm.coefficient_sd_per_kelvin * generator.standard_normal(pressure.shape)
+        change += error * (warm.measured_celsius - warm.baseline_celsius)
+    found = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene)
+    covered = np.mean((found.lower <= pressure) & (pressure <= found.upper))
+    assert 0.93 < covered < 0.97
+    assert 0.5 < np.mean(np.abs(found.pressure - pressure) < found.errors) < 0.75
+
+
+def test_errors_are_the_slopes() -> None:
+    """σ_p = |dp/d ln r| · √(sd² + (RESPONSE_SD·ln f)²) where the response is smooth."""
+    pressure = np.array([-4.0, 1.0, 10.0, 35.0])[:, None, None] * np.ones((4, 3))
+    sd, step = 1e-3, 1e-4
+    change = log_change(pressure, AIR)
+    slope = (log_change(pressure + step, AIR) - change) / step
+    found = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), AIR)
+    np.testing.assert_allclose(found.errors, np.hypot(sd, RESPONSE_SD * change) / -slope, rtol=0.1)
+
+
+def test_water_takes_from_the_range_and_from_the_sensitivity() -> None:
+    """The same pressure makes less of a change under water, where the film is already pressed."""
+    pressure, deep = np.full((1, 4, 3), 2.0), Scene(Panel(4, 3), water=Water(400.0))
+    change = log_change(pressure, deep)
+    assert np.all(change > log_change(pressure, AIR))
+    unknowing = pressure_of(np.exp(change), np.exp(change), np.exp(change), AIR)
+    assert np.all(unknowing.pressure < pressure)
+
+
+def test_flags() -> None:
+    pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones((4, 3))
+    ratio = np.exp(log_change(pressure, AIR))
+    flags = pressure_of(ratio, ratio, ratio, AIR).saturated
+    assert flags.dtype == np.uint8
+    # The scatter of the response alone reaches from −9 kPa below −10 and from 31 kPa beyond 40.
+    np.testing.assert_array_equal(flags[:, 0, 0], [1, 1, 0, 0, 0, 0, 1, 1])
+    uncertain = pressure_of(ratio, ratio / 5, ratio * 5, AIR).saturated
+    np.testing.assert_array_equal(uncertain[:, 0, 0], [1, 1, 1, 0, 1, 1, 1, 1])
+
+
+def test_open_and_unseen_cells() -> None:
+    ratio = np.full((1, 4, 3), 50.0)
+    ratio[0, 0] = 1.0
+    lower, upper = 0.5 * ratio, np.full_like(ratio, np.inf)
+    lower[0, 1] = 0.0
+    for scene in (AIR, SCENES["water"]):
+        found = pressure_of(ratio, lower, upper, scene)
+        water = water_pressure(scene.panel, scene.water)
+        np.testing.assert_allclose(found.lower[0] + water, VACUUM_KPA)
+        assert np.all(np.isinf(found.upper[0]) == (np.arange(4) == 1)[:, None])
+        assert np.all(np.isinf(found.errors[0]) == (np.arange(4) == 1)[:, None])
+        assert np.all(found.saturated == 1)
+        assert not np.any(np.isnan([found.pressure, found.lower, found.errors]))
+
+
+def test_failed_frames_stay_empty() -> None:
+    ratio = np.ones((2, 4, 3))
+    ratio[1] = np.nan
+    found = pressure_of(ratio, ratio, ratio, SCENES["cold water"])
+    for values in (found.pressure, found.lower, found.upper, found.errors):
+        np.testing.assert_array_equal(np.isnan(values), np.isnan(ratio))
+    assert np.all(found.saturated[1] == 0)
+
+
+@pytest.mark.parametrize(("ratio", "lower", "upper"), [(0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf)])
+def test_impossible_ratios(ratio: float, lower: float, upper: float) -> None:
+    values = [np.full((1, 4, 3), value) for value in (ratio, lower, upper)]
+    with pytest.raises(ValueError, match="positive, finite and within"):
+        pressure_of(*values, AIR)
+    with pytest.raises(ValueError, match="frames × rows × columns"):
+        pressure_of(values[0][:, :3], values[1][:, :3], values[2][:, :3], AIR)
+
+
+def test_scene_with_and_without_the_new_keys() -> None:
+    for scene in SCENES.values():
+        assert validated(parse_document(to_yaml(scene), "scene"), Scene) == scene
+    assert "water" not in to_yaml(AIR) and "temperature" not in to_yaml(AIR)
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("water: {top_row_depth_mm: -1}", "zero or positive"),
+        ("water: {depth: 1}", "no such key"),
+        ("temperature: {coefficient_per_kelvin: -3, baseline_celsius: 20, measured_celsius: 8}", "between -1 and 1"),
+        ("temperature: {coefficient_per_kelvin: 0, baseline_celsius: 20, measured_celsius: -300}", "measured_celsius"),
+    ],
+)
+def test_wrong_scenes(key: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        validated(parse_document(f"panel: {{rows: 4, columns: 3}}\n{key}", "scene"), Scene)
