@@ -135,7 +135,10 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
             term_kind(term): np.array([solution.costs[number] for solution in solutions])
             for number, term in enumerate(case.estimator.terms)
         },
-        weights={term_kind(term): np.full(len(solutions), float(term.weight)) for term in case.estimator.terms},
+        weights={
+            term_kind(term): np.array([step.weights[number] for step in found.steps])
+            for number, term in enumerate(case.estimator.terms)
+        },
         baseline_status=found.baseline.solution.status.value,
         baseline_solve_time=found.baseline.seconds,
         joint_start=found.joint_start,

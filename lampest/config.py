@@ -10,7 +10,7 @@ from lampest import sweep
 from lampest.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
 from lampest.efforts import AnyEffort, Word, named
 from lampest.errors import InputError
-from lampest.estimator import Bounds, Estimator, FormulationName
+from lampest.estimator import AutoWeight, Bounds, Estimator, FormulationName
 from lampest.executors import AnyExecutor, Executor
 from lampest.readings import Readings
 from lampest.recording import Recording
@@ -42,6 +42,7 @@ class EstimatorEntry:
     bounds: Bounds | None = None
     effort: Word | AnyEffort | None = None
     error_bars: Literal["auto"] | bool | None = None
+    auto_weight: AutoWeight | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class RunFile:
     bounds: Bounds = Bounds()
     effort: Word | AnyEffort = "converged"
     error_bars: Literal["auto"] | bool = "auto"
+    auto_weight: AutoWeight = AutoWeight()
     executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
@@ -184,7 +186,7 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
-    """An estimator with the run's formulation, solver, bounds, effort and error bars where its own are silent."""
+    """An estimator with what the run says where its own entry is silent."""
     entry = run.estimators[name]
     own = document.content["estimators"][name]
     parts = {}
@@ -199,7 +201,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         check_name(name, "estimator")
         formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
         bars = run.error_bars if entry.error_bars is None else entry.error_bars
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars)
+        choice = entry.auto_weight or run.auto_weight
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars, choice)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

@@ -21,7 +21,7 @@ from lampest.terms.term import State, Term
 class Cost:
     """φ over `frames` frames of a panel, built once and evaluated for any data.
 
-    With two frames the first is the previous frame of the second; terms that need a previous frame skip the first.
+    With two frames the first is the baseline and the previous frame of the second; terms that need those skip it.
     Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or say nothing.
     An absolute loss enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
     """
@@ -61,14 +61,16 @@ class Cost:
         measured: casadi.SX,
         sigma: casadi.SX,
         previous: casadi.SX,
+        baseline: casadi.SX,
         *marks: casadi.SX,
     ) -> list[tuple[int, casadi.SX]]:
         pairs = []
         for frame in range(self.frames):
             before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
+            resting = cells[:, 0] if frame else (baseline if self.needs_previous else None)
             cell, model, reading, noise = (part[:, frame] for part in (cells, two_point, measured, sigma))
             side, seen = (mark[:, frame] for mark in marks) if marks else (None, None)
-            state = State(self.panel, cell, model, reading, noise, before, side, seen)
+            state = State(self.panel, cell, model, reading, noise, before, side, seen, resting)
             for number, term in enumerate(self.terms):
                 if before is not None or not term.needs_previous:
                     pairs.append((number, term.residual(state)))
@@ -87,11 +89,11 @@ class Cost:
         return rows
 
     def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames) and previous (cells, 1), in ohm; side and seen."""
+        """Cells, two-point resistance, measured, σ (cells, frames), previous, baseline (cells, 1), ohm; side and seen."""
         shape = (self.panel.cells, self.frames)
         given = [casadi.SX.sym(name, *shape) for name in ("cells", "two_point", "measured", "sigma")]
         marks = [casadi.SX.sym(name, *shape) for name in ("side", "seen")] if self.partial else []
-        return [*given, casadi.SX.sym("previous", self.panel.cells), *marks]
+        return [*given, *(casadi.SX.sym(name, self.panel.cells) for name in ("previous", "baseline")), *marks]
 
     @cached_property
     def functions(self) -> "CostFunctions":
@@ -133,7 +135,7 @@ class Compiled:
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of flat cells, two-point resistances, measured, σ, previous, the terms' weights and the duals.
+    """Functions of flat cells, two-point resistances, measured, σ, previous, baseline, the terms' weights and the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
     two-point resistances). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.

@@ -1,6 +1,7 @@
 """One method of estimation: which terms, which formulation, which bounds."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite
 from typing import Any, ClassVar, Literal
@@ -13,6 +14,7 @@ from lampest.errors import InputError
 from lampest.formulations import Formulation, Nodal, PerPixel
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
+from lampest.posterior.spectrum import Rule
 from lampest.problem import Data
 from lampest.readings import AT_MOST, Readings
 from lampest.readout import resolution_limit
@@ -20,6 +22,7 @@ from lampest.scene import Faults
 from lampest.solvers.ipopt import Ipopt
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import Settings, Solver
+from lampest.terms.misfit import Misfit
 from lampest.terms.term import Term
 
 FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
@@ -80,11 +83,28 @@ class Bounds:
 
 
 @dataclass(frozen=True)
+class AutoWeight:
+    """How `weight: auto` is chosen.
+
+    rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
+    of every reading from all others. By default risk, or press where the noise of the readings is unknown.
+    per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    rule: Rule | None = None
+    per: Literal["recording", "frame"] = "recording"
+
+
+@dataclass(frozen=True)
 class Estimator:
-    """Terms, formulation, solver settings, bounds and effort. Raises ValueError without a term.
+    """Terms, formulation, solver settings, bounds and effort.
 
     error_bars : whether estimates get them; 'auto': on panels of up to 600 cells. Only verified optima of readings
     whose noise is known can have them.
+    auto_weight : how weights are chosen that the terms leave open.
+
+    Raises ValueError without a term, or where a weight is left open and there is no misfit.
     """
 
     terms: tuple[Term, ...]
@@ -93,10 +113,25 @@ class Estimator:
     bounds: Bounds = Bounds()
     effort: AnyEffort = Converged()
     error_bars: Literal["auto"] | bool = "auto"
+    auto_weight: AutoWeight = AutoWeight()
 
     def __post_init__(self) -> None:
         if not self.terms:
             raise ValueError("an estimator needs at least one term")
+        if self.automatic and not any(isinstance(term, Misfit) for term in self.terms):
+            raise ValueError("weight: auto needs the term misfit")
+        if self.automatic and self.auto_weight.per == "frame" and not isinstance(self.effort, Converged):
+            raise ValueError("auto_weight.per: frame needs effort: converged")
+
+    @property
+    def automatic(self) -> bool:
+        """Whether a weight is still to be chosen."""
+        return any(term.weight == "auto" for term in self.terms)
+
+    def with_weights(self, weights: Iterable[float]) -> "Estimator":
+        """The same with these weights of the terms, in their order."""
+        pairs = zip(self.terms, weights, strict=True)
+        return replace(self, terms=tuple(replace(term, weight=float(weight)) for term, weight in pairs))
 
     @property
     def relative(self) -> bool:
@@ -123,7 +158,13 @@ class Estimator:
         """Whether a term divides by the readings' standard deviation."""
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
-    def data(self, readings: Readings, previous: Array | None = None, faults: Faults | None = None) -> Data:
+    def data(
+        self,
+        readings: Readings,
+        previous: Array | None = None,
+        faults: Faults | None = None,
+        baseline: Array | None = None,
+    ) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
         measured, sigma = readings.resistance, readings.sigma
         if sigma is None and self.needs_sigma():
@@ -139,7 +180,7 @@ class Estimator:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
         noise = np.ones_like(measured) if sigma is None else sigma
         marks = (readings.side, readings.seen) if readings.partial else None
-        return Data(measured, noise, lower, upper, previous, marks=marks)
+        return Data(measured, noise, lower, upper, previous, marks, baseline)
 
     def problem(self, panel: Panel, frames: int, period: float, doubts: "Doubts | None" = None) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.

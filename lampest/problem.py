@@ -21,6 +21,7 @@ class Data:
     sigma : same shape, ohm; ones where unknown.
     lower, upper : same shape, ohm; bounds of the cell resistance.
     previous : (rows, columns) ohm, the known r0, or None.
+    baseline : (rows, columns) ohm, the known cells of the unloaded panel; None where they are the previous ones.
     marks : side and seen of the readings (frames, rows, columns), as `Readings` has them; None: all are values.
     """
 
@@ -30,6 +31,7 @@ class Data:
     upper: Array
     previous: Array | None = None
     marks: tuple[Array, Array] | None = None
+    baseline: Array | None = None
 
     @property
     def resistance_scale(self) -> float:
@@ -52,10 +54,11 @@ class Data:
 
     @cached_property
     def parameters(self) -> tuple[Array, ...]:
-        """Measured, σ (frames · cells), previous (cells; ones where unknown), ohm; side and seen; all flat."""
+        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown), ohm; side and seen; all flat."""
         previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
+        baseline = previous if self.baseline is None else self.baseline.ravel()
         marks = () if self.marks is None else tuple(mark.ravel() for mark in self.marks)
-        return self.measured.ravel(), self.sigma.ravel(), previous, *marks
+        return self.measured.ravel(), self.sigma.ravel(), previous, baseline, *marks
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimator import Estimator
-from lampest.panel import Array
+from lampest.estimator import Doubts, Estimator
+from lampest.panel import Array, Panel
 from lampest.posterior.certainty import Certainty
 from lampest.readings import Readings
 from lampest.recording import UNLOADED, Recording
+from lampest.scene import Faults
 from lampest.stream import Step, Stream
+from lampest.weights import with_chosen_weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ def reconstruct(
         on_frame()
     return Reconstruction(
         recording,
-        estimator,
+        stream.estimator,
         frames,
         readings.resistance[frames],
         stream.resting.resistance,
@@ -86,7 +88,27 @@ def first_stream(recording: Recording, readings: Readings, estimator: Estimator)
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = readings[unloaded if len(unloaded) else [0]].mean()
     scene = recording.scene
+    if estimator.automatic and estimator.auto_weight.per == "recording":
+        strongest = readings[strongest_frame(recording, readings, resting)]
+        estimator = with_weights_of_a_recording(estimator, scene.panel, resting, strongest, scene.faults)
     return Stream.begin(estimator, scene.panel, frame_period(recording), resting, scene.faults)
+
+
+def strongest_frame(recording: Recording, readings: Readings, resting: Readings) -> int:
+    """The measured frame whose two-point resistances differ most from the unloaded ones: mean |log R/R₀|."""
+    frames = recording.measured_frames()
+    change = np.abs(np.log(readings.resistance[frames] / resting.resistance)).mean(axis=(1, 2))
+    return int(frames[np.argmax(change)])
+
+
+def with_weights_of_a_recording(
+    estimator: Estimator, panel: Panel, resting: Readings, frame: Readings, faults: Faults | None
+) -> Estimator:
+    """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
+    relative = estimator.relative
+    data = estimator.data(resting.together(frame) if relative else frame.alone(), None, faults)
+    doubts = Doubts.of(panel, faults, data)
+    return with_chosen_weights(estimator, panel, data, doubts, None, frame.sigma is not None)
 
 
 def frame_period(recording: Recording) -> float:

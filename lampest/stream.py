@@ -22,17 +22,19 @@ from lampest.search import BROKEN, best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
+from lampest.weights import with_chosen_weights
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
     """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
 
-    bars : the estimate's error bars, or None; they took `bars_seconds`.
+    weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
     """
 
     solution: Solution
     seconds: float
+    weights: tuple[float, ...]
     bars: Bars | None = None
     bars_seconds: float = 0.0
 
@@ -120,10 +122,11 @@ class Stream:
         """
         if self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved):
             return self.estimator.data(self.resting.together(readings), None, self.faults), None
-        known = None
+        known = resting = None
         if self.estimator.relative:
             known = self._guess(readings.resistance) if self.previous is None else self.previous
-        data = self.estimator.data(readings.alone(), known, self.faults)
+            resting = None if self.baseline is None else _estimate(self.baseline, 0)
+        data = self.estimator.data(readings.alone(), known, self.faults, resting)
         return data, None if self.previous is None else self.previous[None]
 
     @property
@@ -135,11 +138,18 @@ class Stream:
     def _solve(self, data: Data, previous: Array | None) -> Step:
         with delayed_interrupt():
             doubts = Doubts.of(self.panel, self.faults, data)
-            solver = self.estimator.problem(self.panel, len(data.measured), self.period, doubts)
+            begin = perf_counter()
+            estimator = self.estimator
+            if estimator.automatic:
+                noisy = self.resting.sigma is not None
+                estimator = with_chosen_weights(estimator, self.panel, data, doubts, previous, noisy)
+            choice = perf_counter() - begin
+            solver = estimator.problem(self.panel, len(data.measured), self.period, doubts)
             solver.prepare()
             begin = perf_counter()
             solution = self._solution(solver, data, previous)
-            return Step(solution, perf_counter() - begin)
+            weights = tuple(float(weight) for weight in solver.cost.weights)
+            return Step(solution, choice + perf_counter() - begin, weights)
 
     def _solution(self, solver: Solver, data: Data, previous: Array | None) -> Solution:
         effort = self.estimator.effort

@@ -144,7 +144,7 @@ def _divided(recording: Recording, scale: float) -> Recording:
 
 
 def _unitless(term: Term, scale: float) -> Term:
-    return replace(term, weight=term.weight * scale**2) if term.needs_previous else term
+    return replace(term, weight=float(term.weight) * scale**2) if term.needs_previous else term
 
 
 @dataclass(frozen=True, eq=False)

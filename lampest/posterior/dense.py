@@ -5,15 +5,17 @@ estimate is K·noise plus what the penalties pull it away from the truth:
 
     S = K τ² Kᵀ + s² A⁻¹ (Zᵀ C Ω Z + ε s²) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
-where S₀ is the error of the previous frame. With C = 1 and one noise for all data this is the Laplace approximation
-s² A⁻¹. A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of
-1, of ω x̂²/s², how much larger it is than its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where
-data determine γ of the term's residuals; c = 1 where the weight maximises the evidence.
+where S₀ is the error of the previous frame and of the baseline, as far as terms read them. With C = 1 and one noise for
+all data this is the Laplace approximation s² A⁻¹. A penalty that does not suit the data must not leave narrow bars: C
+of a penalised residual x̂ is the largest of 1, of ω x̂²/s², how much larger it is than its weight allows, and of
+c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals; c = 1 where the weight
+maximises the evidence.
 Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
 """
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +33,18 @@ IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anyt
 
 @dataclass(frozen=True, eq=False)
 class DenseMemory:
-    """Covariances of log r, (cells, cells): of the last estimate with itself, and with the baseline's."""
+    """Covariances of log r, (cells, cells): of the last estimate with itself, with the baseline's, and of the latter."""
 
     last: Array
     with_baseline: Array
+    baseline: Array
+
+    def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """In blocks: last estimate, baseline."""
+        return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
 
     def shared(self) -> Array:
-        """The diagonal of the latter."""
+        """The diagonal of the middle one."""
         return np.asarray(np.diag(self.with_baseline))
 
 
@@ -61,7 +68,8 @@ class DenseErrors:
         return np.asarray(self.model.through @ through)
 
     @cached_property
-    def _jacobian(self) -> Array:
+    def jacobian(self) -> Array:
+        """J (data rows, free)."""
         return self._of_free(self.sensitivity)
 
     @cached_property
@@ -79,7 +87,7 @@ class DenseErrors:
         """A⁻¹ (free, free). Raises numpy.linalg.LinAlgError where A is not positive definite."""
         if not len(self.model.free):
             return np.zeros((0, 0))
-        matrix = blas.dsyrk(1.0, (self._jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
+        matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
         if len(self._penalties):
             matrix = blas.dsyrk(1.0, self._penalties.T, 1.0, matrix, overwrite_c=True)
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * self.model.scale
@@ -88,7 +96,7 @@ class DenseErrors:
     @cached_property
     def _gain(self) -> Array:
         """K (free, data rows)."""
-        return self.inverse @ (self._jacobian.T * self.model.data_curvature)
+        return self.inverse @ (self.jacobian.T * self.model.data_curvature)
 
     @cached_property
     def _pulls(self) -> Array:
@@ -107,10 +115,11 @@ class DenseErrors:
         return model.scale * widened
 
     @cached_property
-    def _carried(self) -> Array:
-        """−A⁻¹ M (free, cells): what an error of the previous frame does to this one."""
-        rows = self.model.previous_jacobian.toarray() * np.sqrt(self.model.penalty_curvature)[:, None]
-        return np.asarray(-self._pulls @ rows)
+    def _carried(self) -> list[tuple[int, Array]]:
+        """−A⁻¹ M (free, cells): what errors of the previous frame (0) and of the baseline (1) do to this one."""
+        known = enumerate((self.model.previous_jacobian, self.model.baseline_jacobian))
+        size = np.sqrt(self.model.penalty_curvature)[:, None]
+        return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
     def variance(self) -> Array:
@@ -118,7 +127,8 @@ class DenseErrors:
         variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
         variance += IGNORANCE * self.model.scale**2 * np.sum(self.inverse**2, axis=1)
         if self.before is not None:
-            variance += np.sum((self._carried @ self.before.last) * self._carried, axis=1)
+            for (one, first), (other, second) in product(self._carried, repeat=2):
+                variance += np.sum((first @ self.before.both()[one][other]) * second, axis=1)
         return np.asarray(variance)
 
     @cached_property
@@ -127,7 +137,8 @@ class DenseErrors:
         covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
         covariance += IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
         if self.before is not None:
-            covariance += self._carried @ self.before.last @ self._carried.T
+            for (one, first), (other, second) in product(self._carried, repeat=2):
+                covariance += first @ self.before.both()[one][other] @ second.T
         whole = np.zeros((self.model.at.cell_resistance.size,) * 2)
         whole[np.ix_(self.model.free, self.model.free)] = covariance
         return whole
@@ -136,21 +147,24 @@ class DenseErrors:
         """What the next frame must know of the last one here; of two frames the first is the baseline."""
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
-            return DenseMemory(self.covariance[size:, size:], self.covariance[size:, :size])
-        with_baseline = np.zeros((size, size))
+            whole = self.covariance
+            return DenseMemory(whole[size:, size:], whole[size:, :size], whole[:size, :size])
+        with_baseline, baseline = np.zeros((2, size, size))
         if self.before is not None:
-            with_baseline[self.model.free] = self._carried @ self.before.with_baseline
-        return DenseMemory(self.covariance, with_baseline)
+            baseline = self.before.baseline
+            for which, carried in self._carried:
+                with_baseline[self.model.free] += carried @ self.before.both()[which][1]
+        return DenseMemory(self.covariance, with_baseline, baseline)
 
     @cached_property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel K·J."""
-        return np.asarray(np.einsum("ij,ji->i", self._gain, self._jacobian))
+        return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
 
     @cached_property
     def data_share(self) -> Array:
         """The row sums of the averaging kernel."""
-        return np.asarray(self._gain @ self._jacobian.sum(axis=1))
+        return np.asarray(self._gain @ self.jacobian.sum(axis=1))
 
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.panel import Array
-from lampest.problem import Evaluation
 from lampest.posterior.residuals import Part, residuals
+from lampest.problem import Evaluation
 from lampest.terms.losses import Absolute, Huber
 
 NEAR_BOUND = 1e-3  # in log r
@@ -94,10 +94,15 @@ class LinearModel:
         for number, loss in enumerate(losses):
             own = self._data.term == number
             if isinstance(loss, Huber) and own.any():
-                curvature[own] *= np.abs(self._data.values(self.at)[own]) <= loss.corner
+                curvature[own] *= np.abs(self.residual[own]) <= loss.corner
             elif isinstance(loss, Absolute) and own.any():
                 curvature[own] *= ABSOLUTE / np.maximum(self.noise[own], np.finfo(float).tiny)
         return curvature
+
+    @cached_property
+    def residual(self) -> Array:
+        """x̂ of the data."""
+        return self._data.values(self.at)
 
     @cached_property
     def scale(self) -> float:
@@ -117,19 +122,8 @@ class LinearModel:
 
     @cached_property
     def penalty_curvature(self) -> Array:
-        """ω of the penalties; for an absolute loss that of the normal distribution with the same variance.
-
-        exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
-        """
-        weights = self.at.cost.weights
-        curvature: Array = weights[self.penalty_term]
-        for number, term in enumerate(self.at.cost.terms):
-            own = self.penalty_term == number
-            if isinstance(term.loss, Huber) and own.any():
-                curvature[own] *= np.abs(self.penalty[own]) <= term.loss.corner
-            elif isinstance(term.loss, Absolute) and own.any():
-                curvature[own] *= weights[number] / (8 * self.scale)
-        return curvature
+        """ω of the penalties."""
+        return penalty_bend(self, self.at.cost.weights)
 
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
@@ -141,8 +135,29 @@ class LinearModel:
     @cached_property
     def previous_jacobian(self) -> sparse.csc_array:
         """∂x/∂u₀ of the penalties, u₀ = log of the previous frame's cells."""
-        jacobian = self._penalties.jacobian("by_previous", self.at)
-        previous = self.at.data.previous
-        if previous is None:
-            return jacobian
-        return sparse.csc_array(jacobian @ sparse.diags_array(previous.ravel()))
+        return self._known_jacobian("by_previous", self.at.data.previous)
+
+    @cached_property
+    def baseline_jacobian(self) -> sparse.csc_array:
+        """The same for the baseline's cells."""
+        data = self.at.data
+        return self._known_jacobian("by_baseline", data.previous if data.baseline is None else data.baseline)
+
+    def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
+        jacobian = self._penalties.jacobian(name, self.at)
+        return jacobian if cells is None else sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
+
+
+def penalty_bend(model: LinearModel, weights: Array) -> Array:
+    """ω of the penalties for any weights; for an absolute loss that of the normal distribution with the same variance.
+
+    exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
+    """
+    curvature: Array = weights[model.penalty_term]
+    for number, term in enumerate(model.at.cost.terms):
+        own = model.penalty_term == number
+        if isinstance(term.loss, Huber) and own.any():
+            curvature[own] *= np.abs(model.penalty[own]) <= term.loss.corner
+        elif isinstance(term.loss, Absolute) and own.any():
+            curvature[own] *= weights[number] / (8 * model.scale)
+    return curvature

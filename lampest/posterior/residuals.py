@@ -17,7 +17,8 @@ from lampest.problem import Evaluation
 class Part:
     """Some rows of the residuals x, unweighted: functions of what `Evaluation` holds.
 
-    value : x. by_cells, by_model, by_previous : ∂x/∂ cells, two-point resistances and previous, sparse.
+    value : x. by_cells, by_model, by_previous, by_baseline : ∂x/∂ cells, two-point resistances, previous and baseline,
+    sparse.
     term : the number of the term that every row belongs to.
     """
 
@@ -25,6 +26,7 @@ class Part:
     by_cells: Compiled
     by_model: Compiled
     by_previous: Compiled
+    by_baseline: Compiled
     term: NDArray[np.intp]
 
     def values(self, at: Evaluation) -> Array:
@@ -32,7 +34,7 @@ class Part:
         return self._call(self.value, at)
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
-        """One of the three derivatives at a point, (rows, unknowns) sparse."""
+        """One of the derivatives at a point, (rows, unknowns) sparse."""
         function: Compiled = getattr(self, name)
         indices, starts = self._structures[name]
         shape = function.function.sparsity_out(0).shape
@@ -40,7 +42,7 @@ class Part:
 
     @cached_property
     def _structures(self) -> dict[str, tuple[NDArray[np.int32], NDArray[np.int32]]]:
-        names = ("by_cells", "by_model", "by_previous")
+        names = ("by_cells", "by_model", "by_previous", "by_baseline")
         sparsities = {name: getattr(self, name).function.sparsity_out(0) for name in names}
         return {
             name: (np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32))
@@ -83,6 +85,7 @@ def _part(symbols: list[casadi.SX], rows: casadi.SX, term: NDArray[np.intp]) -> 
         "by_cells": casadi.jacobian(rows, inputs[0]),
         "by_model": casadi.jacobian(rows, inputs[1]),
         "by_previous": casadi.jacobian(rows, inputs[4]),
+        "by_baseline": casadi.jacobian(rows, inputs[5]),
     }
     compiled = {name: Compiled(casadi.Function(name, inputs, [output])) for name, output in outputs.items()}
     return Part(**compiled, term=term)

@@ -95,20 +95,24 @@ class SampledErrors:
     @cached_property
     def _widened(self) -> Array:
         """C, as in the closed form, with γ from probes."""
-        model, random = self.model, np.random.default_rng(1)
+        model = self.model
         squares = model.penalty_curvature * model.penalty**2 / model.scale
         widened = np.maximum(1.0, squares)
         terms = np.unique(model.penalty_term)
         for number in terms:
             own = model.penalty_term == number
-            rows = self._penalties[own]
-            used = 0.0
-            for _ in range(PROBES):
-                right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[model.free]
-                used += float(right @ self._inverse(right)) / PROBES
             alone = min(rank(model.at.cost.unweighted), len(model.free)) / len(terms)
-            widened[own] = np.maximum(widened[own], squares[own].sum() / max(alone - used, 1.0))
+            widened[own] = np.maximum(widened[own], squares[own].sum() / max(alone - self.used(int(number)), 1.0))
         return widened
+
+    def used(self, term: int) -> float:
+        """tr(A⁻¹ Z_tᵀ Ω Z_t) of one term (its number), from probes."""
+        random, own = np.random.default_rng(1), self.model.penalty_term == term
+        rows, total = self._penalties[own], 0.0
+        for _ in range(PROBES):
+            right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
+            total += float(right @ self._inverse(right))
+        return total / PROBES
 
     @cached_property
     def _drawn(self) -> tuple[Array, Array]:
@@ -116,13 +120,15 @@ class SampledErrors:
         model, random = self.model, np.random.default_rng(0)
         pulled, samples = np.zeros(len(model.free)), np.empty((SAMPLES, len(model.free)))
         size = np.sqrt(self._widened * model.scale)
-        previous = sparse.diags_array(model.penalty_curvature) @ model.previous_jacobian
+        curvature = sparse.diags_array(model.penalty_curvature)
+        previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
         for number in range(SAMPLES):
             noise = random.standard_normal(len(model.noise)) * model.noise
             pull = random.standard_normal(len(size))
             right = self._adjoint(model.data_curvature * noise) + self._penalties.T @ (size * pull)
             if self.before is not None:
-                right -= model.penalty_jacobian.T @ (previous @ self.before.last[number])
+                known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
+                right -= model.penalty_jacobian.T @ known
             samples[number] = self._inverse(right[model.free])
             pulled += samples[number] * (self._penalties.T @ (pull / size))[model.free] / SAMPLES
         return samples, pulled

@@ -58,11 +58,11 @@ class Ipopt:
         scale, rough = data.resistance_scale, start.rough
         huber = start.call(self.cost.functions.huber, np.zeros(len(rough)))
         split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
-        measured, sigma, previous, *marks = data.parameters
+        measured, sigma, *known = data.parameters
         scales = [scale, start.cost_scale, split_scale]
         result = solver(
             x0=self._start(start, scale, rough / split_scale, huber / split_scale),
-            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, previous, *marks, self.cost.weights, scales]),
+            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, *known, self.cost.weights, scales]),
             lbg=0,
             ubg=0,
             **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),

@@ -20,8 +20,9 @@ class Program:
 
     split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
 
-    parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous (cells, 1) ohm,
-    side and seen if readings have them, the terms' weights, s in ohm, the size of the cost, the size of the absolute residuals.
+    parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous and baseline
+    (cells, 1) ohm, side and seen if readings have them, the terms' weights, s in ohm, the size of the cost, the size of
+    the absolute residuals.
     """
 
     conductance: casadi.SX
@@ -46,7 +47,7 @@ class Program:
     @classmethod
     def build(cls, cost: Cost, formulation: Formulation) -> "Program":
         """Write the program down with whole matrices."""
-        _, _, measured, sigma, previous, *marks = cost.symbols()
+        _, _, measured, sigma, *known = cost.symbols()
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
@@ -58,7 +59,7 @@ class Program:
             for frame in range(cost.frames)
         ]
         two_point = scale * casadi.horzcat(*(network.two_point_resistance for network in networks))
-        pairs = cost.residuals(scale / conductance, two_point, measured, sigma, previous, *marks)
+        pairs = cost.residuals(scale / conductance, two_point, measured, sigma, *known)
         weights = casadi.SX.sym("weights", len(cost.terms))
         others = [pair for pair in pairs if not isinstance(cost.terms[pair[0]].loss, Huber)]
         smooth, rough, slope = smooth_and_rough(cost, others, weights)
@@ -71,7 +72,7 @@ class Program:
             outside = 2 * corner * split_scale * casadi.sum1(above + below)
             objective += weights[number] * (casadi.sumsqr(inside) + outside)
             split += [above, below]
-        given = (measured, sigma, tie, previous, *marks, weights, scale, cost_scale, split_scale)
+        given = (measured, sigma, tie, *known, weights, scale, cost_scale, split_scale)
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),

@@ -5,11 +5,23 @@ from typing import get_args
 from lampest.terms.cell_resistance import CellResistance
 from lampest.terms.gradient import Gradient
 from lampest.terms.gradient_of_relative_change import GradientOfRelativeChange
+from lampest.terms.log_ratio import LogRatio
 from lampest.terms.misfit import Misfit
 from lampest.terms.relative_change import RelativeChange
 from lampest.terms.term import Term
+from lampest.terms.total_variation import TotalVariation
+from lampest.terms.total_variation_of_change import TotalVariationOfChange
 
-AnyTerm = Misfit | CellResistance | RelativeChange | Gradient | GradientOfRelativeChange
+AnyTerm = (
+    Misfit
+    | CellResistance
+    | RelativeChange
+    | Gradient
+    | GradientOfRelativeChange
+    | TotalVariation
+    | LogRatio
+    | TotalVariationOfChange
+)
 
 
 def term_kind(term: Term) -> str:

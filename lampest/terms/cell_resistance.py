@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.terms.term import State, Term
+from lampest.terms.term import State, Term, Weight
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class CellResistance(Term):
 
     unit: ClassVar[str] = "ohm"
     kind: Literal["cell_resistance"] = "cell_resistance"
-    weight: float = 1e-3
+    weight: Weight = 1e-3
 
     def residual(self, state: State) -> Any:
         """Cell resistance, (cells, 1)."""

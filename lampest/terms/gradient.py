@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.terms.term import State, Term
+from lampest.terms.term import State, Term, Weight
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class Gradient(Term):
 
     unit: ClassVar[str] = "ohm per cell"
     kind: Literal["gradient"] = "gradient"
-    weight: float = 1e-3
+    weight: Weight = 1e-3
 
     def residual(self, state: State) -> Any:
         """Finite differences of the cell resistance, (2·cells, 1)."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.terms.term import State, Term
+from lampest.terms.term import State, Term, Weight
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,7 @@ class GradientOfRelativeChange(Term):
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent per cell"
     kind: Literal["gradient_of_relative_change"] = "gradient_of_relative_change"
-    weight: float = 10.0
+    weight: Weight = 10.0
 
     def residual(self, state: State) -> Any:
         """Finite differences of the relative change, (2·cells, 1)."""

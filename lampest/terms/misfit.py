@@ -14,6 +14,7 @@ class Misfit(Term):
 
     unit: ClassVar[str] = "ohm"
     kind: Literal["misfit"] = "misfit"
+    weight: float = 1.0
     weighting: Literal["plain", "noise"] = "plain"
 
     def residual(self, state: State) -> Any:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.terms.term import State, Term
+from lampest.terms.term import State, Term, Weight
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,7 @@ class RelativeChange(Term):
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     kind: Literal["relative_change"] = "relative_change"
-    weight: float = 10.0
+    weight: Weight = 10.0
 
     def residual(self, state: State) -> Any:
         """Relative change against the previous frame, (cells, 1)."""

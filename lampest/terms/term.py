@@ -4,12 +4,14 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, Literal
 
 import casadi
 
 from lampest.panel import Panel
 from lampest.terms.losses import Loss, Squared
+
+Reference = Literal["baseline", "previous"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,7 @@ class State:
     measured : R_m without the series resistance, ohm.
     sigma : standard deviation of R_m, ohm.
     previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
+    baseline : the unloaded panel's cell resistance, ohm; None where there is none.
     side, seen : of each reading: 0 a value, 1 or -1 where R is at least or at most this; 1, or 0 where it says
         nothing. None where all readings are values.
     """
@@ -36,10 +39,20 @@ class State:
     previous: Any = None
     side: Any = None
     seen: Any = None
+    baseline: Any = None
 
     def relative_change(self) -> Any:
         """100·(r − r0)/r0 in percent; paper, equation (15)."""
         return 100 * (self.cell_resistance - self.previous) / self.previous
+
+    def ratio(self, reference: Reference) -> Any:
+        """r/r0, r0 the baseline's or the previous frame's, (cells, 1)."""
+        return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
+
+    def log_steps(self, values: Any) -> Any:
+        """100·log(x_b/x_a) over all pairs of neighbours, b below or right of a, (pairs, 1) percent."""
+        first, second = neighbour_operators(self.panel.rows, self.panel.columns)
+        return 100 * casadi.log((second @ values) / (first @ values))
 
     def gradient(self, values: Any) -> Any:
         """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D."""
@@ -57,21 +70,36 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
     )
 
 
+@cache
+def neighbour_operators(rows: int, columns: int) -> tuple[casadi.DM, casadi.DM]:
+    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours."""
+
+    def picked(below: tuple[int, int], right: tuple[int, int]) -> casadi.DM:
+        """Rows from `below[0]` to `below[1]` of the panel, then columns from `right[0]` to `right[1]`."""
+        down = casadi.kron(casadi.DM.eye(rows)[slice(*below), :], casadi.DM.eye(columns))
+        return casadi.vertcat(down, casadi.kron(casadi.DM.eye(rows), casadi.DM.eye(columns)[slice(*right), :]))
+
+    return picked((0, rows - 1), (0, columns - 1)), picked((1, rows), (1, columns))
+
+
+Weight = float | Literal["auto"]
+
+
 @dataclass(frozen=True)
 class Term(ABC):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    Raises ValueError unless the weight is finite and not negative.
+    weight : a number, or 'auto' where the data are to choose it. Raises ValueError unless it is finite and not negative.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     needs_previous: ClassVar[bool] = False
     unit: ClassVar[str]
-    weight: float = 1.0
+    weight: Weight = 1.0
     loss: Loss = Squared()
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.weight) and self.weight >= 0):
+        if self.weight != "auto" and not (isfinite(self.weight) and self.weight >= 0):
             raise ValueError("weight must be zero or positive, and finite")
 
     @abstractmethod

@@ -1,0 +1,119 @@
+"""A linear model with one penalty of unknown weight λ, solved for all λ at once; and what the rules say of each λ.
+
+With the data's curvature A = Jᵀ Ω J = R Rᵀ and R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ the change of the estimate is p = T q with
+T = R⁻ᵀ Q and q(λ) = −f·(b + λd), f = 1/(1 + λκ), where b and d are the slopes of misfit and penalty. Everything that a
+rule asks for, determinants and traces too, is a sum over κ.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import cho_factor, eigh, solve_triangular
+from scipy.optimize import minimize_scalar
+
+from lampest.panel import Array
+from lampest.posterior.dense import IGNORANCE, DenseErrors, rank
+from lampest.posterior.linear import LinearModel
+
+Rule = Literal["risk", "evidence", "press"]
+POINTS, BEYOND, LEAST = 80, 1e4, 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """stiffness : κ, ascending. misfit_slope, penalty_slope : b, d. directions : √Ω J T (data rows, unknowns).
+
+    residual : √Ω·x̂ of the data. penalty : Σ x̂² of the penalty. scale : s². rank : of the penalty.
+    gram : Tᵀ T. spread : cov(q) at λ = 0, times Tᵀ T element by element.
+    """
+
+    stiffness: Array
+    misfit_slope: Array
+    penalty_slope: Array
+    directions: Array
+    residual: Array
+    penalty: float
+    scale: float
+    rank: int
+    gram: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, model: LinearModel) -> "Spectrum":
+        """The surroundings of an estimate whose one penalty has a squared loss; what its weight was does not matter.
+
+        Raises numpy.linalg.LinAlgError where the data's curvature is no positive matrix.
+        """
+        size = np.sqrt(model.data_curvature)
+        jacobian = DenseErrors(model).jacobian * size[:, None]
+        matrix = jacobian.T @ jacobian
+        matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+        factor, _ = cho_factor(matrix, lower=True)
+        penalties = solve_triangular(factor, model.penalty_jacobian.toarray()[:, model.free].T, lower=True)
+        stiffness, vectors = eigh(penalties @ penalties.T)
+        back = solve_triangular(factor, vectors, lower=True, trans="T")
+        directions, residual = jacobian @ back, size * model.residual
+        gram, noise = back.T @ back, directions * (size * model.noise)[:, None]
+        return cls(
+            np.maximum(stiffness, 0),
+            directions.T @ residual,
+            vectors.T @ (penalties @ model.penalty),
+            directions,
+            residual,
+            float(model.penalty @ model.penalty),
+            model.scale,
+            min(rank(model.at.cost.unweighted), len(stiffness)),
+            gram,
+            (noise.T @ noise) * gram,
+        )
+
+    def change(self, weight: float) -> Array:
+        """q, from the estimate to the minimum for a weight."""
+        return np.asarray(-(self.misfit_slope + weight * self.penalty_slope) / (1 + weight * self.stiffness))
+
+    def misfit(self, weight: float) -> float:
+        """ρ = Σ ω x² over the data."""
+        residual = self.residual + self.directions @ self.change(weight)
+        return float(residual @ residual)
+
+    def penalised(self, weight: float) -> float:
+        """η = Σ x² over the penalty."""
+        change = self.change(weight)
+        return max(self.penalty + float(change @ (2 * self.penalty_slope + self.stiffness * change)), 0.0)
+
+    def evidence(self, weight: float) -> float:
+        """(ρ + λη)/s² + log det(A + λ ZᵀZ) − rank·log λ, up to a constant: −2·log of the evidence for λ."""
+        fit = (self.misfit(weight) + weight * self.penalised(weight)) / self.scale
+        return fit + float(np.sum(np.log1p(weight * self.stiffness))) - self.rank * float(np.log(weight))
+
+    def press(self, weight: float) -> float:
+        """Σ (e_i/(1 − h_i))²: every reading predicted from all others; needs no noise."""
+        residual = self.residual + self.directions @ self.change(weight)
+        leverage = self.directions**2 @ (1 / (1 + weight * self.stiffness))
+        return float(np.sum((residual / np.maximum(1 - leverage, 1e-12)) ** 2))
+
+    def risk(self, weight: float) -> float:
+        """An estimate of Σ (log r̂ − log r)²: the noise that is left, and the square of what the penalty pulls away.
+
+        The latter is the mean of two estimates: the distance to the estimate without a penalty, which is unbiased and
+        noisy (Eldar, IEEE Trans. Signal Process. 57, 2009), and what the penalty would do to the present estimate.
+        """
+        left = 1 / (1 + weight * self.stiffness)
+        apart = self.change(weight) + self.misfit_slope
+        pulled = weight * self.penalty_slope * left
+        everything = np.ones(len(left))
+        unbiased = apart @ self.gram @ apart + (2 * left - everything) @ self.spread @ everything
+        present = pulled @ self.gram @ pulled + left @ self.spread @ left
+        return float(unbiased + present) / 2
+
+    def best(self, rule: Rule) -> float:
+        """The λ that minimises a rule's function, over all λ that make a difference."""
+        value: Callable[[float], float] = getattr(self, rule)
+        seen = self.stiffness[self.stiffness > LEAST * self.stiffness.max()]
+        grid = np.linspace(-np.log(BEYOND * seen.max()), np.log(BEYOND / seen.min()), POINTS)
+        least = int(np.argmin([value(float(np.exp(place))) for place in grid]))
+        between = (grid[max(least - 1, 0)], grid[min(least + 1, POINTS - 1)])
+        found = minimize_scalar(lambda place: value(float(np.exp(place))), bounds=between, options={"xatol": 0.01})
+        return float(np.exp(found.x))

@@ -1,0 +1,30 @@
+"""Penalty on the logarithm of the change; against the baseline it is a prior mean."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import casadi
+
+from lampest.terms.losses import Absolute, Loss
+from lampest.terms.term import Reference, State, Term, Weight
+
+
+@dataclass(frozen=True)
+class LogRatio(Term):
+    """100·log(r/r0) in percent, r0 the baseline or the previous frame; even in suction and pressure, convex in log r.
+
+    Against the baseline and squared it is a Gaussian prior of log r with the baseline as its mean; with its absolute
+    loss few cells change, by any amount. Source: Tarantola, Inverse Problem Theory, 2005, section 1.2.4 (log-normal
+    priors of positive parameters).
+    """
+
+    needs_previous: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent"
+    weight: Weight = 10.0
+    loss: Loss = Absolute()
+    kind: Literal["log_ratio"] = "log_ratio"
+    reference: Reference = "baseline"
+
+    def residual(self, state: State) -> Any:
+        """Logarithmic change, (cells, 1)."""
+        return 100 * casadi.log(state.ratio(self.reference))

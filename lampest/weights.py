@@ -1,0 +1,105 @@
+"""Weights that the user leaves to the data: `weight: auto`.
+
+One penalty with a squared loss: the cost is linearised at an estimate, and the weight taken that minimises a rule's
+function (`lampest.posterior.spectrum`); the estimate for that weight is where it is linearised next. Several penalties,
+other losses, and panels where a matrix over the cells would be too large: the fixed point of the evidence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.cost import Cost
+from lampest.errors import InputError
+from lampest.estimator import Doubts, Estimator
+from lampest.panel import Array, Panel
+from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.problem import Data
+from lampest.search import best_solution, convex, evaluated
+from lampest.solvers.newton import Newton
+from lampest.solvers.solution import Settings
+from lampest.terms.losses import Squared
+from lampest.terms.misfit import Misfit
+
+MOST_SOLVES, SETTLED = 4, 0.2
+MOST_DENSE = 1200
+
+
+def with_chosen_weights(
+    estimator: Estimator, panel: Panel, data: Data, doubts: Doubts | None, near: Array | None, noisy: bool
+) -> Estimator:
+    """The estimator with numbers for the weights that it leaves open, from one solve's data.
+
+    near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
+    Raises InputError where σ is needed and unknown.
+    """
+    rule = estimator.auto_weight.rule or ("risk" if noisy else "press")
+    if rule != "press" and not noisy:
+        raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
+    search = _Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
+    penalties = [number for number, term in enumerate(estimator.terms) if not isinstance(term, Misfit)]
+    single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
+    first = convex(data, near) if near is None else near
+    with np.errstate(all="ignore"):
+        if single and data.measured.size <= MOST_DENSE:
+            return estimator.with_weights(search.by_rule(penalties[0], rule, first))
+        if rule == "press":
+            raise InputError("weight: auto of more than one penalty, or of other than a squared loss, needs the noise")
+        return estimator.with_weights(search.by_evidence(penalties, first))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """cost : with weights that are numbers or 'auto'. data : of one solve."""
+
+    cost: Cost
+    data: Data
+    settings: Settings
+
+    @property
+    def _given(self) -> list[float | None]:
+        return [None if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
+
+    def _weighted(self, weights: Sequence[float]) -> Cost:
+        terms = zip(self.cost.terms, weights, strict=True)
+        return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
+
+    def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+        """The weight of the only penalty that a rule calls the best, linearised anew at each estimate."""
+        weights = [1.0 if given is None else given for given in self._given]
+        at = evaluated(self._weighted(weights), self.data, first)
+        weights[penalty] = Spectrum.of(LinearModel(at, np.zeros(0))).best(rule)
+        for _ in range(MOST_SOLVES - 1):
+            model = self._solved(weights, at.cell_resistance)
+            if model is None:
+                break
+            at, before = model.at, weights[penalty]
+            weights[penalty] = Spectrum.of(model).best(rule)
+            if abs(np.log(weights[penalty] / before)) < SETTLED:
+                break
+        return weights
+
+    def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
+        """What surrounds the estimate for these weights."""
+        found = best_solution(Newton(self._weighted(weights), self.settings), self.data, start)
+        return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
+
+    def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
+        """The weights that are open where the evidence has its fixed point."""
+        sought = tuple(number for number in penalties if self._given[number] is None)
+        weights = [1.0 if given is None else given for given in self._given]
+        at = evaluated(self._weighted(weights), self.data, first)
+        weights = first_weights(LinearModel(at, np.zeros(0)), weights, sought)
+        for _ in range(MOST_SOLVES):
+            model = self._solved(weights, at.cell_resistance)
+            if model is None:
+                break
+            at, before = model.at, weights
+            large = self.data.measured.size > MOST_DENSE
+            weights = next_weights(model, sought) if large else FixedPoint(model, sought).weights()
+            if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
+                break
+        return weights

@@ -1,0 +1,175 @@
+"""Why the terms beyond the paper's exist: a scene each on which it wins; and that a baseline's cells go where they are read."""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.estimator import FORMULATIONS, Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SampledErrors
+from lampest.recording import Recording
+from lampest.response import ratio_from_pressure
+from lampest.scene import Scene
+from lampest.sequence import Reconstruction, reconstruct
+from lampest.simulate.course import Course
+from lampest.simulate.loads import Load, Rod, SuctionCup
+from lampest.simulate.pressure import patch_pressure
+from lampest.terms import (
+    AnyTerm,
+    Gradient,
+    GradientOfRelativeChange,
+    LogRatio,
+    Misfit,
+    RelativeChange,
+    TotalVariation,
+    TotalVariationOfChange,
+)
+from lampest.terms.losses import Absolute, Squared
+from lampest.terms.term import Reference, State, Term
+
+PANEL = Panel(8, 8)
+ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
+CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)
+NOISE = 5e-3
+
+
+@cache
+def scene(load: Load, frames: int, depth: float, seed: int) -> Recording:
+    """Two unloaded frames, then `frames` of a load that swings by `depth` once in nine frames; noise of 0.5 %."""
+    rng = np.random.default_rng(seed)
+    course = Course(breathing_hz=1 / 9, breathing_depth=depth)
+    time = np.arange(frames + 2.0) - 2
+    contact, suction = patch_pressure(PANEL, 6.0, load)
+    factors = ((time >= 0) * course.contact(time), (time >= 0) * course.suction(time))
+    pressure = factors[0][:, None, None] * contact + factors[1][:, None, None] * suction
+    cells = 3050 * np.exp(0.2 * rng.standard_normal(PANEL.shape)) * ratio_from_pressure(pressure)
+    exact = two_point_resistance(cells)
+    return Recording(
+        Scene(PANEL),
+        exact * np.exp(NOISE * rng.standard_normal(exact.shape)),
+        time,
+        (time >= 0).astype(np.uint8),
+        sigma=NOISE * exact,
+        truth_cell_resistance=cells,
+    )
+
+
+def estimated(recorded: Recording, *terms: Term, formulation: str = "reduced") -> Reconstruction:
+    estimator = Estimator((Misfit(weighting="noise"), *terms), error_bars=False)
+    return reconstruct(recorded, replace(estimator, formulation=formulation))
+
+
+def error(recorded: Recording, *terms: Term) -> float:
+    """Root mean square of log r − log truth over all cells and frames."""
+    found = estimated(recorded, *terms)
+    truth = recorded.truth_cell_resistance
+    assert truth is not None
+    return float(np.sqrt(np.mean(np.log(found.cell_resistance / truth[found.frame]) ** 2)))
+
+
+def best(recorded: Recording, term: Term, weights: Array) -> float:
+    """The error with the best of some weights, in hindsight."""
+    return min(error(recorded, replace(term, weight=float(weight))) for weight in weights)
+
+
+def test_total_variation_keeps_edges_that_a_gradient_smears() -> None:
+    """One frame, no baseline read: a cup, whose inside rises eightfold between neighbours."""
+    recorded = scene(CUP, 1, 0.0, 1)
+    ours = best(recorded, TotalVariation(), 10.0 ** np.arange(-2.5, -0.9, 0.5))
+    others = [
+        error(recorded),
+        best(recorded, Gradient(), 10.0 ** np.arange(-9.0, -5.0)),
+        best(recorded, Gradient(loss=Absolute()), 10.0 ** np.arange(-5.5, -2.0)),
+    ]
+    assert ours < 0.9 * min(others)
+
+
+def test_baseline_is_a_better_mean_than_the_previous_frame_where_the_load_moves() -> None:
+    """A rod: most cells never change."""
+    recorded = scene(ROD, 5, 0.3, 2)
+    ours = best(recorded, LogRatio(), 10.0 ** np.arange(-1.0, 0.6, 0.5))
+    others = [error(recorded), best(recorded, RelativeChange(), 10.0 ** np.arange(-3.0, 0.1, 0.5))]
+    assert ours < 0.9 * min(others)
+
+
+def test_log_ratio_is_even_in_suction_and_pressure() -> None:
+    recorded = scene(CUP, 9, 0.3, 3)
+    ours = best(recorded, LogRatio(loss=Squared(), reference="previous"), 10.0 ** np.arange(-3.0, -0.4, 0.5))
+    others = [error(recorded), best(recorded, RelativeChange(), 10.0 ** np.arange(-3.0, -0.4, 0.5))]
+    assert ours < 0.95 * min(others)
+
+
+def test_total_variation_of_change_does_not_pay_for_the_cells_own_pattern() -> None:
+    recorded = scene(CUP, 1, 0.0, 4)
+    ours = best(recorded, TotalVariationOfChange(), 10.0 ** np.arange(-2.5, -0.4, 0.5))
+    others = [
+        error(recorded),
+        best(recorded, TotalVariation(), 10.0 ** np.arange(-2.5, -0.9, 0.5)),
+        best(recorded, GradientOfRelativeChange(), 10.0 ** np.arange(-5.0, -0.4)),
+        best(recorded, GradientOfRelativeChange(loss=Absolute()), 10.0 ** np.arange(-3.5, -0.4)),
+    ]
+    assert ours < 0.95 * min(others)
+
+
+OF_BASELINE = [LogRatio(weight=0.1, loss=Squared()), LogRatio(weight=1.0), TotalVariationOfChange(weight=0.05)]
+
+
+@pytest.mark.parametrize("term", OF_BASELINE, ids=lambda term: f"{term.kind}-{term.loss.kind}")
+def test_formulations_agree(term: AnyTerm) -> None:
+    """The baseline reaches every solver, in the joint pair and after it."""
+    recorded = scene(ROD, 3, 0.3, 5)
+    small = replace(
+        recorded,
+        scene=Scene(Panel(4, 5)),
+        resistance=two_point_resistance(recorded.truth_cell_resistance[:, 2:6, 1:6]),
+        sigma=0.01 * recorded.resistance[:, 2:6, 1:6],
+        truth_cell_resistance=None,
+    )
+    first, *others = (estimated(small, term, formulation=name) for name in ("reduced", *FORMULATIONS))
+    for other in others:
+        for ours, theirs in zip(first.steps, other.steps, strict=True):
+            assert theirs.solution.objective == pytest.approx(ours.solution.objective, rel=2e-5)
+        assert_allclose(other.cell_resistance, first.cell_resistance, rtol=1e-2)
+
+
+@pytest.mark.parametrize("reference", ["baseline", "previous"])
+def test_reference_is_what_the_term_says(reference: Reference) -> None:
+    """What the term costs in the second and third frame, computed from the estimates."""
+    recorded = scene(ROD, 3, 0.3, 6)
+    found = estimated(recorded, LogRatio(weight=0.03, loss=Squared(), reference=reference))
+    for frame in (1, 2):
+        before = found.baseline_resistance if reference == "baseline" else found.cell_resistance[frame - 1]
+        expected = 0.03 * np.sum((100 * np.log(found.cell_resistance[frame] / before)) ** 2)
+        assert found.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
+
+
+def test_error_bars_know_the_baselines_error() -> None:
+    """Variances of a frame that reads the baseline against the scatter over noise of baseline and frame."""
+    draws, deviations = [], []
+    for seed in range(60):
+        recorded = scene(ROD, 2, 0.3, 100)
+        rng = np.random.default_rng(seed)
+        noisy = replace(recorded, resistance=recorded.sigma / NOISE * np.exp(NOISE * rng.standard_normal((4, 8, 8))))
+        terms = (Misfit(weighting="noise"), LogRatio(weight=0.02, loss=Squared()))
+        found = reconstruct(noisy, Estimator(terms, "reduced"))
+        bars = found.steps[-1].bars
+        assert bars is not None
+        draws.append(np.log(found.cell_resistance[-1]))
+        deviations.append(bars.frame.deviation)
+    ratio = np.std(draws, axis=0) / np.mean(deviations, axis=0)
+    print(np.median(ratio), np.percentile(ratio, [5, 95]))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 1), (3, 4)])
+def test_steps_are_those_between_neighbours(shape: tuple[int, int]) -> None:
+    cells = np.exp(np.random.default_rng(7).standard_normal(shape))
+    steps = State(Panel(*shape), None, None, None, None).log_steps(casadi.DM(cells.ravel()))
+    down, right = (100 * np.diff(np.log(cells), axis=axis).ravel() for axis in (0, 1))
+    assert_allclose(np.asarray(steps).ravel(), np.concatenate([down, right]), rtol=1e-12, atol=1e-12)
