@@ -159,6 +159,29 @@ class Temperature:
 
 
 @dataclass(frozen=True)
+class Systematic:
+    """How far off all readings may be together; widens error bars and changes no estimate.
+
+    Parameters
+    ----------
+    reference_tolerance : the reference resistor is off by up to this fraction.
+    channel_spread_ohm : standard deviation of the series resistance of each line's channel, in ohm.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    reference_tolerance: float = 0.0
+    channel_spread_ohm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.reference_tolerance < 1:
+            raise ValueError("reference_tolerance must be zero or positive, and below 1")
+        if not (isfinite(self.channel_spread_ohm) and self.channel_spread_ohm >= 0):
+            raise ValueError("channel_spread_ohm must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
 class Scene:
     """The panel, how it is read, and what stands between the two.
 
@@ -170,6 +193,7 @@ class Scene:
     faults : what is known to be broken, or None.
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
+    systematic : how far off all readings may be together; None: not at all, or not known.
 
     Raises ValueError where a number is out of range.
     """
@@ -181,6 +205,7 @@ class Scene:
     faults: Faults | None = None
     water: Water | None = None
     temperature: Temperature | None = None
+    systematic: Systematic | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lampest.estimator import Doubts, Estimator
 from lampest.panel import Array, Panel
 from lampest.posterior.certainty import Certainty
+from lampest.problem import Data
 from lampest.readings import Readings
 from lampest.recording import UNLOADED, Recording
 from lampest.scene import Faults
@@ -85,13 +86,17 @@ def reconstruct(
 
 def first_stream(recording: Recording, readings: Readings, estimator: Estimator) -> "Stream":
     """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    resting = readings[unloaded if len(unloaded) else [0]].mean()
-    scene = recording.scene
+    resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         strongest = readings[strongest_frame(recording, readings, resting)]
         estimator = with_weights_of_a_recording(estimator, scene.panel, resting, strongest, scene.faults)
-    return Stream.begin(estimator, scene.panel, frame_period(recording), resting, scene.faults)
+    return Stream.begin(estimator, scene, frame_period(recording), resting)
+
+
+def resting_readings(recording: Recording, readings: Readings) -> Readings:
+    """The mean of the unloaded frames, or the first frame where there is none."""
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    return readings[unloaded if len(unloaded) else [0]].mean()
 
 
 def strongest_frame(recording: Recording, readings: Readings, resting: Readings) -> int:
@@ -105,10 +110,14 @@ def with_weights_of_a_recording(
     estimator: Estimator, panel: Panel, resting: Readings, frame: Readings, faults: Faults | None
 ) -> Estimator:
     """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
-    relative = estimator.relative
-    data = estimator.data(resting.together(frame) if relative else frame.alone(), None, faults)
+    data = deciding_data(estimator, resting, frame, faults)
     doubts = Doubts.of(panel, faults, data)
     return with_chosen_weights(estimator, panel, data, doubts, None, frame.sigma is not None)
+
+
+def deciding_data(estimator: Estimator, resting: Readings, frame: Readings, faults: Faults | None) -> Data:
+    """What weights are chosen from: one frame, with the baseline where terms compare it with that."""
+    return estimator.data(resting.together(frame) if estimator.relative else frame.alone(), None, faults)
 
 
 def frame_period(recording: Recording) -> float:

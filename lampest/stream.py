@@ -13,11 +13,12 @@ from lampest.interrupts import delayed_interrupt
 from lampest.kirchhoff import uniform_factor
 from lampest.panel import Array, Panel
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.systematic import Shared
 from lampest.posterior.track import Bars, Track
 from lampest.problem import Data
 from lampest.readings import Readings
 from lampest.region import RegionSolver
-from lampest.scene import Faults
+from lampest.scene import Faults, Scene
 from lampest.search import BROKEN, best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
@@ -68,14 +69,13 @@ class Stream:
     track: Track | None = None
 
     @classmethod
-    def begin(
-        cls, estimator: Estimator, panel: Panel, period: float, resting: Readings, faults: Faults | None = None
-    ) -> "Stream":
+    def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
         """Before the first frame; an absolute method solves its baseline now.
 
         Raises InputError where the noise is needed and unknown, or bounds leave no room.
         """
-        stream = cls(estimator, panel, period, resting, faults, track=Track() if estimator.barred(resting) else None)
+        track = Track(Shared.of(scene)) if estimator.barred(resting) else None
+        stream = cls(estimator, scene.panel, period, resting, scene.faults, track=track)
         if estimator.joint_start:
             return stream
         if isinstance(estimator.effort, Linearised | Region):

@@ -36,10 +36,10 @@ def with_chosen_weights(
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
     Raises InputError where σ is needed and unknown.
     """
-    rule = estimator.auto_weight.rule or ("risk" if noisy else "press")
+    rule = rule_in_use(estimator, noisy)
     if rule != "press" and not noisy:
         raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
-    search = _Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
+    search = Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
     penalties = [number for number, term in enumerate(estimator.terms) if not isinstance(term, Misfit)]
     single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
     first = convex(data, near) if near is None else near
@@ -51,8 +51,13 @@ def with_chosen_weights(
         return estimator.with_weights(search.by_evidence(penalties, first))
 
 
+def rule_in_use(estimator: Estimator, noisy: bool) -> Rule:
+    """The estimator's rule, or the default one. noisy : whether the data's σ is known."""
+    return estimator.auto_weight.rule or ("risk" if noisy else "press")
+
+
 @dataclass(frozen=True)
-class _Search:
+class Search:
     """cost : with weights that are numbers or 'auto'. data : of one solve."""
 
     cost: Cost
@@ -68,19 +73,27 @@ class _Search:
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
     def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
-        """The weight of the only penalty that a rule calls the best, linearised anew at each estimate."""
+        """The weights with that of the only penalty that a rule calls the best."""
+        weights = [1.0 if given is None else given for given in self._given]
+        weights[penalty] = self.tried(penalty, rule, first)[-1]
+        return weights
+
+    def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+        """What a rule calls the best weight at a start, and then at the estimate for each weight before."""
         weights = [1.0 if given is None else given for given in self._given]
         at = evaluated(self._weighted(weights), self.data, first)
         weights[penalty] = Spectrum.of(LinearModel(at, np.zeros(0))).best(rule)
+        found = [weights[penalty]]
         for _ in range(MOST_SOLVES - 1):
             model = self._solved(weights, at.cell_resistance)
             if model is None:
                 break
-            at, before = model.at, weights[penalty]
+            at = model.at
             weights[penalty] = Spectrum.of(model).best(rule)
-            if abs(np.log(weights[penalty] / before)) < SETTLED:
+            found.append(weights[penalty])
+            if abs(np.log(found[-1] / found[-2])) < SETTLED:
                 break
-        return weights
+        return found
 
     def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
         """What surrounds the estimate for these weights."""

@@ -11,6 +11,9 @@ from lampest.cli.screen import Out, print_table
 def compare(
     results: Annotated[list[Path], typer.Argument(help="Results files.")],
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the table to this file too.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write a page with figures, intervals and a recommendation.")
+    ] = None,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
     from lampest.compare import compare_files, screen_table, write_csv
@@ -18,6 +21,10 @@ def compare(
     rows = compare_files(results)
     if csv:
         write_csv(csv, rows)
+    if report:
+        from lampest.report.page import write_report
+
+        write_report(results, report)
     print_table(screen_table(rows))
 
 

@@ -13,6 +13,7 @@ from lampest.live.view import POINTS, Picture, Point, View
 from lampest.panel import Array, Panel
 from lampest.readings import plain
 from lampest.response import pressure_from_ratio
+from lampest.scene import Scene
 from lampest.stream import Step, Stream
 
 
@@ -104,7 +105,8 @@ class Engine:
 
     def _solve(self, source: Source, resting: Array, resting_sigma: Array | None) -> None:
         """Solve the newest frame again and again until nothing more will come."""
-        stream = Stream.begin(self._estimator, source.panel, source.period, plain(resting, resting_sigma))
+        estimator = replace(self._estimator, error_bars=False)  # nobody sees them here
+        stream = Stream.begin(estimator, Scene(source.panel), source.period, plain(resting, resting_sigma))
         seen = 0
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None

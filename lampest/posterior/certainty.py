@@ -1,6 +1,6 @@
 """What is known of an estimate beyond its value: standard deviation, 95 % interval, resolution, share of the data."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -78,6 +78,16 @@ class Certainty:
         below[free] = np.minimum(below[free], position[free] - lower[free] + noise[free])
         shape = at.cell_resistance.shape
         return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share)))
+
+    def widened(self, variance: Array) -> "Certainty":
+        """With an independent error of that variance on top, (frames, rows, columns)."""
+        reach = TWO_SIDED**2 * variance
+        return replace(
+            self,
+            deviation=np.sqrt(self.deviation**2 + variance),
+            below=np.sqrt(self.below**2 + reach),
+            above=np.sqrt(self.above**2 + reach),
+        )
 
     def of_frame(self, frame: int) -> "Certainty":
         """That of one frame, (rows, columns)."""

@@ -33,7 +33,7 @@ IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anyt
 
 @dataclass(frozen=True, eq=False)
 class DenseMemory:
-    """Covariances of log r, (cells, cells): of the last estimate with itself, with the baseline's, and of the latter."""
+    """Covariances of log r, (cells, cells): of the last estimate, of that with the baseline's, and of the latter."""
 
     last: Array
     with_baseline: Array
@@ -155,6 +155,13 @@ class DenseErrors:
             for which, carried in self._carried:
                 with_baseline[self.model.free] += carried @ self.before.both()[which][1]
         return DenseMemory(self.covariance, with_baseline, baseline)
+
+    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
+        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
+        answer = self._gain @ rows
+        for which, carried in self._carried:
+            answer = answer + carried @ (last, baseline)[which]
+        return np.asarray(answer)
 
     @cached_property
     def resolution(self) -> Array:

@@ -138,6 +138,16 @@ class SampledErrors:
         """The diagonal of S over the free cells."""
         return np.asarray(np.mean(self._drawn[0] ** 2, axis=0))
 
+    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
+        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
+        model, answers = self.model, np.empty((len(self.model.free), rows.shape[1]))
+        known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
+        back = model.penalty_jacobian.T @ (model.penalty_curvature[:, None] * known)
+        for number in range(rows.shape[1]):
+            right = self._adjoint(model.data_curvature * rows[:, number]) - back[:, number]
+            answers[:, number] = self._inverse(right[model.free])
+        return answers
+
     @property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel, held within 0 and 1 against the scatter of the samples."""

@@ -1,6 +1,6 @@
 """Error bars along a sequence: of every frame, and of its change against the baseline."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
+from lampest.posterior.systematic import Shared
 
 MOST_DENSE = 1200  # unknowns; from there on samples are faster
 
@@ -51,29 +52,55 @@ class Bars:
 class Track:
     """What error bars of later frames need of earlier ones.
 
-    baseline : of the baseline, (rows, columns). memory : of the last frame's error, for costs that look back at it.
+    shared : errors that all readings have in common, or None. baseline : of the baseline, (rows, columns).
+    memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
+    frame and of the baseline, (cells, n) each.
     """
 
+    shared: Shared | None = None
     baseline: Certainty | None = None
     memory: DenseMemory | SampledMemory | None = None
+    answers: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel) -> "Track":
         """After a baseline that is solved alone. Raises numpy.linalg.LinAlgError where the cost is flat."""
-        return Track(Certainty.of(_errors(model, None)).of_frame(0))
+        errors = _errors(model, None)
+        answer = self._answer(errors)
+        certainty = _widened(Certainty.of(errors), answer)
+        return replace(self, baseline=certainty.of_frame(0), answers=(answer, answer))
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
         relative = any(term.needs_previous for term in model.at.cost.terms)
         errors = _errors(model, self.memory)
-        certainty = Certainty.of(errors)
-        memory = errors.memory() if relative else None
+        answer = self._answer(errors)
+        certainty = _widened(Certainty.of(errors), answer)
+        memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
         joint = len(model.at.cell_resistance) == 2
-        track = Track(certainty.of_frame(0) if joint else self.baseline, memory)
+        resting = answer[:size] if joint or self.answers is None else self.answers[1]
+        baseline = certainty.of_frame(0) if joint else self.baseline
+        track = Track(self.shared, baseline, memory, (answer[-size:], resting))
         frame = certainty.of_frame(-1)
-        if track.baseline is None:
+        if baseline is None:
             return track, Bars(frame, None)
-        shared = np.zeros(frame.deviation.shape) if memory is None else memory.shared().reshape(frame.deviation.shape)
-        return track, Bars(frame, Change.between(frame, track.baseline, shared))
+        together = np.sum(answer[-size:] * resting, axis=1) + (0.0 if memory is None else memory.shared())
+        return track, Bars(frame, Change.between(frame, baseline, together.reshape(frame.deviation.shape)))
+
+    def _answer(self, errors: DenseErrors | SampledErrors) -> Array:
+        """What shared errors do to log r, (frames · cells, n); nothing where bounds decide or nothing is shared."""
+        model = errors.model
+        cells = model.at.cell_resistance
+        if self.shared is None:
+            return np.zeros((cells.size, 0))
+        columns = self.shared.columns(model.at.data.measured)
+        last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
+        answer = np.zeros((cells.size, columns.shape[1]))
+        answer[model.free] = errors.answer(np.asarray(model.through @ columns), last, baseline)
+        return answer
+
+
+def _widened(certainty: Certainty, answer: Array) -> Certainty:
+    return certainty.widened(np.sum(answer**2, axis=1).reshape(certainty.deviation.shape))
 
 
 def _errors(model: LinearModel, memory: DenseMemory | SampledMemory | None) -> DenseErrors | SampledErrors:

@@ -8,19 +8,24 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.estimator import FORMULATIONS, Estimator
+from lampest.cost import Cost
+from lampest.estimator import FORMULATIONS, Estimator, FormulationName
 from lampest.kirchhoff import two_point_resistance
 from lampest.panel import Array, Panel
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
+from lampest.problem import Data
 from lampest.recording import Recording
 from lampest.response import ratio_from_pressure
 from lampest.scene import Scene
+from lampest.search import best_solution
 from lampest.sequence import Reconstruction, reconstruct
 from lampest.simulate.course import Course
 from lampest.simulate.loads import Load, Rod, SuctionCup
 from lampest.simulate.pressure import patch_pressure
+from lampest.solvers.newton import Newton
+from lampest.solvers.solution import Settings
 from lampest.terms import (
     AnyTerm,
     Gradient,
@@ -61,9 +66,8 @@ def scene(load: Load, frames: int, depth: float, seed: int) -> Recording:
     )
 
 
-def estimated(recorded: Recording, *terms: Term, formulation: str = "reduced") -> Reconstruction:
-    estimator = Estimator((Misfit(weighting="noise"), *terms), error_bars=False)
-    return reconstruct(recorded, replace(estimator, formulation=formulation))
+def estimated(recorded: Recording, *terms: Term, formulation: FormulationName = "reduced") -> Reconstruction:
+    return reconstruct(recorded, Estimator((Misfit(weighting="noise"), *terms), formulation, error_bars=False))
 
 
 def error(recorded: Recording, *terms: Term) -> float:
@@ -150,21 +154,42 @@ def test_reference_is_what_the_term_says(reference: Reference) -> None:
         assert found.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
 
 
-def test_error_bars_know_the_baselines_error() -> None:
-    """Variances of a frame that reads the baseline against the scatter over noise of baseline and frame."""
-    draws, deviations = [], []
-    for seed in range(60):
-        recorded = scene(ROD, 2, 0.3, 100)
-        rng = np.random.default_rng(seed)
-        noisy = replace(recorded, resistance=recorded.sigma / NOISE * np.exp(NOISE * rng.standard_normal((4, 8, 8))))
-        terms = (Misfit(weighting="noise"), LogRatio(weight=0.02, loss=Squared()))
-        found = reconstruct(noisy, Estimator(terms, "reduced"))
-        bars = found.steps[-1].bars
-        assert bars is not None
-        draws.append(np.log(found.cell_resistance[-1]))
-        deviations.append(bars.frame.deviation)
-    ratio = np.std(draws, axis=0) / np.mean(deviations, axis=0)
-    print(np.median(ratio), np.percentile(ratio, [5, 95]))
+@pytest.mark.parametrize("reads_both", [False, True])
+def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
+    """What errors of the baseline and of the previous frame add, against estimates from displaced ones."""
+    rng = np.random.default_rng(8)
+    shape, cells = (3, 4), 12
+    known = 3000 * np.exp(0.2 * rng.standard_normal((2, *shape)))
+    measured = two_point_resistance(known[:1]) * np.exp(1e-3 * rng.standard_normal((1, *shape)))
+    terms: tuple[Term, ...] = (Misfit(weighting="noise"), LogRatio(weight=0.05, loss=Squared()))
+    terms += (LogRatio(weight=0.02, loss=Squared(), reference="previous"),) if reads_both else ()
+    solver = Newton(Cost(Panel(*shape), terms), Settings(tolerance=1e-12))
+    data = Data(measured, 0.02 * measured, measured / 9, measured * 1e3, known[0], baseline=known[1])
+
+    def moved(step: Array) -> Array:
+        """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
+        previous, baseline = known * np.exp(step.reshape(2, *shape))
+        where = replace(data, previous=previous, baseline=baseline)
+        return np.log(best_solution(solver, where, known[:1]).cell_resistance.ravel())
+
+    carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3
+    root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
+    joint = root @ root.T
+    memory = DenseMemory(joint[:cells, :cells], joint[:cells, cells:], joint[cells:, cells:])
+    found = best_solution(solver, data, known[:1])
+    assert found.at is not None
+    model = LinearModel(found.at, np.zeros(0))
+    dense = DenseErrors(model, memory)
+    added = dense.covariance - DenseErrors(model).covariance
+    expected = carried @ joint @ carried.T
+    assert_allclose(added, expected, atol=0.03 * np.max(expected))
+    assert_allclose(dense.variance, np.diag(dense.covariance), rtol=1e-10)
+    shared = dense.memory().with_baseline
+    expected = carried @ joint[:, cells:]
+    assert_allclose(shared, expected, atol=0.03 * np.max(np.abs(expected)))
+    samples = (root @ rng.standard_normal((2 * cells, SAMPLES))).T
+    sampled = SampledErrors(model, SampledMemory(samples[:, :cells], samples[:, cells:]))
+    assert_allclose(sampled.variance, dense.variance, rtol=0.6)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 1), (3, 4)])

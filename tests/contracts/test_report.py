@@ -1,0 +1,154 @@
+"""The report's page: needs nothing else, escapes what it is given, says what is missing, the same bytes twice."""
+
+import dataclasses
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support import METHODS, invented_case
+
+from lampest.errors import InputError
+from lampest.report.batch import Batch, Subject, read_batch
+from lampest.report.page import report, write_report
+from lampest.results import CaseResult, write_results
+
+EMPTY = {"meta", "link", "img", "br"}
+
+
+def batch(*cases: CaseResult) -> Batch:
+    names = dict.fromkeys(case.recording for case in cases)
+    parts = (Subject(name, tuple(case for case in cases if case.recording == name)) for name in names)
+    return Batch(("results.h5",), tuple(parts))
+
+
+def certain(case: CaseResult) -> CaseResult:
+    """With noise, error bars of 8 %, resolution and weights."""
+    cells, change, half = case.cell_resistance, case.relative_change, 0.16 * np.abs(100 + case.relative_change)
+    fields: dict[str, Any] = {
+        "sigma": 0.01 * case.measured,
+        "cell_resistance_errors": 0.08 * cells,
+        "cell_resistance_lower": cells * np.exp(-0.16),
+        "cell_resistance_upper": np.where(case.open_cell != 0, np.inf, cells * np.exp(0.16)),
+        "relative_change_errors": half / 2,
+        "relative_change_lower": change - half,
+        "relative_change_upper": change + half,
+        "resolution": np.where(case.solved[:, None, None], 0.7, np.nan) * np.ones(cells.shape),
+        "data_share": np.where(case.solved[:, None, None], 0.8, np.nan) * np.ones(cells.shape),
+        "saturated": case.open_cell,
+        "pressure": np.where(case.solved[:, None, None], 3.0, np.nan) * np.ones(cells.shape),
+    }
+    return dataclasses.replace(case, **fields)
+
+
+class Page(HTMLParser):
+    """The page's tags, checked for balance, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).replace("\N{NO-BREAK SPACE}", " ").split())
+
+    def values(self, attribute: str) -> list[str]:
+        return [str(given[attribute]) for _, given in self.tags if attribute in given]
+
+
+def test_page_needs_nothing_else() -> None:
+    page = Page(report(batch(*(certain(invented_case(method)) for method in METHODS[:3]))))
+    assert not {tag for tag, _ in page.tags} & {"script", "iframe", "object", "embed", "base", "form"}
+    assert len(page.values("src")) == 9 and all(uri.startswith("data:image/") for uri in page.values("src"))
+    assert all(href.startswith(("#", "data:,")) for href in page.values("href"))
+    anchors = page.values("id")
+    assert len(anchors) == len(set(anchors)) and {href[1:] for href in page.values("href") if href[0] == "#"} <= {
+        *anchors
+    }
+    assert all(given.get("alt") for tag, given in page.tags if tag == "img")
+    for word in ("95 % intervals: mean width", "resolution", "saturated cells", "pressure", "gradient λ = 0.5", "[ms]"):
+        assert word in page.text, word
+    assert "These results lack" not in page.text
+
+
+def test_what_is_missing_is_said_in_one_line() -> None:
+    page = Page(report(batch(*(invented_case(method, truth=False, weights={}) for method in METHODS[:2]))))
+    assert "lack the noise of the readings, error bars, resolution, the truth and the weights;" in page.text
+    assert "differ significantly cannot be told" in page.text and "do not tell which estimator" in page.text
+    part = Page(report(batch(certain(invented_case("LSM")), invented_case("LSR-CR"))))
+    assert "error bars (in 1 of 2 cases)" in part.text
+
+
+def test_what_comes_from_files_is_text() -> None:
+    names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
+    cases = [invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), case_yaml="</pre><b>&") for name in names]
+    page = Page(report(batch(*cases)))
+    assert "script" not in {tag for tag, _ in page.tags} and "1337" not in page.text
+    assert all(name in page.text for name in names[:4]) and "</pre><b>&" in page.text
+    assert all(uri.startswith("data:") for uri in page.values("src"))
+
+
+@pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
+def test_every_shape(shape: tuple[int, int, int]) -> None:
+    Page(report(batch(*(certain(invented_case(method, shape=shape)) for method in METHODS[:2]))))
+
+
+def test_frames_that_failed_are_named() -> None:
+    failed = {"LSM": (), "LSR-CR": (0, 1, 2), "LSR-dCR": (1,)}
+    page = Page(report(batch(*(certain(invented_case(name, failed=frames)) for name, frames in failed.items()))))
+    assert "LSR-CR, frames 5 to 7: stopped: too many iterations" in page.text
+    assert "LSR-dCR, frame 6: stopped" in page.text and "LSR-CR failed in 3 of 3 frames" in page.text
+    Page(report(batch(invented_case("LSM", failed=(0, 1, 2)))))
+
+
+def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
+    cases = [invented_case(name, f"r{number}", (2, 3, 3)) for number in range(8) for name in ("A", "B")]
+    page = Page(report(batch(*cases)))
+    assert re.search(r"All figures for 6 of 8 recordings: those where [AB] has the two smallest", page.text)
+    assert sum(tag == "details" for tag, _ in page.tags) == 2 + 2 + 2  # pairs and recordings, others, what was run
+    assert all(f"r{number}" in page.text for number in range(8)) and "smallest in, of 8" in page.text
+
+
+def test_files_are_put_together(tmp_path: Path) -> None:
+    write_results(tmp_path / "one.h5", [invented_case("LSM"), invented_case("LSR-CR")])
+    write_results(tmp_path / "two.h5", [invented_case("LSM"), invented_case("LSR-dCR")])
+    other = invented_case("LSM")
+    write_results(tmp_path / "three.h5", [dataclasses.replace(other, measured=other.measured * 2)])
+    found = read_batch([tmp_path / name for name in ("one.h5", "two.h5", "three.h5")])
+    assert [subject.name for subject in found.subjects] == ["mouth", "mouth [3]"]
+    assert found.estimators == ("LSM", "LSR-CR", "LSM [2]", "LSR-dCR")
+
+
+def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
+    source, out = tmp_path / "results.h5", tmp_path / "report.html"
+    write_results(source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]])
+    write_report([source], out)
+    first = out.read_bytes()
+    write_report([source], out)
+    assert first == out.read_bytes() and len(first) < 2_000_000
+    with pytest.raises(InputError, match="named twice"):
+        write_report([source, tmp_path / "." / "results.h5"], out)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_report([source], source / "report.html")
+    write_results(tmp_path / "empty.h5", [])
+    with pytest.raises(InputError, match="no results to report"):
+        write_report([tmp_path / "empty.h5"], out)

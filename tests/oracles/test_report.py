@@ -1,0 +1,217 @@
+"""The report's statistics against closed forms, brute force and constructed batches of which the answer is known."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from support import invented_case
+
+from lampest.report.advice import advise, doubts
+from lampest.report.batch import Batch, Subject, matched
+from lampest.report.compared import PREDICTION, compared, predicted
+from lampest.report.differences import disagreements
+from lampest.report.measures import measures
+from lampest.report.statistics import block_length, mean_interval, median_interval, picks
+from lampest.results import CaseResult
+
+SHAPE = (4, 3, 3)
+
+
+def batch(*cases: CaseResult) -> Batch:
+    names = dict.fromkeys(case.recording for case in cases)
+    parts = (Subject(name, tuple(case for case in cases if case.recording == name)) for name in names)
+    return Batch(("results.h5",), tuple(parts))
+
+
+def case_with(estimator: str, recording: str, error: float, milliseconds: float, **changes: Any) -> CaseResult:
+    """A case whose cells all err by the factor exp(error)."""
+    case = invented_case(estimator, recording, SHAPE)
+    cells = case.truth * np.exp(error)
+    times = np.full(SHAPE[0], milliseconds / 1e3)
+    return dataclasses.replace(case, cell_resistance=cells, solve_time=times, **changes)
+
+
+def cohort(recordings: int, **methods: tuple[Sequence[float], float]) -> Batch:
+    """method → (error in every recording, ms)."""
+    return batch(
+        *(
+            case_with(name, f"r{number}", errors[number], milliseconds)
+            for number in range(recordings)
+            for name, (errors, milliseconds) in methods.items()
+        )
+    )
+
+
+def test_bootstrap_intervals_of_a_mean_hold_it() -> None:
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(400):
+        values = rng.standard_normal(30)
+        found = mean_interval(values, picks(30, 1, rng))
+        assert found.value == pytest.approx(values.mean()) and found.lower < found.value < found.upper
+        held += found.lower <= 0 <= found.upper
+    assert 0.90 <= held / 400 <= 0.97
+
+
+def test_blocks_are_neighbours_and_every_frame_is_drawn_alike() -> None:
+    drawn = picks(10, 3, np.random.default_rng(2))
+    assert drawn.shape == (2000, 10)
+    assert np.all((drawn[:, 1:3] - drawn[:, :2]) % 10 == 1)
+    assert np.all(np.abs(np.bincount(drawn.ravel(), minlength=10) / drawn.size - 0.1) < 0.01)
+
+
+def test_blocks_widen_the_interval_of_frames_that_remember() -> None:
+    """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much as that of independent frames."""
+    rng = np.random.default_rng(3)
+    alone, together, lengths = [], [], []
+    for _ in range(40):
+        noise = rng.standard_normal(400)
+        series = np.zeros(400)
+        for frame in range(1, 400):
+            series[frame] = 0.8 * series[frame - 1] + noise[frame]
+        lengths.append(block_length(np.stack([series, -series], axis=1)))
+        blocks, single = (mean_interval(series, picks(400, length, rng)) for length in (30, 1))
+        together.append(blocks.upper - blocks.lower)
+        alone.append(single.upper - single.lower)
+    assert 2.0 < np.mean(together) / np.mean(alone) < 3.2
+    assert min(lengths) == 8  # 400^(1/3): the memory of 0.8 ends after five
+    assert block_length(np.ones((30, 2))) == 4 and block_length(np.ones((1, 2))) == 1
+    slow = np.sin(np.arange(300) / 40)
+    assert 30 < block_length(np.stack([slow, -slow], axis=1)) <= 100
+
+
+def test_median_interval_is_that_of_brute_force() -> None:
+    rng = np.random.default_rng(4)
+    values = np.exp(rng.standard_normal((20, 50)) + 0.5 * rng.standard_normal((20, 1)))
+    drawn = picks(20, 2, rng)
+    found = median_interval(values, drawn)
+    brute = np.percentile([np.median(values[frames]) for frames in drawn], (2.5, 97.5))
+    assert found.value == np.median(values)
+    assert (found.lower, found.upper) == pytest.approx(tuple(brute), rel=0.01)
+    same = median_interval(np.full((5, 4), 3.0), picks(5, 1, rng))
+    assert (same.value, same.lower, same.upper) == (3.0, 3.0, 3.0)
+
+
+def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:
+    case = invented_case(estimator, shape=SHAPE)
+    values = np.full(SHAPE, change)
+    ends = {"relative_change_lower": values - below, "relative_change_upper": values + above}
+    return dataclasses.replace(case, relative_change=values, **ends)
+
+
+def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
+    """Two normal errors of 3 and 4: the difference has 5. Unequal arms: those that face each other count."""
+    for change, told in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
+        pair = disagreements([with_change("A", change, 1.96 * 3, 1.96 * 3), with_change("B", 0.0, 1.96 * 4, 1.96 * 4)])
+        assert np.all(pair[0].significant == told) and pair[0].share == 100 * told
+    facing = [with_change("A", 6.0, 3.0, 1e6), with_change("B", 0.0, 1e6, 4.0)]
+    assert disagreements(facing)[0].share == 100 and disagreements(facing[::-1])[0].share == 100
+    assert np.all(disagreements(facing[::-1])[0].difference == -6)
+    assert disagreements([with_change("A", 6.0, 3.0, np.inf), with_change("B", 0.0, 1.0, np.inf)])[0].share == 0
+    assert disagreements([invented_case("A"), with_change("B", 0.0, 1.0, 1.0)]) == ()
+
+
+def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:
+    """Shrunk readings, model = s·y: E|fresh − model|² = 1 + s² + (1 − s)²·signal, in units of the noise."""
+    rng = np.random.default_rng(5)
+    shape = (400, 5, 5)
+    signal = 0.7 * rng.standard_normal(shape) + 50
+    readings, fresh = (signal + rng.standard_normal(shape) for _ in range(2))
+    case = invented_case(shape=shape, truth=False)
+    for share in (0.2, 0.5, 1.0):
+        model = 50 + share * (readings - 50)
+        known = dataclasses.replace(
+            case, measured=readings, sigma=np.ones(shape), two_point_model=model, resolution=np.full(shape, share)
+        )
+        expected = 1 + share**2 + (1 - share) ** 2 * 0.49
+        assert np.mean(predicted(known)) == pytest.approx(expected, rel=0.03)
+        assert np.mean((fresh - model) ** 2) == pytest.approx(expected, rel=0.03)
+
+
+def test_fastest_of_those_that_cannot_be_told_apart_is_recommended() -> None:
+    rng = np.random.default_rng(6)
+    hard = 0.02 + 0.01 * rng.random(30)
+    near = hard + 0.002 * rng.standard_normal(30)
+    near += 0.0002 - np.mean(near - hard)
+    given = {"best": (hard, 8.0), "near": (near, 2.0), "far": (hard + 0.01, 0.5)}
+    found = compared(cohort(30, **given), np.random.default_rng(0))
+    assert found is not None
+    assert [row.estimator for row in found.standings] == ["best", "near", "far"]
+    assert [row.against_best.told_apart for row in found.standings] == [False, False, True]
+    assert found.standings[2].against_best.difference.value == pytest.approx(1.0)
+    assert found.standings[2].against_best.wins == 0 and found.standings[2].against_best.losses == 30
+    assert sum(row.wins for row in found.standings) == 30
+    advice = advise(cohort(30, **given), found)
+    assert advice.estimator == "near" and "4.0 times as fast" in " ".join(advice.reasons) and not advice.warnings
+    given["near"] = (near, 7.5)
+    slow = cohort(30, **given)
+    assert advise(slow, compared(slow, np.random.default_rng(0))).estimator == "best"
+
+
+def test_few_recordings_and_a_single_one_are_warned_of() -> None:
+    errors = [0.01, 0.02, 0.03]
+    few = cohort(3, A=(errors, 1.0), B=([0.05] * 3, 1.0))
+    assert any("fewer than 5" in sentence for sentence in advise(few, compared(few, np.random.default_rng(0))).warnings)
+    one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
+    found = compared(one, np.random.default_rng(0))
+    assert found is not None and found.scores.over_frames and found.scores.values.shape == (SHAPE[0], 2)
+    assert any("One recording only" in sentence for sentence in advise(one, found).warnings)
+
+
+def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -> None:
+    def case(name: str, recording: str, misfit: float, resolution: float) -> CaseResult:
+        plain = invented_case(name, recording, SHAPE, truth=False)
+        sigma = 0.01 * plain.measured
+        model = plain.measured + misfit * sigma
+        return dataclasses.replace(plain, sigma=sigma, two_point_model=model, resolution=np.full(SHAPE, resolution))
+
+    given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
+    known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
+    found = compared(known, np.random.default_rng(0))
+    assert found is not None and found.criterion is PREDICTION
+    assert [row.estimator for row in found.standings] == ["right", "follows all", "too stiff"]
+    assert advise(known, found).estimator == "right"
+    bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
+    untold = advise(bare, compared(bare, np.random.default_rng(0)))
+    assert untold.estimator is None and "do not tell" in untold.headline
+
+
+def test_who_fails_does_not_compete() -> None:
+    cases = [invented_case("A", shape=(40, 3, 3), failed=(2,)), invented_case("B", shape=(40, 3, 3))]
+    match = matched(batch(*cases).subjects)
+    assert match.estimators == ("A", "B") and match.frames == 39 and not match.chosen[0][2]
+    cases.append(invented_case("C", shape=(40, 3, 3), failed=(0, 1, 2)))
+    others = [invented_case(name, recording) for name in ("A", "B") for recording in ("second", "third")]
+    match = matched(batch(*cases, *others, invented_case("A", "fourth")).subjects)
+    assert match.estimators == ("A", "B") and len(match.subjects) == 3
+    assert match.left_out[0] == "C, for want of results of the same recordings"
+    assert match.left_out[1] == "1 of 4 recordings lack some of the estimators"
+    assert compared(batch(invented_case("A", "r1"), invented_case("B", "r2")), np.random.default_rng(0)) is None
+    match = matched(batch(*cases).subjects)
+    assert match.left_out == ("C failed in 3 of 40 frames",) and match.frames == 39
+
+
+def test_figures_of_a_case_are_what_they_are_called() -> None:
+    case = invented_case(shape=(10, 4, 5), failed=(3, 4))
+    good = case.solved
+    ends = {
+        "cell_resistance_lower": np.where(good[:, None, None], case.truth * 0.9, np.nan),
+        "cell_resistance_upper": np.where(good[:, None, None], case.truth * 1.1, np.nan),
+    }
+    ends["cell_resistance_upper"][0, 0, 0] = np.inf
+    ends["cell_resistance_lower"][1, :2] = case.truth[1, :2] * 1.05
+    sigma = 0.01 * case.measured
+    found = measures(dataclasses.replace(case, sigma=sigma, **ends), np.random.default_rng(0))
+    residual = ((case.two_point_model - case.measured) / sigma)[good]
+    assert (found.frames, found.solved, found.cells) == (10, 8, 160)
+    assert found.failures == (("stopped: too many iterations", (8, 9)),)
+    assert found.misfit == pytest.approx(np.mean(residual**2)) and found.spread == pytest.approx(1.0, abs=0.2)
+    assert found.endless == 1 and found.coverage is not None and found.coverage.value == pytest.approx(93.75)
+    error = 100 * np.abs(case.cell_resistance / case.truth - 1)[good]
+    assert found.cell_error is not None and found.cell_error.value == pytest.approx(np.median(error))
+    assert found.time == pytest.approx(1e3 * np.median(case.solve_time[good]))
+    assert found.share is None and found.saturated is None
+    assert len(doubts("A", [found])) == 0
+    assert len(doubts("A", [dataclasses.replace(found, spread=3.0)])) == 1
