@@ -42,7 +42,7 @@ class Cost:
         """Of the terms, in their order. Raises ValueError where one is still to be chosen."""
         return np.array([float(term.weight) for term in self.terms])
 
-    @property
+    @cached_property
     def unweighted(self) -> "Cost":
         """The same cost with weights of one."""
         return replace(self, terms=tuple(replace(term, weight=1.0) for term in self.terms))
@@ -89,7 +89,7 @@ class Cost:
         return rows
 
     def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames), previous, baseline (cells, 1), ohm; side and seen."""
+        """Cells, two-point resistance, measured, σ (cells, frames), previous, baseline (cells, 1) ohm; side, seen."""
         shape = (self.panel.cells, self.frames)
         given = [casadi.SX.sym(name, *shape) for name in ("cells", "two_point", "measured", "sigma")]
         marks = [casadi.SX.sym(name, *shape) for name in ("side", "seen")] if self.partial else []
@@ -135,7 +135,7 @@ class Compiled:
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of flat cells, two-point resistances, measured, σ, previous, baseline, the terms' weights and the duals.
+    """Functions of flat cells, two-point resistances, measured, σ, previous, baseline, the terms' weights, the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
     two-point resistances). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.
@@ -174,8 +174,9 @@ class CostFunctions:
         }
         inputs = [*(casadi.vec(symbol) for symbol in symbols), weights, dual]
         compiled = {name: Compiled(casadi.Function(name, inputs, [output])) for name, output in outputs.items()}
-        owners = [[number] * part.shape[0] for number, part in pairs if isinstance(cost.terms[number].loss, Absolute)]
-        return cls(**compiled, rough_terms=np.array(sum(owners, []), dtype=np.intp))
+        rough_pairs = [pair for pair in pairs if isinstance(cost.terms[pair[0]].loss, Absolute)]
+        owners = [number for number, part in rough_pairs for _ in range(part.shape[0])]
+        return cls(**compiled, rough_terms=np.array(owners, dtype=np.intp))
 
 
 @lru_cache(maxsize=128)

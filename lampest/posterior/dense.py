@@ -109,16 +109,28 @@ class DenseErrors:
         model = self.model
         squares = model.penalty_curvature * model.penalty**2 / model.scale
         widened = np.maximum(1.0, squares)
-        for number, expected in determined(model, self._penalties, self.inverse).items():
+        for number, expected in self._determined.items():
             own = model.penalty_term == number
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(expected, 1.0))
         return model.scale * widened
 
     @cached_property
+    def _determined(self) -> dict[int, float]:
+        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t has B_t's rank where that is alone."""
+        model, rows = self.model, self._penalties
+        used = np.einsum("ij,ji->i", rows, self._pulls)
+        numbers = [int(number) for number in np.unique(model.penalty_term)]
+        if len(numbers) == 1:
+            known = min(rank(model.at.cost.unweighted), len(self.inverse))
+            return {numbers[0]: float(known - used.sum())}
+        alone = np.einsum("ij,jk,ik->i", rows, np.linalg.pinv(rows.T @ rows, hermitian=True), rows, optimize=True)
+        return {number: float((alone - used)[model.penalty_term == number].sum()) for number in numbers}
+
+    @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
         """−A⁻¹ M (free, cells): what errors of the previous frame (0) and of the baseline (1) do to this one."""
-        known = enumerate((self.model.previous_jacobian, self.model.baseline_jacobian))
         size = np.sqrt(self.model.penalty_curvature)[:, None]
+        known = enumerate((self.model.previous_jacobian, self.model.baseline_jacobian))
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
@@ -190,21 +202,8 @@ def positive_inverse(matrix: Array) -> Array:
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):
         raise np.linalg.LinAlgError("the cost is flat round the estimate")
-    inverse = np.triu(inverse)
-    inverse += np.triu(inverse, 1).T
-    return np.asarray(inverse)
-
-
-def determined(model: LinearModel, penalties: Array, inverse: Array) -> dict[int, float]:
-    """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t) of every penalty, B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t is B_t's rank if alone."""
-    numbers = np.unique(model.penalty_term)
-    blocks = {int(number): penalties[model.penalty_term == number] for number in numbers}
-    if len(blocks) == 1:
-        alone = {number: float(min(rank(model.at.cost.unweighted), len(inverse))) for number in blocks}
-    else:
-        whole = np.linalg.pinv(penalties.T @ penalties, hermitian=True)
-        alone = {number: float(np.sum((block @ whole) * block)) for number, block in blocks.items()}
-    return {number: alone[number] - float(np.sum((block @ inverse) * block)) for number, block in blocks.items()}
+    upper = np.triu(inverse)
+    return np.asarray(upper + upper.T - np.diag(np.diag(upper)))
 
 
 @lru_cache(maxsize=64)

@@ -145,7 +145,11 @@ class LinearModel:
 
     def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
         jacobian = self._penalties.jacobian(name, self.at)
-        return jacobian if cells is None else sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
+        return (
+            jacobian
+            if cells is None or not jacobian.nnz
+            else sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
+        )
 
 
 def penalty_bend(model: LinearModel, weights: Array) -> Array:

@@ -35,18 +35,19 @@ class Part:
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """One of the derivatives at a point, (rows, unknowns) sparse."""
-        function: Compiled = getattr(self, name)
-        indices, starts = self._structures[name]
-        shape = function.function.sparsity_out(0).shape
-        return sparse.csc_array((self._call(function, at), indices, starts), shape=shape)
+        structure = self._structures[name]
+        if not structure.nnz:
+            return structure
+        values = self._call(getattr(self, name), at)
+        return sparse.csc_array((values, structure.indices, structure.indptr), shape=structure.shape)
 
     @cached_property
-    def _structures(self) -> dict[str, tuple[NDArray[np.int32], NDArray[np.int32]]]:
+    def _structures(self) -> dict[str, sparse.csc_array]:
         names = ("by_cells", "by_model", "by_previous", "by_baseline")
-        sparsities = {name: getattr(self, name).function.sparsity_out(0) for name in names}
+        patterns = {name: getattr(self, name).function.sparsity_out(0) for name in names}
         return {
-            name: (np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32))
-            for name, sparsity in sparsities.items()
+            name: sparse.csc_array((np.ones(pattern.nnz()), pattern.row(), pattern.colind()), shape=pattern.shape)
+            for name, pattern in patterns.items()
         }
 
     @staticmethod

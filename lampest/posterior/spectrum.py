@@ -26,7 +26,7 @@ class Spectrum:
     """stiffness : κ, ascending. misfit_slope, penalty_slope : b, d. directions : √Ω J T (data rows, unknowns).
 
     residual : √Ω·x̂ of the data. penalty : Σ x̂² of the penalty. scale : s². rank : of the penalty.
-    gram : Tᵀ T. spread : cov(q) at λ = 0, times Tᵀ T element by element.
+    volume : log det(A/s²). gram : Tᵀ T. spread : cov(q) at λ = 0, times Tᵀ T element by element.
     """
 
     stiffness: Array
@@ -37,6 +37,7 @@ class Spectrum:
     penalty: float
     scale: float
     rank: int
+    volume: float
     gram: Array
     spread: Array
 
@@ -65,6 +66,7 @@ class Spectrum:
             float(model.penalty @ model.penalty),
             model.scale,
             min(rank(model.at.cost.unweighted), len(stiffness)),
+            float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),
             gram,
             (noise.T @ noise) * gram,
         )
@@ -84,9 +86,10 @@ class Spectrum:
         return max(self.penalty + float(change @ (2 * self.penalty_slope + self.stiffness * change)), 0.0)
 
     def evidence(self, weight: float) -> float:
-        """(ρ + λη)/s² + log det(A + λ ZᵀZ) − rank·log λ, up to a constant: −2·log of the evidence for λ."""
+        """(ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²): −2·log of the evidence for λ, up to a constant."""
         fit = (self.misfit(weight) + weight * self.penalised(weight)) / self.scale
-        return fit + float(np.sum(np.log1p(weight * self.stiffness))) - self.rank * float(np.log(weight))
+        bent = self.volume + float(np.sum(np.log1p(weight * self.stiffness)))
+        return fit + bent - self.rank * float(np.log(weight / self.scale))
 
     def press(self, weight: float) -> float:
         """Σ (e_i/(1 − h_i))²: every reading predicted from all others; needs no noise."""
@@ -108,11 +111,16 @@ class Spectrum:
         present = pulled @ self.gram @ pulled + left @ self.spread @ left
         return float(unbiased + present) / 2
 
+    @property
+    def extent(self) -> tuple[float, float]:
+        """log of the smallest and of the largest λ that make a difference."""
+        seen = self.stiffness[self.stiffness > LEAST * self.stiffness.max()]
+        return -float(np.log(BEYOND * seen.max())), float(np.log(BEYOND / seen.min()))
+
     def best(self, rule: Rule) -> float:
         """The λ that minimises a rule's function, over all λ that make a difference."""
         value: Callable[[float], float] = getattr(self, rule)
-        seen = self.stiffness[self.stiffness > LEAST * self.stiffness.max()]
-        grid = np.linspace(-np.log(BEYOND * seen.max()), np.log(BEYOND / seen.min()), POINTS)
+        grid = np.linspace(*self.extent, POINTS)
         least = int(np.argmin([value(float(np.exp(place))) for place in grid]))
         between = (grid[max(least - 1, 0)], grid[min(least + 1, POINTS - 1)])
         found = minimize_scalar(lambda place: value(float(np.exp(place))), bounds=between, options={"xatol": 0.01})

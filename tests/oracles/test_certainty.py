@@ -1,0 +1,227 @@
+"""Error bars against definitions, numerical integration, and what errors do when the noise is drawn again and again."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+
+from lampest.estimator import Doubts, Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.posterior.certainty import Certainty
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.interval import one_sided
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SampledErrors
+from lampest.readings import plain
+from lampest.recording import Recording
+from lampest.scene import Scene, Systematic
+from lampest.search import best_solution
+from lampest.sequence import Reconstruction, reconstruct
+from lampest.solvers.solution import Solution
+from lampest.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.terms.losses import Absolute, Huber
+from lampest.terms.term import Term
+
+SHAPE = (7, 8)
+
+
+def panel_cells(shape: tuple[int, int] = SHAPE, seed: int = 1) -> Array:
+    """An unloaded panel with a pressed patch and a sucked cell."""
+    cells = 3050 * np.exp(0.2 * np.random.default_rng(seed).standard_normal(shape))
+    cells[2:5, 3:6] *= 0.1
+    cells[3, 4] *= 30
+    return cells
+
+
+def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array | None = None) -> Solution:
+    estimator = Estimator(terms, formulation="reduced")
+    data = estimator.data(plain(measured[None], sigma[None]))
+    return best_solution(
+        estimator.problem(Panel(*measured.shape), 1, 1.0), data, None if start is None else start[None]
+    )
+
+
+def model_of(solution: Solution) -> LinearModel:
+    assert solution.at is not None and solution.dual is not None
+    return LinearModel(solution.at, solution.dual)
+
+
+def sensitivity(cells: Array) -> Array:
+    """∂R/∂log r by central differences."""
+    columns = []
+    for cell in np.ndindex(cells.shape):
+        up, down = cells.copy(), cells.copy()
+        up[cell] *= np.exp(1e-5)
+        down[cell] *= np.exp(-1e-5)
+        columns.append((two_point_resistance(up) - two_point_resistance(down)).ravel() / 2e-5)
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("weight", [0.0, 1e-9])
+def test_covariance_is_that_of_laplace(weight: float) -> None:
+    cells = panel_cells()
+    measured = two_point_resistance(cells)
+    sigma = 0.003 * measured
+    terms = (Misfit(weighting="noise"), CellResistance(weight=weight))
+    found = solved(terms, measured, sigma)
+    jacobian = sensitivity(found.cell_resistance[0]) / sigma.reshape(-1, 1)
+    precision = jacobian.T @ jacobian + weight * np.diag(found.cell_resistance.ravel() ** 2)
+    errors = DenseErrors(model_of(found))
+    assert len(errors.model.free) == cells.size
+    assert_allclose(errors.covariance, np.linalg.inv(precision), rtol=2e-3, atol=1e-7)
+    assert_allclose(errors.variance, np.diag(errors.covariance))
+    kernel = np.linalg.inv(precision) @ (jacobian.T @ jacobian)
+    assert_allclose(errors.resolution, np.diag(kernel), atol=1e-4)
+    assert_allclose(errors.data_share, kernel.sum(axis=1), atol=1e-3)
+
+
+def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
+    """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
+    cells, rng = panel_cells(), np.random.default_rng(7)
+    exact = two_point_resistance(cells)
+    for _ in range(draws):
+        measured = exact * (1 + noise * rng.standard_normal(exact.shape))
+        found = solved(terms, measured, noise * exact, cells)
+        model = model_of(found)
+        free = np.zeros(cells.size, dtype=bool)
+        free[model.free] = True
+        error = np.log(found.cell_resistance[0] / cells)
+        yield error, Certainty.of(DenseErrors(model)), free.reshape(cells.shape)
+
+
+@pytest.mark.parametrize("weighting", ["plain", "noise"])
+def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
+    inside, standard = [], []
+    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):  # type: ignore[arg-type]
+        held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
+        inside.append(held[free])
+        standard.append((error / certainty.deviation[0])[free])
+    assert 0.93 < np.mean(np.concatenate(inside)) < 0.97
+    assert 0.9 < np.sqrt(np.mean(np.concatenate(standard) ** 2)) < 1.1
+
+
+def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
+    honest, blind = [], []
+    for error, certainty, free in drawn((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
+        honest.append((np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free])
+        blind.append(certainty.resolution[0][free])
+    assert np.mean(np.concatenate(honest)) > 0.85
+    assert np.median(np.concatenate(blind)) < 0.9
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (Misfit(),),
+        (Misfit(), Gradient(weight=1e-6)),
+        (Misfit(loss=Huber(corner=1.0)), Gradient(weight=1e-3, loss=Absolute())),
+    ],
+    ids=["misfit", "gradient", "robust"],
+)
+def test_samples_agree_with_matrices(terms: tuple[Term, ...]) -> None:
+    cells, rng = panel_cells(), np.random.default_rng(3)
+    exact = two_point_resistance(cells)
+    found = solved(terms, exact * (1 + 0.003 * rng.standard_normal(exact.shape)), 0.003 * exact)
+    matrices, samples = DenseErrors(model_of(found)), SampledErrors(model_of(found))
+    ratio = np.sqrt(samples.variance / matrices.variance)
+    assert_allclose(np.median(ratio), 1, atol=0.08)
+    assert np.all(np.abs(ratio - 1) < 0.35)
+    assert_allclose(samples.data_share, matrices.data_share, atol=1e-2)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 5.0, 49.0, 51.0, 1e4])
+def test_one_sided_interval_by_integration(slope: float) -> None:
+    variance = 1.3
+
+    def density(t: float) -> float:
+        return float(np.exp(-slope * t - t * t / (2 * variance)))
+
+    reach = min(12.0, 60 / max(slope, 1e-9))
+    whole = quad(density, 0, reach)[0]
+    mean = quad(lambda t: t * density(t), 0, reach)[0] / whole
+    spread = quad(lambda t: (t - mean) ** 2 * density(t), 0, reach)[0] / whole
+    deviation, quantile = one_sided(slope, variance)
+    assert_allclose(deviation, np.sqrt(spread), rtol=2e-3)
+    assert_allclose(quad(density, 0, float(quantile))[0] / whole, 0.95, rtol=1e-3)
+
+
+def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:
+    frames = len(resistance)
+    return Recording(
+        scene=scene,
+        resistance=resistance,
+        time=np.arange(frames) * 1.0,
+        role=np.array([0] + [1] * (frames - 1), dtype=np.uint8),
+        sigma=noise * resistance,
+        truth_cell_resistance=cells,
+    )
+
+
+def changes_within(found: Reconstruction, cells: Array) -> list[bool]:
+    """Of the last frame's changes against the baseline, which ones lie in their intervals."""
+    change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
+    assert bars is not None and bars.change is not None
+    estimate = np.log(found.cell_resistance[-1] / found.baseline_resistance)
+    return list(((change >= estimate - bars.change.below) & (change <= estimate + bars.change.above)).ravel())
+
+
+def test_errors_that_readings_share_are_in_the_bars() -> None:
+    rng, resting, pressed = np.random.default_rng(5), panel_cells(seed=2), panel_cells(seed=2)
+    resting[2:5, 3:6] *= 10
+    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=2.0))
+    cells = np.stack([resting, pressed])
+    exact = two_point_resistance(cells)
+    held: list[bool] = []
+    with_them: list[bool] = []
+    for _ in range(40):
+        off = 1 + 0.01 * rng.uniform(-1, 1)
+        channels = 2.0 * rng.standard_normal(sum(SHAPE))
+        series = channels[: SHAPE[0], None] + channels[None, SHAPE[0] :]
+        resistance = (exact + series) * off * (1 + 2e-4 * rng.standard_normal(exact.shape))
+        recording = recorded(scene, cells, resistance, 2e-4)
+        estimator = Estimator((Misfit(),), formulation="reduced")
+        found = reconstruct(recording, estimator)
+        with_them += changes_within(found, cells)
+        silent = replace(recording, scene=replace(scene, systematic=None))
+        held += changes_within(reconstruct(silent, estimator), cells)
+    assert 0.92 < np.mean(with_them) < 0.98
+    assert np.mean(held) < 0.7
+
+
+def test_a_method_that_looks_back_carries_its_error_along() -> None:
+    rng, cells, noise = np.random.default_rng(8), panel_cells(), 0.003
+    frames = np.repeat(cells[None], 6, axis=0)
+    exact = two_point_resistance(frames)
+    estimator = Estimator((Misfit(), RelativeChange(weight=1.0)), formulation="reduced")
+    standard, carried = [], []
+    for _ in range(12):
+        resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
+        recording = recorded(Scene(Panel(*SHAPE)), frames, resistance, noise)
+        found = reconstruct(recording, estimator)
+        bars = [step.bars.frame for step in found.steps if step.bars is not None]
+        standard.append(np.log(found.cell_resistance[-1] / cells) / bars[-1].deviation)
+        carried.append(bars[-1].deviation)
+    assert 0.5 < np.sqrt(np.mean(np.square(standard))) < 1.2
+    alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
+    assert alone is not None
+    assert np.median(carried / alone.frame.deviation) < 1
+
+
+def test_what_nobody_sees_has_no_bounds() -> None:
+    cells = panel_cells()
+    measured = two_point_resistance(cells)
+    estimator = Estimator((Misfit(),), formulation="reduced")
+    readings = plain(measured[None], 0.003 * measured[None])
+    seen = np.ones((1, *SHAPE))
+    seen[0, 0, :] = 0
+    data = estimator.data(replace(readings, seen=seen))
+    problem = estimator.problem(Panel(*SHAPE), 1, 1.0, Doubts.of(Panel(*SHAPE), None, data))
+    found = best_solution(problem, data, cells[None])
+    assert found.solved
+    certainty = Certainty.of(DenseErrors(model_of(found)))
+    assert np.all(certainty.deviation[0, 0] > 1)
+    assert np.all(certainty.above[0, 0] > 2)

@@ -1,0 +1,187 @@
+"""Weights chosen by the data: the rules against definitions, the choice against the best weight in hindsight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.errors import InputError
+from lampest.estimator import AutoWeight, Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.posterior.dense import DenseErrors, rank
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.problem import Data
+from lampest.readings import plain
+from lampest.recording import Recording
+from lampest.scene import Scene
+from lampest.search import best_solution
+from lampest.sequence import reconstruct
+from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.terms.losses import Absolute
+from lampest.terms.term import Term
+from lampest.weights import with_chosen_weights
+
+SHAPE = (8, 7)
+AUTO = "auto"
+
+
+def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
+    rng = np.random.default_rng(seed)
+    cells = 3050 * np.exp(0.2 * rng.standard_normal(shape))
+    row, column = rng.integers(1, 4, 2)
+    cells[row : row + 3, column : column + 3] *= 0.15
+    return cells
+
+
+def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -> Data:
+    exact = two_point_resistance(cells)
+    measured = exact * (1 + noise * np.random.default_rng(seed).standard_normal(exact.shape))
+    return estimator.data(plain(measured[None], noise * exact[None]))
+
+
+def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
+    estimator = Estimator((Misfit(), term), formulation="reduced")
+    data = measured_data(estimator, cells_of(1), 0.003, 2)
+    found = best_solution(estimator.problem(Panel(*SHAPE), 1, 1.0), data, None)
+    assert found.at is not None and found.dual is not None
+    model = LinearModel(found.at, found.dual)
+    return Spectrum.of(model), model
+
+
+@pytest.mark.parametrize("term", [Gradient(weight=1e-5), CellResistance(weight=1e-5)], ids=["gradient", "cells"])
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 30.0])
+def test_spectrum_is_the_linear_problem_solved(term: Term, factor: float) -> None:
+    spectrum, model = spectrum_and_model(term)
+    weight = factor * 1e-5
+    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
+    matrix = jacobian.T @ jacobian + weight * rows.T @ rows
+    step = -np.linalg.solve(matrix, jacobian.T @ model.residual + weight * rows.T @ model.penalty)
+    residual, penalty = model.residual + jacobian @ step, model.penalty + rows @ step
+    assert_allclose(spectrum.misfit(weight), residual @ residual, rtol=2e-3)
+    assert_allclose(spectrum.penalised(weight), penalty @ penalty, rtol=1e-4)
+    other = 2.5 * weight
+    determinants = [
+        np.linalg.slogdet(jacobian.T @ jacobian + each * rows.T @ rows)[1]
+        - rank(model.at.cost.unweighted) * np.log(each)
+        for each in (weight, other)
+    ]
+    fits = [(spectrum.misfit(each) + each * spectrum.penalised(each)) / model.scale for each in (weight, other)]
+    expected = fits[0] - fits[1] + determinants[0] - determinants[1]
+    assert_allclose(spectrum.evidence(weight) - spectrum.evidence(other), expected, rtol=1e-3, atol=1e-3)
+    left_out = 0.0
+    for reading in range(len(residual)):
+        keep = np.arange(len(residual)) != reading
+        reduced = jacobian[keep].T @ jacobian[keep] + weight * rows.T @ rows
+        slope = jacobian[keep].T @ model.residual[keep] + weight * rows.T @ model.penalty
+        left_out += float(model.residual[reading] - jacobian[reading] @ np.linalg.solve(reduced, slope)) ** 2
+    assert_allclose(spectrum.press(weight), left_out, rtol=1e-3)
+
+
+def test_risk_is_unbiased_where_the_model_is_linear() -> None:
+    """Mean over noise of the unbiased half of `risk` against the true squared error of the linear estimate."""
+    spectrum, model = spectrum_and_model(Gradient(weight=1e-5))
+    rng, weight = np.random.default_rng(0), 3e-6
+    jacobian, rows = DenseErrors(model).jacobian, model.penalty_jacobian.toarray()[:, model.free]
+    matrix = jacobian.T @ jacobian + weight * rows.T @ rows
+    truth = 0.05 * rng.standard_normal(len(model.free))
+    back = np.linalg.solve(jacobian.T @ jacobian, jacobian.T)
+    variance = back @ np.diag(model.noise**2) @ back.T
+    gain = np.linalg.solve(matrix, jacobian.T)
+    estimates, losses = [], []
+    for _ in range(400):
+        readings = jacobian @ truth + model.noise * rng.standard_normal(len(model.noise))
+        found = np.linalg.solve(matrix, jacobian.T @ readings - weight * rows.T @ model.penalty)
+        plain_estimate = back @ readings
+        apart = found - plain_estimate
+        estimates.append(apart @ apart + 2 * np.trace(gain @ np.diag(model.noise**2) @ back.T) - np.trace(variance))
+        losses.append(float(np.sum((found - truth) ** 2)))
+    assert_allclose(np.mean(estimates), np.mean(losses), rtol=0.1)
+    # The same numbers from the spectrum, at the data it was made of.
+    there = np.linalg.solve(matrix, jacobian.T @ -model.residual - weight * rows.T @ model.penalty)
+    apart = there - back @ -model.residual
+    unbiased = apart @ apart + 2 * np.trace(gain @ np.diag(model.noise**2) @ back.T) - np.trace(variance)
+    pulled = weight * np.linalg.solve(matrix, rows.T @ model.penalty)
+    present = pulled @ pulled + np.trace(gain @ np.diag(model.noise**2) @ gain.T)
+    assert_allclose(spectrum.risk(weight), (unbiased + present) / 2, rtol=1e-2)
+
+
+def error(estimator: Estimator, data: Data, cells: Array) -> float:
+    found = best_solution(estimator.problem(Panel(*cells.shape), 1, 1.0), data, None)
+    assert found.solved
+    return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells) ** 2)))
+
+
+@pytest.mark.parametrize("kind", [Gradient, CellResistance])
+@pytest.mark.parametrize("rule", ["risk", "evidence"])
+def test_the_choice_is_near_the_best_in_hindsight(kind: type[Term], rule: Rule) -> None:
+    ratios = []
+    for seed, noise in enumerate((0.001, 0.003, 0.01, 0.03)):
+        cells = cells_of(10 + seed)
+        open_one = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(rule=rule))
+        data = measured_data(open_one, cells, noise, 20 + seed)
+        chosen = with_chosen_weights(open_one, Panel(*SHAPE), data, None, None, True)
+        weight = float(chosen.terms[1].weight)
+        grid = weight * 10.0 ** np.arange(-4, 3.1, 0.5)
+        best = min(error(chosen.with_weights([1.0, each]), data, cells) for each in grid)
+        ratios.append(error(chosen, data, cells) / best)
+    assert np.median(ratios) < 1.25
+    assert max(ratios) < 2
+
+
+def recording(noise: float | None, frames: int = 4) -> Recording:
+    cells = np.stack([cells_of(3)] * frames)
+    cells[2:, 3:5, 3:5] *= 0.3
+    exact = two_point_resistance(cells)
+    measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
+    role = np.array([0] + [1] * (frames - 1), dtype=np.uint8)
+    sigma = None if noise is None else noise * exact
+    return Recording(Scene(Panel(*SHAPE)), measured, np.arange(frames) * 1.0, role, sigma=sigma)
+
+
+@pytest.mark.parametrize("kind", [Gradient, CellResistance, RelativeChange, GradientOfRelativeChange])
+@pytest.mark.parametrize("per", ["recording", "frame"])
+def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
+    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))  # type: ignore[arg-type]
+    found = reconstruct(recording(0.003), estimator)
+    weights = np.array([step.weights for step in found.steps])
+    assert np.all(weights[:, 0] == 1) and np.all(weights[:, 1] > 0)
+    assert (len(set(weights[:, 1])) == 1) == (per == "recording")
+    assert all(step.solution.solved for step in found.steps)
+
+
+@pytest.mark.parametrize(
+    "penalties",
+    [
+        (Gradient(weight=AUTO), CellResistance(weight=AUTO)),
+        (Gradient(weight=AUTO), CellResistance(weight=1e-7)),
+        (Gradient(weight=AUTO, loss=Absolute()),),
+        (Gradient(weight=AUTO), RelativeChange(weight=AUTO)),
+    ],
+)
+def test_several_penalties_and_other_losses(penalties: tuple[Term, ...]) -> None:
+    found = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
+    assert all(step.solution.solved for step in found.steps)
+    for number, term in enumerate(penalties, 1):
+        weight = found.steps[0].weights[number]
+        assert weight > 0 and (term.weight == AUTO or weight == term.weight)
+
+
+def test_without_noise_readings_predict_each_other() -> None:
+    estimator = Estimator(
+        (Misfit(), Gradient(weight=AUTO)), "reduced", bounds=replace(Estimator((Misfit(),)).bounds, upper="none")
+    )
+    assert reconstruct(recording(None), estimator).steps[0].weights[1] > 0
+    asked = replace(estimator, auto_weight=AutoWeight(rule="evidence"))
+    with pytest.raises(InputError, match="evidence needs the noise"):
+        reconstruct(recording(None), asked)
+    two = replace(estimator, terms=(*estimator.terms, CellResistance(weight=AUTO)))
+    with pytest.raises(InputError, match="needs the noise"):
+        reconstruct(recording(None), two)
+
+
+def test_an_open_weight_needs_data() -> None:
+    with pytest.raises(ValueError, match="needs the term misfit"):
+        Estimator((Gradient(weight=AUTO),))
