@@ -20,6 +20,7 @@ app = typer.Typer(
 for _command in (
     estimation.run,
     estimation.starts,
+    estimation.tune,
     estimation.simulate,
     estimation.import_,
     results.compare,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Folder, print_table, progress
 
 
 def run(
@@ -36,6 +36,29 @@ def run(
         print(f"lampest: {name} failed: {sentence}", file=sys.stderr)
     if report.failed:
         raise typer.Exit(SOME_FAILED)
+
+
+def tune(
+    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
+    out: Folder = None,
+    assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
+) -> None:
+    """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice."""
+    from lampest.config import read_run
+    from lampest.plot.tune import plot_study
+    from lampest.tune.report import summary_table, write_study
+    from lampest.tune.run import run_tune
+
+    cases = read_run(config, tuple(assign or ()))
+    with progress("cases") as on_case:
+        study = run_tune(cases, on_case)
+    folder = out or Path("results") / config.stem
+    files = (*write_study(folder, study), *plot_study(study, folder))
+    print_table(summary_table(study))
+    for file in files:
+        print(file)
+    for name, reason in study.left_out:
+        print(f"lampest: {name} left out: {reason}", file=sys.stderr)
 
 
 def starts(

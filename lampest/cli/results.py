@@ -1,11 +1,20 @@
 """Commands that read results and say what there is."""
 
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lampest.cli.screen import Out, print_table
+
+
+class Show(Enum):
+    """What `plot` draws."""
+
+    CONTOURS = "contours"
+    CERTAINTY = "certainty"
+    PRESSURE = "pressure"
 
 
 def compare(
@@ -28,11 +37,15 @@ def compare(
     print_table(screen_table(rows))
 
 
-def plot(results: Annotated[Path, typer.Argument(help="A results file.")], out: Out = None) -> None:
-    """Mapping contours of every recording, side by side."""
+def plot(
+    results: Annotated[Path, typer.Argument(help="A results file.")],
+    out: Out = None,
+    show: Annotated[Show, typer.Option("--show", help="What is drawn.")] = Show.CONTOURS,
+) -> None:
+    """Mapping contours of every recording, side by side; or error bars, or pressures."""
     from lampest.plot import plot_results
 
-    for path in plot_results(results, out):
+    for path in plot_results(results, out, show.value):
         print(path)
 
 

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from lampest.errors import InputError
 from lampest.files import whole_file
 from lampest.panel import Array, Panel
-from lampest.results import CaseResult, Results, read_results
+from lampest.results import CaseResult, Results
 
 COLOURS = "RdBu_r"
 LIMITS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -47,28 +47,6 @@ class _Scale:
     norm: BoundaryNorm
     colours: Colormap
     extend: Extend
-
-
-def plot_results(path: str | Path, out: str | Path | None = None) -> list[Path]:
-    """Draw every recording of a results file into contours_<recording>.png in the folder `out`, else beside the file.
-
-    `out` may name a .png or .pdf file where there is one recording. Returns the files that were written.
-    Raises InputError where the results cannot be read, hold nothing to draw, or the place cannot be written.
-    """
-    path = Path(path)
-    results = read_results(path)
-    recordings = results.recordings()
-    target = path.parent if out is None else Path(out)
-    if not recordings:
-        raise InputError(f"{path}: holds no results to draw")
-    if target.suffix in SUFFIXES and len(recordings) > 1:
-        raise InputError(f"{target}: one picture cannot hold {len(recordings)} recordings; name a folder instead")
-    written = []
-    for recording in recordings:
-        file = target if target.suffix in SUFFIXES else target / f"contours_{recording}.png"
-        save(contours(results, recording), file)
-        written.append(file)
-    return written
 
 
 def save(figure: Figure, path: str | Path) -> None:

@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from lampest.errors import InputError
@@ -53,7 +54,7 @@ def pressure_figure(case: CaseResult, frame: int | None = None) -> Figure:
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=SMALL_POINT, frameon=False)
     why = ", the last within 10 % of the strongest change" if frame is None else ""
     title = f"{case.recording}, {case.estimator}: frame {case.frame[place]} at {case.time[place]:g} s{why}"
-    figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)
+    figure.suptitle(title, fontsize=TEXT_POINT + 1)
     return figure
 
 
@@ -85,9 +86,15 @@ def _map(axes: Axes, panel: Panel, values: Array, marked: Marks, norm: Normalize
     if isinstance(norm, BoundaryNorm):
         shown = norm.boundaries[::2].tolist()
         bar.set_ticks(shown, labels=[f"{end:g}".replace("-", "−") for end in shown])
+    else:
+        bar.ax.xaxis.set_major_formatter(FuncFormatter(_plain))
     bar.set_label(label, fontsize=TEXT_POINT)
     bar.ax.tick_params(labelsize=SMALL_POINT, which="both")
     axes.tick_params(labelsize=SMALL_POINT)
+
+
+def _plain(value: float, _: int) -> str:
+    return f"{value:g}"
 
 
 def _response(axes: Axes, ratio: Array, pressure: Array, lower: Array, upper: Array, marked: Marks) -> None:
@@ -106,6 +113,7 @@ def _response(axes: Axes, ratio: Array, pressure: Array, lower: Array, upper: Ar
         if at.size:
             axes.errorbar(at, inside, yerr=reach, fmt=sign, **look)
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(_plain))
     axes.set_ylim(least, most)
     axes.set_yscale("symlog", linthresh=10, linscale=1.2)
     axes.set_yticks([-30, -10, -5, 0, 5, 10, 30, 100], labels=["−30", "−10", "−5", "0", "5", "10", "30", "100"])

@@ -109,7 +109,7 @@ def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
         if number >= len(tiles):
             axes.set_visible(False)
             continue
-        _map(axes, tiles[number], panel, scale)
+        draw_map(axes, tiles[number], panel, scale)
         lowest = number + across >= len(tiles)
         axes.tick_params(labelbottom=lowest)
         if lowest:
@@ -133,7 +133,8 @@ def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
     return figure
 
 
-def _map(axes: Axes, tile: Tile, panel: Panel, scale: Scale) -> None:
+def draw_map(axes: Axes, tile: Tile, panel: Panel, scale: Scale) -> None:
+    """One map, cell by cell, rows downwards, in millimetre."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
     axes.set_title(short_title(tile.title) + (f"\n{tile.note}" if tile.note else ""), fontsize=SMALL_POINT + 0.5)
