@@ -22,6 +22,7 @@ MOST_VALUES = 100_000
 MOST_BYTES = 100_000  # which take up to 4 s
 DEEPEST = 50
 MOST_BITS = 1000
+SHOULD_BE = "Input should be "
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -161,11 +162,19 @@ def validated(document: Document, kind: Any) -> Any:
         faults = error.errors(include_url=False)
         # A misspelt key also leaves its field missing; the key is what the user can see.
         first = next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), faults[0])
-        location = tuple(part for part in first["loc"] if not str(part).startswith("function-"))
-        message = first["msg"].removeprefix("Value error, ")
+        location = _location(first["loc"])
+        alternatives = [fault["msg"] for fault in faults if _location(fault["loc"]) == location]
+        message = " or ".join([alternatives[0], *(text.removeprefix(SHOULD_BE) for text in alternatives[1:])])
+        message = message.removeprefix("Value error, ")
         if first["type"] in UNKNOWN_KEY:
             message = "no such key"
         raise document.error(location, message) from error
+
+
+def _location(parts: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Where a fault is, without what the validator says of the alternatives of a type."""
+    kinds = ("float", "int", "bool", "str")
+    return tuple(part for part in parts if part not in kinds and not str(part).startswith(("function-", "literal[")))
 
 
 def to_yaml(value: Any) -> str:
