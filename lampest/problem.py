@@ -54,7 +54,7 @@ class Data:
 
     @cached_property
     def parameters(self) -> tuple[Array, ...]:
-        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown), ohm; side and seen; all flat."""
+        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown) ohm; side, seen; all flat."""
         previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
         baseline = previous if self.baseline is None else self.baseline.ravel()
         marks = () if self.marks is None else tuple(mark.ravel() for mark in self.marks)

@@ -29,7 +29,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     the convex one. A solve is hard that has no previous frame, fails or takes many iterations; it is then begun from
     all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others.
     Costs that compare with a previous frame have several minima; for them the reduced solver searches, and any other
-    solver goes on from what it found, so that all formulations stand in the same minimum.
+    solver goes on from what it found, so that all formulations stand in the same minimum. Where these terms are convex
+    in log r and the previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
     """
     with np.errstate(all="ignore"):
@@ -37,7 +38,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
 
 
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    relative = any(term.needs_previous for term in solver.cost.terms)
+    comparing = [term for term in solver.cost.terms if term.needs_previous]
+    relative, patience = bool(comparing), float("inf") if all(term.convex_in_log for term in comparing) else EASY
     if relative and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
@@ -49,7 +51,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     if not points:
         return _broken(solver.cost, data)
     found = solved(solver, points[0])
-    if found.solved and not (relative and (previous is None or found.iterations > EASY)):
+    if found.solved and not (relative and (previous is None or found.iterations > patience)):
         return found
     more = [] if previous is None else [uniform, convex(data, None)]
     more += [data.measured * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []

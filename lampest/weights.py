@@ -68,7 +68,8 @@ class Search:
     def _given(self) -> list[float | None]:
         return [None if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
 
-    def _weighted(self, weights: Sequence[float]) -> Cost:
+    def weighted(self, weights: Sequence[float]) -> Cost:
+        """The cost with numbers for all weights."""
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
@@ -81,7 +82,7 @@ class Search:
     def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
         """What a rule calls the best weight at a start, and then at the estimate for each weight before."""
         weights = [1.0 if given is None else given for given in self._given]
-        at = evaluated(self._weighted(weights), self.data, first)
+        at = evaluated(self.weighted(weights), self.data, first)
         weights[penalty] = Spectrum.of(LinearModel(at, np.zeros(0))).best(rule)
         found = [weights[penalty]]
         for _ in range(MOST_SOLVES - 1):
@@ -97,14 +98,14 @@ class Search:
 
     def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
-        found = best_solution(Newton(self._weighted(weights), self.settings), self.data, start)
+        found = best_solution(Newton(self.weighted(weights), self.settings), self.data, start)
         return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
 
     def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
         """The weights that are open where the evidence has its fixed point."""
         sought = tuple(number for number in penalties if self._given[number] is None)
         weights = [1.0 if given is None else given for given in self._given]
-        at = evaluated(self._weighted(weights), self.data, first)
+        at = evaluated(self.weighted(weights), self.data, first)
         weights = first_weights(LinearModel(at, np.zeros(0)), weights, sought)
         for _ in range(MOST_SOLVES):
             model = self._solved(weights, at.cell_resistance)

@@ -11,14 +11,16 @@ from lampest.terms.term import Reference, State, Term, Weight
 
 @dataclass(frozen=True)
 class LogRatio(Term):
-    """100·log(r/r0) in percent, r0 the baseline or the previous frame; even in suction and pressure, convex in log r.
+    """100·log(r/r0) in percent, r0 the baseline or the previous frame; weighs suction and pressure alike.
 
+    Convex in log r, which the relative change is not: of a frame with a known r0 only one minimum was ever found.
     Against the baseline and squared it is a Gaussian prior of log r with the baseline as its mean; with its absolute
-    loss few cells change, by any amount. Source: Tarantola, Inverse Problem Theory, 2005, section 1.2.4 (log-normal
-    priors of positive parameters).
+    loss few cells change, by any amount. Source: Tarantola, Inverse Problem Theory, 2005 (positive parameters by
+    their logarithms).
     """
 
     needs_previous: ClassVar[bool] = True
+    convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 10.0
     loss: Loss = Absolute()

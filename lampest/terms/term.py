@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite
-from typing import Any, ClassVar, Literal, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi
 
@@ -89,11 +89,14 @@ Weight = float | Literal["auto"]
 class Term(ABC):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    weight : a number, or 'auto' where the data are to choose it. Raises ValueError unless it is finite and not negative.
+    weight : a number, or 'auto' where the data are to choose it. needs_previous : whether it compares with the previous
+    frame or the baseline. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless
+    the weight is finite and not negative.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     needs_previous: ClassVar[bool] = False
+    convex_in_log: ClassVar[bool] = False
     unit: ClassVar[str]
     weight: Weight = 1.0
     loss: Loss = Squared()

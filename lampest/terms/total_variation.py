@@ -9,12 +9,14 @@ from lampest.terms.term import State, Term, Weight
 
 @dataclass(frozen=True)
 class TotalVariation(Term):
-    """100·log(r_b/r_a) over neighbours a, b, in percent; with its absolute loss the anisotropic total variation of log r.
+    """100·log(r_b/r_a) in percent, over all pairs a, b of neighbours.
 
-    In log r a fall to a tenth and a rise to tenfold are edges of one height, and forward differences see a cell that
-    stands out alone, which central ones do not. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+    With its absolute loss this is the anisotropic total variation of log r. In log r a fall to a tenth and a rise to
+    tenfold are edges of one height, and forward differences see a cell that stands out alone, which central ones do
+    not. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
     """
 
+    convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 0.3
     loss: Loss = Absolute()

@@ -1,4 +1,4 @@
-"""Penalty on the total variation of the change: what touches the panel has edges, and the cells' own pattern is no edge."""
+"""Penalty on the total variation of the change: a load has edges, and the cells' own pattern is none."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -9,12 +9,14 @@ from lampest.terms.term import Reference, State, Term, Weight
 
 @dataclass(frozen=True)
 class TotalVariationOfChange(Term):
-    """100·log((r/r0)_b/(r/r0)_a) over neighbours a, b, in percent, r0 the baseline or the previous frame.
+    """100·log((r/r0)_b/(r/r0)_a) in percent, over all pairs a, b of neighbours; r0 the baseline or the previous frame.
 
-    With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+    With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60,
+    1992.
     """
 
     needs_previous: ClassVar[bool] = True
+    convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 0.3
     loss: Loss = Absolute()
