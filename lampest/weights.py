@@ -6,6 +6,7 @@ other losses, and panels where a matrix over the cells would be too large: the f
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weight
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.problem import Data
-from lampest.search import best_solution, convex, evaluated
+from lampest.search import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import Settings
 from lampest.terms.losses import Squared
@@ -80,21 +81,26 @@ class Search:
         return weights
 
     def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
-        """What a rule calls the best weight at a start, and then at the estimate for each weight before."""
+        """What a rule calls the best weight at a start, and then at the estimate for each weight before.
+
+        Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest.
+        """
+        weights = [1.0 if given is None else given for given in self._given]
+        model: LinearModel | None = LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))
+        found: list[float] = []
+        with suppress(*BROKEN):
+            while model is not None and len(found) < MOST_SOLVES:
+                weights[penalty] = Spectrum.of(model).best(rule)
+                found.append(weights[penalty])
+                if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:
+                    break
+                model = self._solved(weights, model.at.cell_resistance) if len(found) < MOST_SOLVES else None
+        return found or [self._suggested((penalty,), first)[penalty]]
+
+    def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
         weights = [1.0 if given is None else given for given in self._given]
         at = evaluated(self.weighted(weights), self.data, first)
-        weights[penalty] = Spectrum.of(LinearModel(at, np.zeros(0))).best(rule)
-        found = [weights[penalty]]
-        for _ in range(MOST_SOLVES - 1):
-            model = self._solved(weights, at.cell_resistance)
-            if model is None:
-                break
-            at = model.at
-            weights[penalty] = Spectrum.of(model).best(rule)
-            found.append(weights[penalty])
-            if abs(np.log(found[-1] / found[-2])) < SETTLED:
-                break
-        return found
+        return first_weights(LinearModel(at, np.zeros(0)), weights, penalties)
 
     def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
@@ -104,16 +110,15 @@ class Search:
     def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
         """The weights that are open where the evidence has its fixed point."""
         sought = tuple(number for number in penalties if self._given[number] is None)
-        weights = [1.0 if given is None else given for given in self._given]
-        at = evaluated(self.weighted(weights), self.data, first)
-        weights = first_weights(LinearModel(at, np.zeros(0)), weights, sought)
-        for _ in range(MOST_SOLVES):
-            model = self._solved(weights, at.cell_resistance)
-            if model is None:
-                break
-            at, before = model.at, weights
-            large = self.data.measured.size > MOST_DENSE
-            weights = next_weights(model, sought) if large else FixedPoint(model, sought).weights()
-            if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
-                break
+        weights, near = self._suggested(sought, first), first
+        with suppress(*BROKEN):
+            for _ in range(MOST_SOLVES):
+                model = self._solved(weights, near)
+                if model is None:
+                    break
+                near, before = model.at.cell_resistance, weights
+                large = self.data.measured.size > MOST_DENSE
+                weights = next_weights(model, sought) if large else FixedPoint(model, sought).weights()
+                if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
+                    break
         return weights

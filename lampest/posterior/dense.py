@@ -198,6 +198,8 @@ class DenseErrors:
 
 def positive_inverse(matrix: Array) -> Array:
     """A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError where A is not positive definite."""
+    if not matrix.size:
+        return matrix
     factor, failed = lapack.dpotrf(matrix)
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):

@@ -58,6 +58,8 @@ class FixedPoint:
         data, slope = bent @ errors.jacobian, bent @ model.residual
         rows = model.penalty_jacobian.toarray()[:, model.free]
         weights = list(model.at.cost.weights)
+        if not len(model.free):
+            return weights
         for _ in range(MOST_ROUNDS):
             curvature = penalty_bend(model, np.asarray(weights))
             prior = (rows.T * curvature) @ rows
