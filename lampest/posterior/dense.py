@@ -16,6 +16,7 @@ Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; Mac
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,17 +71,23 @@ class DenseErrors:
     @cached_property
     def jacobian(self) -> Array:
         """J (data rows, free)."""
-        return self._of_free(self.sensitivity)
+        return np.asarray(self._of_free(self.sensitivity))
+
+    @cached_property
+    def _sparse_penalties(self) -> sparse.csc_array:
+        """√Ω Z."""
+        rows = self._of_free(self.model.penalty_jacobian)
+        size = np.sqrt(self.model.penalty_curvature)[rows.indices]
+        return sparse.csc_array((rows.data * size, rows.indices, rows.indptr), shape=rows.shape)
 
     @cached_property
     def _penalties(self) -> Array:
-        """√Ω Z."""
-        rows = self._of_free(self.model.penalty_jacobian.toarray())
-        return np.asarray(rows * np.sqrt(self.model.penalty_curvature)[:, None])
+        """The same as a matrix with all its zeros."""
+        return np.asarray(self._sparse_penalties.toarray())
 
-    def _of_free(self, columns: Array) -> Array:
+    def _of_free(self, columns: Any) -> Any:
         free = self.model.free
-        return columns if len(free) == columns.shape[1] else np.asarray(columns[:, free])
+        return columns if len(free) == columns.shape[1] else columns[:, free]
 
     @cached_property
     def inverse(self) -> Array:
@@ -101,7 +108,7 @@ class DenseErrors:
     @cached_property
     def _pulls(self) -> Array:
         """A⁻¹ Zᵀ √Ω (free, penalty rows)."""
-        return self.inverse @ self._penalties.T
+        return np.asarray((self._sparse_penalties @ self.inverse).T)
 
     @cached_property
     def _pulled(self) -> Array:
@@ -204,8 +211,9 @@ def positive_inverse(matrix: Array) -> Array:
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):
         raise np.linalg.LinAlgError("the cost is flat round the estimate")
-    upper = np.triu(inverse)
-    return np.asarray(upper + upper.T - np.diag(np.diag(upper)))
+    inverse = inverse + inverse.T  # its lower triangle is zero
+    inverse[np.diag_indices(len(inverse))] /= 2
+    return np.asarray(inverse)
 
 
 @lru_cache(maxsize=64)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.panel import Array
-from lampest.posterior.residuals import Part, residuals
+from lampest.posterior.residuals import Part, Residuals, residuals
 from lampest.problem import Evaluation
 from lampest.terms.losses import Absolute, Huber
 
@@ -65,12 +65,16 @@ class LinearModel:
         return lower.ravel(), upper.ravel()
 
     @cached_property
-    def _data(self) -> Part:
-        return residuals(self.at.cost).data
+    def _residuals(self) -> Residuals:
+        return residuals(self.at.cost)
 
-    @cached_property
+    @property
+    def _data(self) -> Part:
+        return self._residuals.data
+
+    @property
     def _penalties(self) -> Part:
-        return residuals(self.at.cost).penalties
+        return self._residuals.penalties
 
     @cached_property
     def through(self) -> sparse.csc_array:
