@@ -116,6 +116,7 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
         versions={library: version(library) for library in LIBRARIES},
         pitch_mm=recording.scene.panel.pitch_mm,
         series_resistance_ohm=recording.scene.series_resistance_ohm,
+        top_row_depth_mm=None if recording.scene.water is None else recording.scene.water.top_row_depth_mm,
         frame=found.frame.astype(np.int64),
         time=recording.time[found.frame],
         measured=found.measured,
@@ -152,7 +153,7 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
 
 
 def certainty_columns(found: Reconstruction) -> dict[str, Any]:
-    """The fields of CERTAINTY and PRESSURE, where there are error bars; those of an estimate without any are infinite."""
+    """The fields of CERTAINTY and PRESSURE, where there are error bars; an estimate without any has infinite ones."""
     barred = [step.bars for step in found.steps]
     if not any(barred) or found.baseline_bars is None:
         return {}

@@ -160,7 +160,9 @@ class CaseResult:
     joint_start : whether the first frame was solved together with the baseline.
     solved : (frames) False where a frame failed.
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
-    sigma, sigma_baseline : standard deviations of what was measured, same shapes, ohm; None where unknown.
+    sigma, sigma_baseline : standard deviations of what was measured, same shapes, ohm; None where unknown, infinite
+    where a reading is a bound or says nothing.
+    top_row_depth_mm : how deep the panel stood under water, or None.
     the fields of CERTAINTY and PRESSURE : as their columns say; None where nobody asked. NaN where a frame failed.
 
     Raises InputError where a name is unfit, shapes disagree, or a value is impossible.
@@ -196,6 +198,7 @@ class CaseResult:
     solved: NDArray[np.bool_]
     truth: Array | None = None
     truth_baseline: Array | None = None
+    top_row_depth_mm: float | None = None
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     cell_resistance_errors: Array | None = None
@@ -253,7 +256,8 @@ class CaseResult:
             raise InputError(f"{self._path(SHARED, 'time')} must be finite")
         for column in GIVEN[1:]:
             value = getattr(self, column.field)
-            if value is not None and not np.all(np.isfinite(value) & (value > 0)):
+            endless = column.field.startswith("sigma")
+            if value is not None and not np.all((np.isfinite(value) | endless) & (value > 0)):
                 raise InputError(f"{self._path(SHARED, column.dataset)} must be positive and finite everywhere")
         for name in ("cell_resistance", "relative_change", "two_point_model"):
             number = np.isfinite(getattr(self, name)).all(axis=(1, 2))

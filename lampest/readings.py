@@ -67,6 +67,11 @@ class Readings:
         """Whether any reading is not a plain value."""
         return bool(np.any(self.side) or not np.all(self.seen))
 
+    @property
+    def sigma_of_values(self) -> Array | None:
+        """σ, infinite where a reading is a bound or says nothing."""
+        return None if self.sigma is None else np.where((self.side == 0) & (self.seen > 0), self.sigma, np.inf)
+
     def mean(self) -> "Readings":
         """The mean over frames; a bound or a blank stays one where any frame has it."""
         count = len(self.resistance)

@@ -58,7 +58,13 @@ def _check_together(cases: list[CaseResult]) -> None:
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
         seen.add(case.estimator)
-        for name in ("time", "pitch_mm", "series_resistance_ohm", *(column.field for column in GIVEN)):
+        for name in (
+            "time",
+            "pitch_mm",
+            "series_resistance_ohm",
+            "top_row_depth_mm",
+            *(column.field for column in GIVEN),
+        ):
             ours, theirs = getattr(case, name), getattr(first, name)
             if (ours is None) != (theirs is None) or (ours is not None and not np.array_equal(ours, theirs)):
                 raise InputError(
@@ -73,6 +79,8 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult]) -> 
     hdf5.set_attributes(
         given, pitch_mm=float(cases[0].pitch_mm), series_resistance_ohm=float(cases[0].series_resistance_ohm)
     )
+    if cases[0].top_row_depth_mm is not None:
+        hdf5.set_attributes(given, top_row_depth_mm=float(cases[0].top_row_depth_mm))
     _write_columns(given, cases[0], GIVEN)
     for place, case in enumerate(cases):
         found = _frames_group(group, case.estimator, "cell_resistance", case)
@@ -144,6 +152,8 @@ def _read_recording(file: h5py.File, name: str) -> list[CaseResult]:
     given["time"] = hdf5.read_array(file, f"{base}/time", 1, (sizes["time"],)).astype(float)
     for attribute in ("pitch_mm", "series_resistance_ohm"):
         given[attribute] = hdf5.read_number(file, base, attribute)
+    if "top_row_depth_mm" in hdf5.attribute_names(file, base):
+        given["top_row_depth_mm"] = hdf5.read_number(file, base, "top_row_depth_mm")
     return [
         _read_case(file, name, child, given, sizes) for child in _in_order(file, f"/entry/{name}") if child != SHARED
     ]

@@ -23,7 +23,7 @@ class Reconstruction:
 
     frame : (frames) index into the recording. measured : (frames, rows, columns) ohm, series resistance taken off.
     measured_baseline : (rows, columns) ohm, mean of the unloaded frames, or the first frame where there is none.
-    sigma, sigma_baseline : standard deviations of the two, or None where unknown.
+    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     baseline_bars : the baseline's error bars, or None.
     """
@@ -74,8 +74,8 @@ def reconstruct(
         frames,
         readings.resistance[frames],
         stream.resting.resistance,
-        None if readings.sigma is None else readings.sigma[frames],
-        stream.resting.sigma,
+        readings[frames].sigma_of_values,
+        stream.resting.sigma_of_values,
         stream.baseline_resistance,
         stream.baseline or steps[0],
         None if stream.track is None else stream.track.baseline,

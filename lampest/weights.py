@@ -38,8 +38,6 @@ def with_chosen_weights(
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
-    if rule != "press" and not noisy:
-        raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
     search = Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
     penalties = [number for number, term in enumerate(estimator.terms) if not isinstance(term, Misfit)]
     single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
@@ -53,8 +51,14 @@ def with_chosen_weights(
 
 
 def rule_in_use(estimator: Estimator, noisy: bool) -> Rule:
-    """The estimator's rule, or the default one. noisy : whether the data's σ is known."""
-    return estimator.auto_weight.rule or ("risk" if noisy else "press")
+    """The estimator's rule, or the default one. noisy : whether the data's σ is known.
+
+    Raises InputError where the rule needs σ and it is unknown.
+    """
+    rule = estimator.auto_weight.rule or ("risk" if noisy else "press")
+    if rule != "press" and not noisy:
+        raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
+    return rule
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ for _command in (
     estimation.import_,
     results.compare,
     results.plot,
+    results.detect,
     results.terms,
     results.schema,
     results.info,

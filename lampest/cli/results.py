@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import Out, print_table
+from lampest.cli.screen import Out, print_table, progress
+from lampest.errors import InputError
 
 
 class Show(Enum):
@@ -47,6 +48,38 @@ def plot(
 
     for path in plot_results(results, out, show.value):
         print(path)
+
+
+def detect(
+    results: Annotated[Path, typer.Argument(help="A results file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the output; else beside the results.")] = None,
+    patch: Annotated[float | None, typer.Option("--patch", help="Edge of a film in mm; else 0.6 of the pitch.")] = None,
+    depth: Annotated[
+        float | None, typer.Option("--depth", help="Depth of row 0 under water in mm; else what the results say.")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option("--noise", help="Noise of a reading in percent, where the results hold none.")
+    ] = None,
+) -> None:
+    """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""
+    from lampest.detect.report import FILE, event_table, write_detections
+    from lampest.detect.run import detect as detect_in
+    from lampest.plot.timeline import plot_timelines
+    from lampest.recognition.settings import Settings
+    from lampest.results import read_results
+
+    try:
+        settings = Settings(patch, depth, noise)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    read = read_results(results)
+    with progress("sources") as on_case:
+        found = detect_in(read, settings, on_case)
+    folder = results.parent if out is None else out
+    files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder))
+    print_table(event_table(found))
+    for file in files:
+        print(file)
 
 
 def terms() -> None:

@@ -89,7 +89,7 @@ PREDICTION = Criterion(
     "noise (Mallows' C); the truth is unknown",
     True,
     predicted,
-    np.mean,
+    np.nanmean,
 )
 WEIGHTED = Criterion(
     "data error",
@@ -98,7 +98,7 @@ WEIGHTED = Criterion(
     "|model − measured|/σ, its median over readings and frames",
     False,
     _absolute_residual,
-    np.median,
+    np.nanmedian,
 )
 DATA_ERROR = Criterion(
     "data error",

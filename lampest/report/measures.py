@@ -78,8 +78,8 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
         ),
         cell_error=None if error is None else median_interval(_flat(error), _drawn(error, generator)),
         data_error=None if none else float(np.mean(relative_error(case.two_point_model, case.measured)[good])),
-        misfit=None if residual is None else float(np.mean(residual[good] ** 2)),
-        spread=None if residual is None else MAD * float(np.median(np.abs(residual[good]))),
+        misfit=None if residual is None else float(np.nanmean(residual[good] ** 2)),
+        spread=None if residual is None else MAD * float(np.nanmedian(np.abs(residual[good]))),
         width=None if ended is None or ended.size == 0 else float(np.mean(ended)),
         endless=None if ended is None else int(case.measured[good].size - ended.size),
         coverage=None if within is None else _share(within[good], np.ones(within[good].shape, bool), generator),
@@ -104,11 +104,11 @@ def log_error(case: CaseResult) -> Array:
 
 
 def weighted_residual(case: CaseResult) -> Array | None:
-    """(model − measured)/σ, (frames, rows, columns); None where σ is unknown."""
+    """(model − measured)/σ, (frames, rows, columns), NaN where nothing was measured; None where σ is unknown."""
     if case.sigma is None:
         return None
     residual: Array = (case.two_point_model - case.measured) / case.sigma
-    return residual
+    return np.asarray(np.where(np.isfinite(case.sigma), residual, np.nan))
 
 
 def _width(case: CaseResult) -> Array | None:

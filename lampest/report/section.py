@@ -152,7 +152,7 @@ def _residuals(subject: Subject, place: int, panel: Panel) -> list[Picture]:
     tiles = [Tile(case.estimator, _at(case, place, own)) for case, own in zip(subject.cases, values, strict=True)]
     label = "(model − measured)/σ [1]" if weighted else "(model − measured)/measured [%]"
     scale = signed_scale(_drawn(tiles), label, LEAST_SIGMAS if weighted else LEAST_PERCENT)
-    parts = [(case.estimator, own[case.solved].ravel()) for case, own in zip(subject.cases, values, strict=True)]
+    parts = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(subject.cases, values, strict=True)]
     caption = WEIGHTED if weighted else PLAIN
     return [
         Picture(_maps(tiles, panel, scale), "Maps of the residuals", UNEXPLAINED),

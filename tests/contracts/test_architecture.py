@@ -23,6 +23,7 @@ FLOORS = (
     "response",
     "pressure",
     "footprint",
+    "recognition",
     "document",
     "sweep",
     "hdf5",
@@ -69,7 +70,7 @@ FLOORS = (
 # numpy is everywhere; each of the others has its rooms.
 DOORS = {
     "casadi": {"terms", "formulations", "cost", "solvers", "posterior", "bench"},
-    "scipy": {"solvers", "detect", "posterior", "acquire", "bench", "extremes", "tune"},
+    "scipy": {"solvers", "recognition", "detect", "posterior", "acquire", "bench", "extremes", "tune"},
     "mpmath": {"extremes"},
     "h5py": {"hdf5", "acquisition", "recording", "results", "acquire"},
     "pydantic": {"document"},

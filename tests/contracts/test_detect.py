@@ -1,0 +1,122 @@
+"""What `lampest detect` is made of: the table, detections.h5 and the timeline, and what it says when it cannot."""
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from support import invented_case
+
+from lampest.detect.detection import QUANTITIES
+from lampest.detect.report import event_table, write_detections
+from lampest.detect.run import detect, detect_file
+from lampest.errors import InputError
+from lampest.panel import Panel
+from lampest.plot.timeline import plot_timelines
+from lampest.readings import Readings
+from lampest.recognition.settings import Settings
+from lampest.recognition.verdict import KINDS
+from lampest.results import CaseResult, Results, write_results
+from lampest.scene import Scene, TwoPointReadout
+from lampest.simulate.loads import OralDisc
+from lampest.simulate.simulation import Simulation, simulate
+
+FRAMES = 3
+
+
+def solved_case(estimator: str = "LSM", failed: tuple[int, ...] = ()) -> CaseResult:
+    """A mouth, measured, and an estimate that is its true cells."""
+    panel = Panel(8, 10, 10.0)
+    load = OralDisc(
+        kind="oral_disc", centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85
+    )
+    scene = Scene(panel=panel, readout=TwoPointReadout(kind="two_point", noise_lsb=0.7), series_resistance_ohm=140.0)
+    recording = simulate(Simulation(schema=1, seed=2, scene=scene, frames=FRAMES, loads=(load,)))
+    readings = Readings.of(recording)
+    resting = readings[[0, 1, 2]].mean()
+    assert recording.truth_cell_resistance is not None and readings.sigma is not None
+    cells = recording.truth_cell_resistance[3:].copy()
+    baseline = recording.truth_cell_resistance[0]
+    case = invented_case(estimator, "mouth", (FRAMES, 8, 10), failed=failed)
+    cells[~case.solved] = np.nan
+    return dataclasses.replace(
+        case,
+        measured=readings.resistance[3:],
+        measured_baseline=resting.resistance,
+        sigma=readings.sigma[3:],
+        sigma_baseline=resting.sigma,
+        cell_resistance=cells,
+        baseline_resistance=baseline,
+        relative_change=100 * (cells / baseline - 1),
+        truth=None,
+        truth_baseline=None,
+    )
+
+
+@pytest.fixture(scope="module")
+def results() -> Results:
+    return Results((solved_case(), solved_case("LSR-CR", failed=(1,))), {})
+
+
+def test_every_estimate_and_the_readings_are_looked_at(results: Results) -> None:
+    calls: list[tuple[int, int]] = []
+    found = detect(results, on_case=lambda done, total: calls.append((done, total)))
+    assert [detection.source for detection in found] == ["recording", "LSM", "LSR-CR"]
+    assert calls == [(1, 3), (2, 3), (3, 3)]
+    for detection in found:
+        solved = np.isfinite(detection.goodness)
+        assert list(solved) == [True, detection.source != "LSR-CR", True]
+        assert {label for label, good in zip(detection.labels, solved, strict=True) if good} == {"lamprey"}
+        np.testing.assert_allclose(detection.probabilities[solved].sum(axis=1), 1)
+        np.testing.assert_allclose(detection.values[solved, 2], 33, atol=1.2)
+    assert found[2].labels[1] == "not solved" and np.isnan(found[2].values[1]).all()
+
+
+def test_the_table_names_what_where_and_how_strong(results: Results) -> None:
+    table = event_table(detect(results))
+    first = dict(zip(table.headers, table.cells[0], strict=True))
+    assert (first["from"], first["event"], first["what"]) == ("readings", "attached", "lamprey")
+    assert "±" in first["diameter [mm]"] and first["inside [kPa]"].startswith("−")
+
+
+def test_the_file_is_complete_and_says_its_units(results: Results, tmp_path: Path) -> None:
+    found = detect(results)
+    file = write_detections(tmp_path / "detections.h5", found)
+    again = write_detections(tmp_path / "again.h5", found)
+    assert file.read_bytes() == again.read_bytes()
+    with h5py.File(file) as content:
+        assert content.attrs["lampest_format"] == b"detections/1"
+        for source in ("recording", "LSM", "LSR-CR"):
+            group = content[f"entry/mouth/{source}"]
+            assert group.attrs["NX_class"] == b"NXdata"
+            assert group["label"].shape == group["state"].shape == (FRAMES,)
+            for kind in KINDS:
+                assert group[f"probability/{kind.replace(' ', '_')}"].shape == (FRAMES,)
+            for quantity in QUANTITIES:
+                for name in (quantity.name, quantity.name + "_errors"):
+                    assert group[name].attrs["units"].decode() == quantity.units
+                    assert group[name].attrs["long_name"] and group[name].dims[0].keys() == ["time"]
+            assert list(group["events/event"][()]) == [b"attached"]
+            assert group["events/diameter"][0] == pytest.approx(33, abs=1.2)
+
+
+def test_timelines_are_drawn(results: Results, tmp_path: Path) -> None:
+    files = plot_timelines(results, detect(results), tmp_path)
+    assert [file.name for file in files] == ["timeline_mouth.png"]
+    assert files[0].read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
+    case = dataclasses.replace(solved_case(), sigma=None, sigma_baseline=None)
+    write_results(tmp_path / "results.h5", [case])
+    with pytest.raises(InputError, match=r"results\.h5: mouth: the noise of the readings is unknown"):
+        detect_file(tmp_path / "results.h5")
+    found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
+    assert "lamprey" in found[0].labels[-1]
+
+
+def test_settings_out_of_range_are_refused() -> None:
+    for wrong in ({"patch_mm": 0.0}, {"noise_percent": -1.0}, {"top_row_depth_mm": -5.0}):
+        with pytest.raises(ValueError, match="must be"):
+            Settings(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,222 @@
+"""Recognition against scenes whose truth is known, and the parts it is made of."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest.detect.events import events, states
+from lampest.panel import Panel
+from lampest.readings import Readings
+from lampest.recognition.baseline import Baseline
+from lampest.recognition.detector import Detector
+from lampest.recognition.direct import fit_oral_disc
+from lampest.recognition.doubts import Doubts
+from lampest.recognition.frame import Direct, TwoStep, Weight, outliers
+from lampest.recognition.loads import CUP, FLAT, LAMPREY, RING, ROD, Disc, Round, disc_pressure
+from lampest.recognition.verdict import OR, Verdict
+from lampest.recording import Recording
+from lampest.scene import Scene, TwoPointReadout
+from lampest.simulate.course import Course
+from lampest.simulate.loads import OralDisc
+from lampest.simulate.loads import Ring as RingLoad
+from lampest.simulate.loads import Rod as RodLoad
+from lampest.simulate.loads import SuctionCup as CupLoad
+from lampest.simulate.pressure import patch_pressure
+from lampest.simulate.simulation import Simulation, simulate
+from lampest.simulate.unmodelled import Unmodelled
+
+PANEL = Panel(9, 11, 10.0)
+READOUT = TwoPointReadout(kind="two_point", noise_lsb=0.7)
+CENTRE = (52.0, 37.0)
+MOUTH = OralDisc(
+    kind="oral_disc", centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2
+)
+LOADS: dict[str, Any] = {
+    "rod": RodLoad(kind="rod", centre_mm=CENTRE, diameter_mm=40, mass_g=700),
+    "ring": RingLoad(kind="ring", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, mass_g=850),
+    "cup": CupLoad(kind="suction_cup", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9),
+    "lamprey": MOUTH,
+}
+
+
+def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, **more: Any) -> Recording:
+    scene = Scene(panel=panel, readout=READOUT, series_resistance_ohm=140.0)
+    return simulate(Simulation(schema=1, seed=seed, scene=scene, frames=frames, loads=loads, **more))
+
+
+def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
+    readings, panel = Readings.of(recording), recording.scene.panel
+    resting = readings[[0, 1, 2]].mean()
+    assert readings.sigma is not None and resting.sigma is not None
+    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, Doubts())
+    values = readings.resistance if measured is None else measured
+    dry = np.zeros(panel.shape)
+    return [Direct(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]
+
+
+def seen(frames: list[Any], panel: Panel = PANEL, prepared: Direct | None = None) -> list[Verdict]:
+    detector = Detector.of(panel, 0.6 * panel.pitch_mm, prepared or frames[0])
+    verdicts = []
+    for frame in frames:
+        detector, verdict = detector.push(frame)
+        verdicts.append(verdict)
+    return verdicts
+
+
+def disc_of(verdict: Verdict) -> Disc:
+    assert isinstance(verdict.best.candidate, Round)
+    return verdict.best.candidate.disc(verdict.best.parameters)[0]
+
+
+@pytest.mark.parametrize("kind", [ROD, RING, CUP, LAMPREY], ids=lambda kind: kind.label)
+def test_pressure_slopes_are_differences(kind: Round) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        here = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.names))
+        _, slopes = kind.pressure(PANEL, 6.0, here)
+        for slope, step in zip(slopes, 1e-6 * np.eye(len(here)), strict=True):
+            up, down = (kind.pressure(PANEL, 6.0, here + sign * step)[0] for sign in (1, -1))
+            size = max(1.0, float(np.abs(slope).max()))
+            np.testing.assert_allclose(slope, (up - down) / 2e-6, atol=1e-4 * size)
+
+
+def test_pressure_is_that_of_the_simulation_but_for_its_sampling() -> None:
+    sampled = np.sum(patch_pressure(PANEL, 6.0, MOUTH), axis=0)
+    exact, _ = disc_pressure(PANEL, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
+    assert np.abs(sampled - exact).max() < 0.02 * 85
+
+
+@pytest.mark.parametrize("label", LOADS)
+def test_each_load_is_called_what_it_is(label: str) -> None:
+    load = LOADS[label]
+    verdict = seen(frames_of(recorded(load)))[-1]
+    disc = disc_of(verdict)
+    assert verdict.label == label and verdict.goodness < 1.4
+    assert disc.diameter_mm == pytest.approx(load.zones()[-1].outer_mm, abs=1.5)
+    assert np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
+
+
+@pytest.mark.parametrize(("rows", "columns", "pitch"), [(6, 6, 10.0), (8, 14, 7.0), (16, 12, 12.0)])
+def test_panels_of_other_shapes(rows: int, columns: int, pitch: float) -> None:
+    panel = Panel(rows, columns, pitch)
+    place = ((columns - 1) * pitch * 0.47, (rows - 1) * pitch * 0.55)
+    load = OralDisc(
+        kind="oral_disc", centre_mm=place, diameter_mm=4 * pitch, rim_width_mm=6, pressure_kpa=-10, rim_kpa=90
+    )
+    recording = simulate(
+        Simulation(
+            schema=1,
+            seed=8,
+            scene=Scene(panel=panel, readout=READOUT, series_resistance_ohm=140.0),
+            frames=1,
+            loads=(load,),
+        )
+    )
+    verdict = seen(frames_of(recording), panel)[-1]
+    assert "lamprey" in verdict.label
+    assert disc_of(verdict).diameter_mm == pytest.approx(4 * pitch, abs=2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_drift_and_outliers_are_nothing(seed: int) -> None:
+    doubtful = Unmodelled(
+        channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.01, outlier_probability=1e-4
+    )
+    verdicts = seen(frames_of(recorded(seed=seed, frames=6, unmodelled=doubtful)))
+    assert all(set(verdict.label.split(OR)) <= {"nothing", FLAT.label} for verdict in verdicts)
+
+
+def test_an_outlier_does_not_move_the_mouth() -> None:
+    recording = recorded(MOUTH, frames=1)
+    measured = Readings.of(recording).resistance.copy()
+    measured[3, 4, 6] += 80.0
+    verdict = seen(frames_of(recording, measured))[-1]
+    assert verdict.label == "lamprey"
+    assert disc_of(verdict).diameter_mm == pytest.approx(34, abs=1)
+
+
+def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
+    frame = frames_of(recorded(frames=1))[0]
+    weight = Weight.of(frame, np.zeros(PANEL.shape))
+    residual = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
+    assert list(outliers(weight, residual)) == []
+    residual[17] += 60.0
+    assert list(outliers(weight, residual)) == [17]
+
+
+def test_direct_fit_gives_cells_that_explain_the_readings() -> None:
+    recording = recorded(MOUTH)
+    frames = frames_of(recording)
+    detector = Detector.of(PANEL, 6.0, frames[0])
+    first = fit_oral_disc(detector, frames[0])
+    second = fit_oral_disc(detector, frames[1], first.fit)
+    for fit in (first, second):
+        assert fit.goodness < 1.4
+        assert fit.disc.diameter_mm == pytest.approx(34, abs=max(1.0, 3 * fit.disc_errors.diameter_mm))
+        assert np.all(np.linalg.eigvalsh(fit.disc_covariance) > -1e-9)
+    assert second.fit.steps < 30
+    assert recording.truth_cell_resistance is not None
+    ratio = second.cell_resistance / recording.truth_cell_resistance[4]
+    assert np.median(np.abs(np.log(ratio))) < 0.05
+
+
+def test_two_steps_from_the_true_cells_see_what_the_direct_way_sees() -> None:
+    recording = recorded(MOUTH)
+    frames = frames_of(recording)
+    assert recording.truth_cell_resistance is not None
+    two_steps = [
+        TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, cells)
+        for frame, cells in zip(frames, recording.truth_cell_resistance[3:], strict=True)
+    ]
+    direct, indirect = seen(frames)[-1], seen(two_steps, prepared=frames[0])[-1]
+    assert direct.label == indirect.label == "lamprey"
+    assert disc_of(indirect).diameter_mm == pytest.approx(disc_of(direct).diameter_mm, abs=0.7)
+
+
+def test_error_bars_hold_the_diameter() -> None:
+    """Over mouths of all sizes; rims between patches have heavy tails, hence three standard deviations."""
+    rng, scores = np.random.default_rng(11), []
+    for seed in range(20):
+        load = OralDisc(
+            kind="oral_disc",
+            centre_mm=(float(rng.uniform(30, 70)), float(rng.uniform(30, 50))),
+            diameter_mm=float(rng.uniform(22, 45)),
+            rim_width_mm=float(rng.uniform(4, 7)),
+            pressure_kpa=float(rng.uniform(-20, -4)),
+            rim_kpa=float(rng.uniform(50, 110)),
+        )
+        frame = frames_of(recorded(load, seed=seed, frames=1))[0]
+        fit = fit_oral_disc(Detector.of(PANEL, 6.0, frame), frame)
+        scores.append(abs(fit.disc.diameter_mm - load.diameter_mm) / max(fit.disc_errors.diameter_mm, 0.2))
+    assert np.mean(np.array(scores) < 3) >= 0.9
+
+
+def test_states_need_two_frames() -> None:
+    assert states(("nothing", "ring", "nothing", "nothing")) == ("nothing",) * 4
+    assert states(("nothing", "ring", "ring or lamprey", "lamprey", "lamprey", "ring or lamprey")) == (
+        "nothing",
+        "ring or lamprey",
+        "ring or lamprey",
+        "lamprey",
+        "lamprey",
+        "lamprey",
+    )
+    assert states(("not solved", "rod", "not solved", "rod")) == ("nothing", "rod", "rod", "rod")
+
+
+def test_a_mouth_touches_attaches_and_lets_go() -> None:
+    from lampest.detect.detection import Detection
+
+    course = Course(start_s=1.5, approach_s=2, attachment_s=1, release_at_s=9.5, release_s=1)
+    recording = recorded(MOUTH, frames=15, course=course)
+    verdicts = tuple(seen(frames_of(recording)))
+    detection = Detection.of("mouth", "recording", np.arange(3, 18), recording.time[3:], verdicts)
+    happened = events(detection)
+    assert [event.kind for event in happened] == ["touched", "attached", "released"]
+    times = [event.time - recording.time[3] for event in happened]
+    assert 2 <= times[0] <= 3 and 3 < times[1] <= 5 and 10 <= times[2] <= 12
+    assert happened[1].label == "lamprey"
+    assert happened[1].values[2] == pytest.approx(34, abs=1)
+    assert happened[1].values[4] < -5
+    assert np.isnan(happened[2].values).all()
