@@ -16,6 +16,7 @@ from lampest.errors import InputError
 from lampest.executors import Executor
 from lampest.panel import Array
 from lampest.pressure import pressure_of
+from lampest.recognition.loads import Disc
 from lampest.recording import UNLOADED, Recording
 from lampest.results import CaseResult, read_results, write_results
 from lampest.sequence import Reconstruction, reconstruct
@@ -144,12 +145,26 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
         baseline_solve_time=found.baseline.seconds,
         joint_start=found.joint_start,
         solved=np.array([solution.solved for solution in solutions]),
+        disc=disc_numbers(found),
         **certainty_columns(found),
         sigma=found.sigma,
         sigma_baseline=found.sigma_baseline,
         truth=None if truth is None else truth[found.frame],
         truth_baseline=truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None,
     )
+
+
+def disc_numbers(found: Reconstruction) -> dict[str, Array]:
+    """Every number of the discs and its standard deviation, (frames); NaN where a frame failed."""
+    discs = [step.disc for step in found.steps]
+    if not any(discs):
+        return {}
+    numbers = {}
+    for name in Disc._fields:
+        for end, part in (("", "disc"), ("_errors", "disc_errors")):
+            values = [np.nan if disc is None else getattr(getattr(disc, part), name) for disc in discs]
+            numbers[name + end] = np.array(values, dtype=float)
+    return numbers
 
 
 def certainty_columns(found: Reconstruction) -> dict[str, Any]:

@@ -155,7 +155,7 @@ class CaseResult:
     baseline_resistance : (rows, columns) ohm.
     status : (frames) how each solve ended, a sentence.
     iterations, solve_time, objective, kkt_residual : (frames), solve_time in s.
-    costs, weights : term → (frames).
+    costs, weights : term → (frames). disc : an oral disc's number → (frames), where the cells follow from one.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     joint_start : whether the first frame was solved together with the baseline.
     solved : (frames) False where a frame failed.
@@ -198,6 +198,7 @@ class CaseResult:
     solved: NDArray[np.bool_]
     truth: Array | None = None
     truth_baseline: Array | None = None
+    disc: dict[str, Array] = field(default_factory=dict)
     top_row_depth_mm: float | None = None
     sigma: Array | None = None
     sigma_baseline: Array | None = None
@@ -233,9 +234,9 @@ class CaseResult:
                 if value is not None or not column.optional:
                     self._check_shape(group, column.dataset, value, tuple(sizes[axis] for axis in column.axes))
         self._check_shape(SHARED, "time", self.time, (sizes["time"],))
-        for folder, figures in (("cost", self.costs), ("weight", self.weights)):
+        for folder, figures in (("cost", self.costs), ("weight", self.weights), ("disc", self.disc)):
             for term, figure in figures.items():
-                check_name(term, "term")
+                check_name(term, folder)
                 self._check_shape(self.estimator, f"{folder}/{term}", figure, (sizes["time"],))
         if len(self.status) != sizes["time"]:
             raise InputError(f"{self._path(self.estimator, 'status')} must hold one sentence for each frame")

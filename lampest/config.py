@@ -10,7 +10,7 @@ from lampest import sweep
 from lampest.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
 from lampest.efforts import AnyEffort, Word, named
 from lampest.errors import InputError
-from lampest.estimator import AutoWeight, Bounds, Estimator, FormulationName
+from lampest.estimator import AutoWeight, Bounds, Estimator, FormulationName, Unknowns
 from lampest.executors import AnyExecutor, Executor
 from lampest.readings import Readings
 from lampest.recording import Recording
@@ -43,6 +43,7 @@ class EstimatorEntry:
     effort: Word | AnyEffort | None = None
     error_bars: Literal["auto"] | bool | None = None
     auto_weight: AutoWeight | None = None
+    unknowns: Unknowns = "cells"
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
         bars = run.error_bars if entry.error_bars is None else entry.error_bars
         choice = entry.auto_weight or run.auto_weight
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars, choice)
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars, choice, entry.unknowns)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

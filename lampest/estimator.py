@@ -25,6 +25,7 @@ from lampest.solvers.solution import Settings, Solver
 from lampest.terms.misfit import Misfit
 from lampest.terms.term import Term
 
+Unknowns = Literal["cells", "oral_disc"]
 FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
 FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
@@ -103,6 +104,7 @@ class Estimator:
     error_bars : whether estimates get them; 'auto': on panels of up to 600 cells. Only verified optima of readings
     whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
+    unknowns : the cells; or the few numbers of an oral disc that makes them, fitted to the readings (the misfit alone).
 
     Raises ValueError without a term, or where a weight is left open and there is no misfit.
     """
@@ -114,12 +116,15 @@ class Estimator:
     effort: AnyEffort = Converged()
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
+    unknowns: Unknowns = "cells"
 
     def __post_init__(self) -> None:
         if not self.terms:
             raise ValueError("an estimator needs at least one term")
         if self.automatic and not any(isinstance(term, Misfit) for term in self.terms):
             raise ValueError("weight: auto needs the term misfit")
+        if self.unknowns == "oral_disc" and not all(isinstance(term, Misfit) for term in self.terms):
+            raise ValueError("unknowns: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
         if self.automatic and self.auto_weight.per == "frame" and not isinstance(self.effort, Converged):
             raise ValueError("auto_weight.per: frame needs effort: converged")
 
@@ -152,7 +157,8 @@ class Estimator:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.resistance.shape[-2:]
         asked = self.error_bars if isinstance(self.error_bars, bool) else rows * columns <= BARRED_CELLS
-        return asked and isinstance(self.effort, Converged) and readings.sigma is not None
+        of_cells = self.unknowns == "cells" and isinstance(self.effort, Converged)
+        return asked and of_cells and readings.sigma is not None
 
     def needs_sigma(self) -> bool:
         """Whether a term divides by the readings' standard deviation."""

@@ -26,6 +26,7 @@ from lampest.errors import InputError
 
 __all__ = ["CaseResult", "PublishedFigures", "Results", "StepFigures", "check_name", "read_results", "write_results"]
 FORMAT = "results/1"
+UNITS = {"_mm": "mm", "_kpa": "kPa"}
 
 
 def write_results(
@@ -94,10 +95,11 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult]) -> 
         )
         _write_columns(found, case, (*ESTIMATED, GIVEN[0]))
         hdf5.write_dataset(found, "status", hdf5.ascii_array(case.status), "1", "how the solve ended", AXES[:1])
-        for folder, figures in (("cost", case.costs), ("weight", case.weights)):
-            for term, figure in figures.items():
-                text = f"{folder} of the term {term}"
-                hdf5.write_dataset(found, f"{folder}/{term}", np.asarray(figure, float), "1", text, AXES[:1])
+        for folder, figures in (("cost", case.costs), ("weight", case.weights), ("disc", case.disc)):
+            for name, figure in figures.items():
+                text = f"{folder} of the term {name}" if folder != "disc" else f"oral disc: {name.replace('_', ' ')}"
+                units = next((unit for end, unit in UNITS.items() if name.removesuffix("_errors").endswith(end)), "1")
+                hdf5.write_dataset(found, f"{folder}/{name}", np.asarray(figure, float), units, text, AXES[:1])
             if figures:
                 hdf5.set_attributes(found[folder], NX_class="NXcollection")
 
@@ -174,6 +176,7 @@ def _read_case(file: h5py.File, recording: str, name: str, given: dict[str, Any]
             status=hdf5.read_texts(file, f"{base}/status", sizes["time"]),
             costs=_read_figures(file, f"{base}/cost", sizes["time"]),
             weights=_read_figures(file, f"{base}/weight", sizes["time"]),
+            disc=_read_figures(file, f"{base}/disc", sizes["time"]),
             baseline_status=str(texts.get("baseline_status", "")),
             baseline_solve_time=hdf5.read_number(file, base, "baseline_solve_time_s", float("nan")),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),

@@ -11,18 +11,20 @@ from lampest.efforts import Converged, Linearised, Region, Scaled, Truncated, Tw
 from lampest.estimator import Doubts, Estimator
 from lampest.interrupts import delayed_interrupt
 from lampest.kirchhoff import uniform_factor
+from lampest.oral_disc import OralDisc, disc_solution
 from lampest.panel import Array, Panel
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.systematic import Shared
 from lampest.posterior.track import Bars, Track
 from lampest.problem import Data
 from lampest.readings import Readings
+from lampest.recognition.direct import OralDiscFit
 from lampest.region import RegionSolver
 from lampest.scene import Faults, Scene
 from lampest.search import BROKEN, best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
-from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation, failure
 from lampest.weights import with_chosen_weights
 
 
@@ -31,6 +33,7 @@ class Step:
     """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
 
     weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
+    disc : what the cells follow from, where that is a disc.
     """
 
     solution: Solution
@@ -38,6 +41,7 @@ class Step:
     weights: tuple[float, ...]
     bars: Bars | None = None
     bars_seconds: float = 0.0
+    disc: OralDiscFit | None = None
 
 
 def _estimate(step: Step, frame: int) -> Array | None:
@@ -56,6 +60,7 @@ class Stream:
     previous : (rows, columns) ohm, the last estimate, or None.
     anchor : what an effort has prepared from the solved baseline, or None.
     track : what error bars need of earlier frames; None where there are to be none.
+    disc : where the fits of a disc stand, if the unknowns are a disc's.
     """
 
     estimator: Estimator
@@ -67,6 +72,7 @@ class Stream:
     previous: Array | None = None
     anchor: LinearisedSolver | RegionSolver | None = None
     track: Track | None = None
+    disc: OralDisc | None = None
 
     @classmethod
     def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
@@ -76,6 +82,8 @@ class Stream:
         """
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene.panel, period, resting, scene.faults, track=track)
+        if estimator.unknowns == "oral_disc":
+            return stream._with_disc(scene)
         if estimator.joint_start:
             return stream
         if isinstance(estimator.effort, Linearised | Region):
@@ -92,6 +100,8 @@ class Stream:
 
         Raises InputError as `begin`.
         """
+        if self.disc is not None:
+            return self._push_disc(self.disc, readings)
         data, start = self.given(readings)
         step = self._solve(data, start)
         found = _estimate(step, -1)
@@ -103,6 +113,29 @@ class Stream:
             previous=self.previous if found is None else found,
             track=track,
         ), step
+
+    def _with_disc(self, scene: Scene) -> "Stream":
+        """The stream with the unloaded panel that a disc's fits need."""
+        begin = perf_counter()
+        disc = OralDisc.of(scene, self.period, self.resting)
+        data = self.estimator.data(self.resting.alone(), None, self.faults)
+        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
+        solution = disc.resting(cost, data)
+        step = Step(solution, perf_counter() - begin, tuple(float(weight) for weight in cost.weights))
+        return replace(self, baseline=step, disc=disc)
+
+    def _push_disc(self, disc: OralDisc, readings: Readings) -> tuple["Stream", Step]:
+        begin = perf_counter()
+        data = self.estimator.data(readings.alone(), None, self.faults)
+        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
+        weights = tuple(float(weight) for weight in cost.weights)
+        with delayed_interrupt(), suppress(*BROKEN):
+            disc, found = disc.push(readings)
+            solution = replace(disc_solution(cost, data, found), at=None, dual=None)
+            return replace(self, disc=disc), Step(solution, perf_counter() - begin, weights, disc=found)
+        nothing = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
+        lost = failure(cost, data, Status.BREAKDOWN, float("nan"), nothing)
+        return self, Step(lost, perf_counter() - begin, weights)
 
     def _barred(self, step: Step) -> tuple[Track | None, Step]:
         """The step with error bars, where they are wanted and can be had."""

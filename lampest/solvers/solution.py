@@ -16,10 +16,11 @@ OPEN_FRACTION = 0.99
 
 
 class Status(Enum):
-    """Sentences; only the first two stand for an estimate."""
+    """Sentences; only the first three stand for an estimate."""
 
     OPTIMUM = "optimum verified"
     APPROXIMATE = "approximate, as the effort asks; not an optimum"
+    FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
     ITERATIONS = "the iteration limit was reached before an optimum"
@@ -61,7 +62,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM, or APPROXIMATE where that was asked for.
+    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM, or what else was asked for.
 
     cell_resistance, two_point_resistance : (frames, rows, columns) ohm.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
@@ -83,7 +84,7 @@ class Solution:
     @property
     def solved(self) -> bool:
         """Whether there is an estimate."""
-        return self.status in (Status.OPTIMUM, Status.APPROXIMATE)
+        return self.status in (Status.OPTIMUM, Status.APPROXIMATE, Status.FITTED)
 
 
 class Solver(Protocol):

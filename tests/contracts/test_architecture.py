@@ -42,6 +42,7 @@ FLOORS = (
     "region",
     "efforts",
     "estimator",
+    "oral_disc",
     "weights",
     "stream",
     "sequence",

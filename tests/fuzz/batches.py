@@ -19,7 +19,7 @@ from lampest.recording import Recording
 from lampest.scene import Panel, Scene, TwoPointReadout
 
 COMMAND = Path(sys.executable).with_name("lampest")
-TIMES = ("solve_time", "baseline_solve_time_s")
+TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")
 RUN = """\
 schema: 1
 recordings: [one.h5, two.h5]

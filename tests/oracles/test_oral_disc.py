@@ -1,0 +1,82 @@
+"""Eight numbers instead of cells: the disc that made the readings comes back, and the cells with it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lampest.batch import run_batch
+from lampest.config import read_run
+from lampest.errors import InputError
+from lampest.estimator import Estimator
+from lampest.executors import local
+from lampest.panel import Panel
+from lampest.recording import Recording
+from lampest.results import read_results
+from lampest.scene import Scene, Systematic, TwoPointReadout, Water
+from lampest.sequence import reconstruct
+from lampest.simulate.loads import OralDisc
+from lampest.simulate.simulation import Simulation, simulate
+from lampest.simulate.unmodelled import Unmodelled
+from lampest.solvers.solution import Status
+from lampest.terms import Gradient, Misfit
+
+DISC = Estimator((Misfit(),), unknowns="oral_disc")
+
+
+def lamprey(seed: int, diameter_mm: float, shape: tuple[int, int] = (9, 11)) -> Recording:
+    """Three frames of an attached mouth, somewhere on a panel under water, with what the scene says may be off."""
+    rng = np.random.default_rng(seed)
+    place = (float(rng.uniform(30, 70)), float(rng.uniform(25, 55)))
+    scene = Scene(
+        Panel(*shape),
+        TwoPointReadout(),
+        series_resistance_ohm=140.0,
+        water=Water(50.0),
+        systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0),
+    )
+    load = OralDisc(
+        kind="oral_disc", centre_mm=place, diameter_mm=diameter_mm, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80
+    )
+    off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01)
+    return simulate(Simulation(1, seed, scene, frames=3, loads=(load,), unmodelled=off))
+
+
+@pytest.mark.parametrize("diameter_mm", [25.0, 34.0, 43.0])
+def test_the_disc_and_its_cells_come_back(diameter_mm: float) -> None:
+    errors, cells = [], []
+    for seed in (1, 2):
+        recording = lamprey(seed, diameter_mm)
+        found = reconstruct(recording, DISC)
+        truth = recording.truth_cell_resistance
+        assert truth is not None
+        for step in found.steps:
+            assert step.solution.status is Status.FITTED and step.disc is not None
+            errors.append(abs(step.disc.disc.diameter_mm - diameter_mm))
+            assert 0 < step.disc.disc_errors.diameter_mm < 5
+        cells.append(np.abs(np.log(found.cell_resistance / truth[recording.measured_frames()])))
+    assert np.median(errors) < 1
+    assert max(errors) < 3
+    assert np.median(np.concatenate(cells)) < 0.05
+
+
+def test_it_needs_the_noise_and_nothing_to_penalise() -> None:
+    recording = lamprey(3, 30.0)
+    silent = replace(recording, scene=replace(recording.scene, readout=None), raw_sums=None, raw_readings=None)
+    with pytest.raises(InputError):
+        reconstruct(replace(silent, sigma=None), DISC)
+    with pytest.raises(ValueError, match="misfit alone"):
+        Estimator((Misfit(), Gradient()), unknowns="oral_disc")
+
+
+def test_its_numbers_are_in_the_results(tmp_path: Path) -> None:
+    lamprey(4, 30.0).save(tmp_path / "mouth.h5")
+    text = "schema: 1\nrecordings: [mouth.h5]\nestimators: {disc: {terms: {misfit: {}}, unknowns: oral_disc}}\n"
+    (tmp_path / "run.yaml").write_text(text)
+    run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", local(1, 1))
+    (case,) = read_results(tmp_path / "out" / "results.h5").cases
+    assert case.solved.all() and case.cell_resistance_errors is None
+    assert np.all(np.abs(case.disc["diameter_mm"] - 30) < 3)
+    assert set(case.disc) >= {"x_mm", "y_mm", "suction_kpa", "rim_kpa", "diameter_mm_errors"}
+    assert np.isnan(case.kkt_residual).all()
