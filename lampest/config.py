@@ -17,6 +17,7 @@ from lampest.recording import Recording
 from lampest.results import PublishedFigures, check_name
 from lampest.solvers.solution import Settings
 from lampest.terms import term_types
+from lampest.terms.term import Term
 
 FORBID: dict[str, Any] = {"extra": "forbid"}
 Terms = make_dataclass(
@@ -29,6 +30,11 @@ Terms = make_dataclass(
         "__doc__": "The cost terms of an estimator, by kind.",
     },
 )
+
+
+def terms_of(terms: Any) -> tuple[Term, ...]:
+    """The terms that an object of `Terms` names, in order."""
+    return tuple(term for kind in term_types() if (term := getattr(terms, kind)) is not None)
 
 
 @dataclass(frozen=True)
@@ -197,7 +203,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
             parts[part] = adapter(kind).validate_python(merged)
         except ValueError as error:
             raise document.error(("estimators", name, part), "does not fit the run's") from error
-    terms = tuple(term for kind in term_types() if (term := getattr(entry.terms, kind)) is not None)
+    terms = terms_of(entry.terms)
     try:
         check_name(name, "estimator")
         formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)

@@ -1,5 +1,7 @@
 """The voltage divider and its converter: volt ↔ ohm ↔ ADC code, what noise leaves of them, and what it hides."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,11 @@ def code_from_voltage(readout: TwoPointReadout, volt: Array) -> NDArray[np.int64
 def voltage_from_code(readout: TwoPointReadout, mean_code: Array) -> Array:
     """V = (code + ½)·Vcc/2^bits: the middle of the interval that a converter calls by this code; means of codes too."""
     return (np.asarray(mean_code, dtype=float) + 0.5) * lsb_volt(readout)
+
+
+def resistance_from_sums(readout: TwoPointReadout, sums: NDArray[np.integer[Any]], readings: int) -> Array:
+    """R of the mean of so many codes, any shape, ohm; a rail stands for the middle of its interval and stays finite."""
+    return resistance_from_voltage(readout, voltage_from_code(readout, sums / readings))
 
 
 def sigma_code(readout: TwoPointReadout) -> float:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.acquire.journal import Journal, is_being_written, is_finished
 from lampest.acquire.port import only_port
@@ -18,7 +17,7 @@ from lampest.acquire.protocol import MOST_CODE
 from lampest.acquire.stream import Sample, scene_of, stream
 from lampest.errors import InputError
 from lampest.panel import Array
-from lampest.readout import resistance_from_voltage, sigma_code, sigma_resistance, voltage_from_code
+from lampest.readout import resistance_from_sums, sigma_code, sigma_resistance
 from lampest.recording import MEASURED, UNLOADED, Recording
 from lampest.scene import Scene, TwoPointReadout
 
@@ -172,8 +171,7 @@ def _noise_of_variance(readout: TwoPointReadout, variance: float) -> float:
 def _resistance(scene: Scene, sample: Sample) -> Array:
     if scene.readout is None:
         raise InputError("the scene has no readout")
-    sums: NDArray[np.uint16] = sample.frame.sums
-    return resistance_from_voltage(scene.readout, voltage_from_code(scene.readout, sums / sample.frame.readings))
+    return resistance_from_sums(scene.readout, sample.frame.sums, sample.frame.readings)
 
 
 def _enough(sample: Sample | None, count: int, began: float, frames: int | None, seconds: float | None) -> bool:

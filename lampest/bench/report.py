@@ -1,10 +1,7 @@
 """A benchmark's figures: ratios and growth, as a table, as CSV and as HDF5."""
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +10,11 @@ import numpy as np
 from lampest import hdf5
 from lampest.bench.run import Bench, Timing
 from lampest.compare import Table
-from lampest.files import write_text
 from lampest.panel import Array
+from lampest.study import samples_file, write_rows
 
 ALL = "all"
 GROWTH_FROM = 32
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 FRAME = ("frame",)
 SAMPLES = ("frame", "repeat")
 
@@ -161,28 +157,15 @@ def write_bench(folder: Path, bench: Bench) -> tuple[Path, Path]:
 
     Raises InputError where the folder cannot be written.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    names = list(Row.__dataclass_fields__)
-    writer.writerow(names)
-    for row in rows(bench):
-        values = (getattr(row, name) for name in names)
-        writer.writerow(
-            ["" if value is None else f"{value:.6g}" if isinstance(value, float) else value for value in values]
-        )
     table, samples = folder / "bench.csv", folder / "bench.h5"
-    write_text(table, stream.getvalue())
+    write_rows(table, Row, rows(bench))
     write_samples(samples, bench)
     return table, samples
 
 
 def write_samples(path: Path, bench: Bench) -> None:
     """/entry/<rows>x<columns>/<method>/<solver>: times, objectives, gaps; growth and memory as attributes of /entry."""
-    with hdf5.new_file(path) as file:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format="bench/1")
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry")
-        hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+    with samples_file(path, "bench/1") as entry:
         hdf5.set_attributes(entry, **{f"growth_{method}": value for method, value in growth(bench).items()})
         for (high, wide), megabytes in bench.memory_mb.items():
             hdf5.set_attributes(entry, **{f"peak_memory_mb_{high}x{wide}": megabytes})

@@ -1,10 +1,10 @@
 """A benchmark's YAML file, and the scene that it makes for every size."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
-from lampest.config import FORBID, Terms
+from lampest.config import FORBID, Terms, terms_of
 from lampest.document import read_document, validated
 from lampest.estimator import Estimator, FormulationName
 from lampest.panel import Panel
@@ -51,8 +51,7 @@ class Method:
     @property
     def parts(self) -> tuple[Term, ...]:
         """The terms, in order."""
-        terms = (getattr(self.terms, entry.name) for entry in fields(Terms))
-        return tuple(term for term in terms if term is not None)
+        return terms_of(self.terms)
 
 
 def paper_methods() -> dict[str, Method]:

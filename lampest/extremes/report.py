@@ -1,11 +1,8 @@
 """The atlas' figures: by cell of the atlas as CSV, every solve as HDF5, and the promise in sentences."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +13,9 @@ from lampest.compare import Table
 from lampest.extremes.run import REFUSED, Solve
 from lampest.extremes.scenes import CASES
 from lampest.extremes.settings import GRID
-from lampest.files import write_text
 from lampest.solvers.solution import VERIFIED
+from lampest.study import samples_file, write_rows
 
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 MILD_DECADES, MILD_NOISE = 6.0, 0.01
 NAN = float("nan")
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
@@ -188,22 +184,10 @@ def write_atlas(folder: Path, solves: Sequence[Solve]) -> tuple[Path, Path]:
 
     Raises InputError where the folder cannot be written.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    names = list(Row.__dataclass_fields__)
-    writer.writerow(names)
-    for row in rows(solves):
-        writer.writerow([_plain(getattr(row, name)) for name in names])
     table, samples = folder / "extremes.csv", folder / "extremes.h5"
-    write_text(table, stream.getvalue())
+    write_rows(table, Row, rows(solves))
     write_samples(samples, solves)
     return table, samples
-
-
-def _plain(value: Any) -> Any:
-    if not isinstance(value, float):
-        return value
-    return "" if np.isnan(value) else f"{value:.6g}"
 
 
 def write_samples(path: Path, solves: Sequence[Solve]) -> None:
@@ -230,11 +214,7 @@ def write_samples(path: Path, solves: Sequence[Solve]) -> None:
         ("model_digits", "1", "LRE of the estimate's two-point resistance", lambda solve: solve.model_digits),
         ("estimate_digits", "1", "LRE against the convex solution", lambda solve: solve.estimate_digits),
     )
-    with hdf5.new_file(path) as file:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format="extremes/1")
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry", default="solves", verified_below=VERIFIED)
-        hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+    with samples_file(path, "extremes/1", default="solves", verified_below=VERIFIED) as entry:
         group = entry.create_group("solves")
         hdf5.set_attributes(group, NX_class="NXdata", signal="verified", axes=["solve"])
         hdf5.write_scale(group, "solve", np.arange(len(solves)), "1", "solve, in the order of the atlas")

@@ -9,8 +9,7 @@ from lampest.panel import Array
 from lampest.readout import (
     code_from_voltage,
     lsb_volt,
-    resistance_from_voltage,
-    voltage_from_code,
+    resistance_from_sums,
     voltage_from_resistance,
 )
 from lampest.scene import Scene, TwoPointReadout
@@ -33,7 +32,7 @@ def measured(scene: Scene, network: Array, unmodelled: Unmodelled, seed: int) ->
     if scene.readout is None:
         return total, None
     sums = sums_of_codes(scene.readout, total, unmodelled, seed)
-    return resistance_from_sums(scene.readout, sums), sums
+    return resistance_from_sums(scene.readout, sums, scene.readout.readings), sums
 
 
 def channel_error(scene: Scene, unmodelled: Unmodelled, seed: int) -> Array:
@@ -60,11 +59,6 @@ def sums_of_codes(readout: TwoPointReadout, total: Array, unmodelled: Unmodelled
                 codes = np.where(hit, outliers.integers(0, 2**readout.adc_bits, shape), codes)
             sums[frame] += codes.sum(axis=0)
     return sums
-
-
-def resistance_from_sums(readout: TwoPointReadout, sums: NDArray[np.int64]) -> Array:
-    """R of the mean code, any shape, ohm. A code at a rail stands for the middle of its interval and stays finite."""
-    return resistance_from_voltage(readout, voltage_from_code(readout, sums / readout.readings))
 
 
 def raw_sums(readout: TwoPointReadout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:

@@ -1,10 +1,7 @@
 """A trade-off's figures: by rung over everything on a panel, and one by one; as a table, as CSV and as HDF5."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +9,12 @@ import numpy as np
 
 from lampest import hdf5
 from lampest.compare import Table
-from lampest.files import write_text
 from lampest.panel import Array
+from lampest.study import samples_file, write_rows
 from lampest.tradeoff.run import Measured, Tradeoff
 
 ALL = "all"
 REACHED = 1e-6
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 FRAME = ("frame",)
 SAMPLES = ("frame", "repeat")
 
@@ -188,28 +184,15 @@ def write_tradeoff(folder: Path, found: Tradeoff) -> tuple[Path, Path]:
 
     Raises InputError where the folder cannot be written.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    names = list(Row.__dataclass_fields__)
-    writer.writerow(names)
-    for row in (*summary_rows(found), *method_rows(found), *detailed_rows(found)):
-        values = (getattr(row, name) for name in names)
-        writer.writerow(
-            ["" if value is None else f"{value:.6g}" if isinstance(value, float) else value for value in values]
-        )
     table, samples = folder / "tradeoff.csv", folder / "tradeoff.h5"
-    write_text(table, stream.getvalue())
+    write_rows(table, Row, (*summary_rows(found), *method_rows(found), *detailed_rows(found)))
     write_samples(samples, found)
     return table, samples
 
 
 def write_samples(path: Path, found: Tradeoff) -> None:
     """/entry/<recording>/<method>/<effort>: times, errors, objectives and gaps of every frame; memory beside them."""
-    with hdf5.new_file(path) as file:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format="tradeoff/1")
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry")
-        hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+    with samples_file(path, "tradeoff/1") as entry:
         for one in found.measured:
             recording = entry.require_group(one.subject.recording.name)
             rows, columns = one.shape

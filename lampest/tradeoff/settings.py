@@ -1,7 +1,7 @@
 """A trade-off's YAML file: which rungs of the ladder are measured with which methods on which recordings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.bench.settings import BREATHING, LARGEST_SIDE, PAPER
 from lampest.case import check_name
-from lampest.config import FORBID, Terms, recording_paths
+from lampest.config import FORBID, Terms, recording_paths, terms_of
 from lampest.document import read_document, validated
 from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint, Word, named
 from lampest.errors import InputError
@@ -54,8 +54,7 @@ class Method:
     @property
     def parts(self) -> tuple[Term, ...]:
         """The terms, in order."""
-        terms = (getattr(self.terms, entry.name) for entry in fields(Terms))
-        return tuple(term for term in terms if term is not None)
+        return terms_of(self.terms)
 
 
 def paper_methods() -> dict[str, Method]:

@@ -1,8 +1,5 @@
 """A study's figures: every rule's choice as a table and as CSV, the curves as HDF5."""
 
-import csv
-import io
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +8,11 @@ import numpy as np
 from lampest import hdf5
 from lampest.compare import Table
 from lampest.files import write_text
+from lampest.study import csv_text, plain, samples_file
 from lampest.tune.choices import Choice, Tuned
 from lampest.tune.run import Study
 from lampest.tune.subject import squared
 
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 COLUMNS = (
     "recording",
     "estimator",
@@ -66,33 +63,23 @@ def write_study(folder: Path, study: Study) -> tuple[Path, Path]:
 
     Raises InputError where the folder cannot be written.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for one in study.tuned:
-        for choice in one.choices:
-            writer.writerow(_values(one, choice))
     table, curves = folder / "tune.csv", folder / "tune.h5"
-    write_text(table, stream.getvalue())
+    choices = (_values(one, choice) for one in study.tuned for choice in one.choices)
+    write_text(table, csv_text([COLUMNS, *choices]))
     _write_curves(curves, study)
     return table, curves
 
 
 def _values(one: Tuned, choice: Choice) -> list[Any]:
     subject = one.subject
-    start = [subject.recording, subject.name, subject.frame, choice.rule, int(choice.in_use)]
-    numbers = (choice.weight, choice.error, choice.excess)
-    weight, error, excess = ("" if number is None else f"{number:.6g}" for number in numbers)
-    return [*start, weight, subject.weight_unit, "" if choice.solves is None else choice.solves, error, excess]
+    start = (subject.recording, subject.name, subject.frame, choice.rule, int(choice.in_use))
+    rest = (choice.weight, subject.weight_unit, choice.solves, choice.error, choice.excess)
+    return [plain(value) for value in (*start, *rest)]
 
 
 def _write_curves(path: Path, study: Study) -> None:
     """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    with hdf5.new_file(path) as file:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format="tune/1")
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry")
-        hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+    with samples_file(path, "tune/1") as entry:
         for one in study.tuned:
             recording = entry.require_group(one.subject.recording)
             hdf5.set_attributes(recording, NX_class="NXsubentry")

@@ -59,6 +59,7 @@ FLOORS = (
     "acquire",
     "live",
     "compare",
+    "study",
     "detect",
     "bench",
     "tradeoff",

@@ -8,14 +8,14 @@ import pytest
 
 from lampest.kirchhoff import two_point_resistance, uniform_factor
 from lampest.panel import Array, Panel
-from lampest.readout import resolution_limit, sigma_resistance, voltage_from_resistance
+from lampest.readout import resistance_from_sums, resolution_limit, sigma_resistance, voltage_from_resistance
 from lampest.recording import Recording
 from lampest.response import ratio_from_pressure
 from lampest.scene import Scene, TwoPointReadout, Water
 from lampest.simulate import Simulation, read_simulations, run, simulate
 from lampest.simulate.course import Course
 from lampest.simulate.loads import Load, OralDisc, Ring, Rod, SuctionCup
-from lampest.simulate.measure import raw_sums, resistance_from_sums
+from lampest.simulate.measure import raw_sums
 from lampest.simulate.pressure import patch_pressure, pressure_on_cells
 from lampest.simulate.simulation import Cells
 from lampest.simulate.unmodelled import Unmodelled
@@ -232,7 +232,7 @@ def test_reference_tolerance_scales_what_the_divider_gives() -> None:
 def test_saturated_codes_stay_finite(across: str) -> None:
     readout = TwoPointReadout(measured_across=across)  # type: ignore[arg-type]
     rails = np.array([0, readout.readings * 1023])
-    resistance = resistance_from_sums(readout, rails)
+    resistance = resistance_from_sums(readout, rails, readout.readings)
     assert np.all((resistance > 0) & np.isfinite(resistance))
     volt = voltage_from_resistance(readout, resistance)
     np.testing.assert_allclose(volt * 1024 / 5, [0.5, 1023.5])
