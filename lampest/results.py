@@ -10,18 +10,8 @@ import h5py
 import numpy as np
 
 from lampest import hdf5
-from lampest.case import (
-    AXES,
-    ESTIMATED,
-    GIVEN,
-    SHARED,
-    CaseResult,
-    Column,
-    PublishedFigures,
-    Results,
-    StepFigures,
-    check_name,
-)
+from lampest.case import SHARED, CaseResult, PublishedFigures, Results, StepFigures, check_name
+from lampest.columns import AXES, ESTIMATED, GIVEN, Column
 from lampest.errors import InputError
 
 __all__ = ["CaseResult", "PublishedFigures", "Results", "StepFigures", "check_name", "read_results", "write_results"]

@@ -55,7 +55,9 @@ def _resolution(case: CaseResult, place: int) -> Array:
 
 def _error(case: CaseResult, place: int) -> Array:
     assert case.truth is not None
-    return np.asarray(np.log(case.cell_resistance[place] / case.truth[place]) / (_deviation(case, place) / 100))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error: Array = np.log(case.cell_resistance[place] / case.truth[place]) / (_deviation(case, place) / 100)
+    return np.asarray(np.where(np.isfinite(error), error, np.nan))
 
 
 def _grid(names: Sequence[str], maps: list[list[Array]], scales: list[Scale], panel: Panel) -> Figure:

@@ -54,6 +54,7 @@ class Measures:
     pressure: tuple[float, float] | None
 
 
+@np.errstate(over="ignore")
 def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
     """Everything of one case; intervals from frames drawn in blocks."""
     good = case.solved

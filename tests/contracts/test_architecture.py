@@ -46,6 +46,7 @@ FLOORS = (
     "weights",
     "stream",
     "sequence",
+    "columns",
     "case",
     "results",
     "executors",
