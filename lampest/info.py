@@ -62,7 +62,26 @@ def _scene_lines(scene: Scene) -> list[str]:
             f"the {readout.measured_across}, {readout.adc_bits} bits, {readout.readings} readings, "
             f"noise {readout.noise_lsb:g} LSB"
         )
-    return [*lines, f"series    {scene.series_resistance_ohm:g} ohm"]
+    lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
+    if scene.systematic is not None:
+        off = scene.systematic
+        lines.append(
+            f"together  off by up to {100 * off.reference_tolerance:g} %, channels by {off.channel_spread_ohm:g} ohm"
+        )
+    if scene.water is not None:
+        lines.append(f"water     {scene.water.top_row_depth_mm:g} mm above the top row")
+    if scene.temperature is not None:
+        film = scene.temperature
+        lines.append(
+            f"film      {100 * film.coefficient_per_kelvin:g} % per kelvin, {film.baseline_celsius:g} °C unloaded, "
+            f"{film.measured_celsius:g} °C measured"
+        )
+    if scene.faults is not None:
+        known = ", ".join(
+            f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(scene.faults).items() if value
+        )
+        lines.append(f"faults    {known or 'none'}")
+    return lines
 
 
 def _results_lines(results: Results) -> list[str]:
