@@ -31,6 +31,7 @@ _HOMES = {
     "LogRatio": "lampest.terms",
     "TotalVariation": "lampest.terms",
     "TotalVariationOfChange": "lampest.terms",
+    "Arrival": "lampest.terms",
     "Squared": "lampest.terms.losses",
     "Huber": "lampest.terms.losses",
     "Absolute": "lampest.terms.losses",

@@ -62,15 +62,17 @@ class Cost:
         sigma: casadi.SX,
         previous: casadi.SX,
         baseline: casadi.SX,
+        previous_deviation: casadi.SX,
         *marks: casadi.SX,
     ) -> list[tuple[int, casadi.SX]]:
         pairs = []
         for frame in range(self.frames):
             before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
+            deviation = casadi.SX.zeros(self.panel.cells) if frame else previous_deviation
             resting = cells[:, 0] if frame else (baseline if self.needs_previous else None)
             cell, model, reading, noise = (part[:, frame] for part in (cells, two_point, measured, sigma))
             side, seen = (mark[:, frame] for mark in marks) if marks else (None, None)
-            state = State(self.panel, cell, model, reading, noise, before, side, seen, resting)
+            state = State(self.panel, cell, model, reading, noise, before, side, seen, resting, deviation)
             for number, term in enumerate(self.terms):
                 if before is not None or not term.needs_previous:
                     pairs.append((number, term.residual(state)))
@@ -89,11 +91,15 @@ class Cost:
         return rows
 
     def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames), previous, baseline (cells, 1) ohm; side, seen."""
+        """Cells, two-point resistance, measured, σ (cells, frames) ohm; what is known (cells, 1); side, seen.
+
+        Known are the previous cells and the baseline, in ohm, and the standard deviation of the former's logarithm.
+        """
         shape = (self.panel.cells, self.frames)
         given = [casadi.SX.sym(name, *shape) for name in ("cells", "two_point", "measured", "sigma")]
         marks = [casadi.SX.sym(name, *shape) for name in ("side", "seen")] if self.partial else []
-        return [*given, *(casadi.SX.sym(name, self.panel.cells) for name in ("previous", "baseline")), *marks]
+        known = [casadi.SX.sym(name, self.panel.cells) for name in ("previous", "baseline", "previous_deviation")]
+        return [*given, *known, *marks]
 
     @cached_property
     def functions(self) -> "CostFunctions":
@@ -135,7 +141,7 @@ class Compiled:
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of flat cells, two-point resistances, measured, σ, previous, baseline, the terms' weights, the duals.
+    """Functions of what `Cost.symbols` lists, flat, of the terms' weights and of the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
     two-point resistances). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.

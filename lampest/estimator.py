@@ -101,12 +101,13 @@ class AutoWeight:
 class Estimator:
     """Terms, formulation, solver settings, bounds and effort.
 
-    error_bars : whether estimates get them; 'auto': on panels of up to 600 cells. Only verified optima of readings
-    whose noise is known can have them.
+    error_bars : whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only
+    verified optima of readings whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
     unknowns : the cells; or the few numbers of an oral disc that makes them, fitted to the readings (the misfit alone).
 
-    Raises ValueError without a term, or where a weight is left open and there is no misfit.
+    Raises ValueError without a term, where a weight is left open and there is no misfit, or where a term weighs the
+    previous frame by its error bars and there can be none.
     """
 
     terms: tuple[Term, ...]
@@ -125,6 +126,11 @@ class Estimator:
             raise ValueError("weight: auto needs the term misfit")
         if self.unknowns == "oral_disc" and not all(isinstance(term, Misfit) for term in self.terms):
             raise ValueError("unknowns: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
+        if self.weighs_previous:
+            if self.error_bars is False or not self._of_cells:
+                raise ValueError("arrival weighs frames by their error bars: it needs error_bars and effort: converged")
+            if not any(isinstance(term, Misfit) for term in self.terms):
+                raise ValueError("arrival needs the term misfit")
         if self.automatic and self.auto_weight.per == "frame" and not isinstance(self.effort, Converged):
             raise ValueError("auto_weight.per: frame needs effort: converged")
 
@@ -144,9 +150,22 @@ class Estimator:
         return any(term.needs_previous for term in self.terms)
 
     @property
+    def weighs_previous(self) -> bool:
+        """Whether a term reads how well the previous frame is known."""
+        return any(term.weighs_previous for term in self.terms)
+
+    @property
+    def _of_cells(self) -> bool:
+        """Whether estimates are optima over the cells, which error bars are for."""
+        return self.unknowns == "cells" and isinstance(self.effort, Converged)
+
+    @property
     def joint_start(self) -> bool:
-        """Whether the baseline is solved together with the first frame, as the paper does for relative methods."""
-        return self.relative and isinstance(self.effort, Converged | Truncated)
+        """Whether the baseline is solved together with the first frame, as the paper does for relative methods.
+
+        Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
+        """
+        return self.relative and not self.weighs_previous and isinstance(self.effort, Converged | Truncated)
 
     @property
     def absolute_terms(self) -> tuple[Term, ...]:
@@ -156,9 +175,9 @@ class Estimator:
     def barred(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.resistance.shape[-2:]
-        asked = self.error_bars if isinstance(self.error_bars, bool) else rows * columns <= BARRED_CELLS
-        of_cells = self.unknowns == "cells" and isinstance(self.effort, Converged)
-        return asked and of_cells and readings.sigma is not None
+        few = rows * columns <= BARRED_CELLS or self.weighs_previous
+        asked = self.error_bars if isinstance(self.error_bars, bool) else few
+        return asked and self._of_cells and readings.sigma is not None
 
     def needs_sigma(self) -> bool:
         """Whether a term divides by the readings' standard deviation."""
@@ -170,11 +189,14 @@ class Estimator:
         previous: Array | None = None,
         faults: Faults | None = None,
         baseline: Array | None = None,
+        previous_deviation: Array | None = None,
     ) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
         measured, sigma = readings.resistance, readings.sigma
         if sigma is None and self.needs_sigma():
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
+        if sigma is None and self.weighs_previous:
+            raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
         lower, upper = self.bounds.limits(measured, sigma)
         if readings.partial:
             lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), measured * NEAREST, lower)
@@ -186,7 +208,7 @@ class Estimator:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
         noise = np.ones_like(measured) if sigma is None else sigma
         marks = (readings.side, readings.seen) if readings.partial else None
-        return Data(measured, noise, lower, upper, previous, marks, baseline)
+        return Data(measured, noise, lower, upper, previous, marks, baseline, previous_deviation)
 
     def problem(self, panel: Panel, frames: int, period: float, doubts: "Doubts | None" = None) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.

@@ -22,6 +22,7 @@ class Data:
     lower, upper : same shape, ohm; bounds of the cell resistance.
     previous : (rows, columns) ohm, the known r0, or None.
     baseline : (rows, columns) ohm, the known cells of the unloaded panel; None where they are the previous ones.
+    previous_deviation : (rows, columns), standard deviation of log r0; None where no term reads it.
     marks : side and seen of the readings (frames, rows, columns), as `Readings` has them; None: all are values.
     """
 
@@ -32,6 +33,7 @@ class Data:
     previous: Array | None = None
     marks: tuple[Array, Array] | None = None
     baseline: Array | None = None
+    previous_deviation: Array | None = None
 
     @property
     def resistance_scale(self) -> float:
@@ -54,11 +56,12 @@ class Data:
 
     @cached_property
     def parameters(self) -> tuple[Array, ...]:
-        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown) ohm; side, seen; all flat."""
+        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown) ohm; deviation; marks; flat."""
         previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
         baseline = previous if self.baseline is None else self.baseline.ravel()
+        deviation = np.zeros_like(previous) if self.previous_deviation is None else self.previous_deviation.ravel()
         marks = () if self.marks is None else tuple(mark.ravel() for mark in self.marks)
-        return self.measured.ravel(), self.sigma.ravel(), previous, baseline, *marks
+        return self.measured.ravel(), self.sigma.ravel(), previous, baseline, deviation, *marks
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,8 +266,9 @@ def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:
     """The data of some of a panel's readings or cells; pick : (rows, columns) → their own shape."""
     given = (data.measured, data.sigma, data.lower, data.upper, *(data.marks or ()))
     measured, sigma, lower, upper, *marks = (pick(part[0])[None] for part in given)
-    previous, baseline = (None if part is None else pick(part) for part in (data.previous, data.baseline))
-    return Data(measured, sigma, lower, upper, previous, (marks[0], marks[1]) if marks else None, baseline)
+    parts = (data.previous, data.baseline, data.previous_deviation)
+    previous, *known = (None if part is None else pick(part) for part in parts)
+    return Data(measured, sigma, lower, upper, previous, (marks[0], marks[1]) if marks else None, *known)
 
 
 @lru_cache(maxsize=64)

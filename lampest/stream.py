@@ -25,7 +25,10 @@ from lampest.search import BROKEN, best_solution, evaluated
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.newton import Newton
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation, failure
+from lampest.terms.arrival import common_step
 from lampest.weights import with_chosen_weights
+
+UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,10 @@ class Step:
     disc: OralDiscFit | None = None
 
 
+def _deviation(track: Track | None, step: Step) -> Array | None:
+    return None if track is None or step.bars is None else track.deviation
+
+
 def _estimate(step: Step, frame: int) -> Array | None:
     return step.solution.cell_resistance[frame] if step.solution.solved else None
 
@@ -57,7 +64,8 @@ class Stream:
     estimator, panel : the method and the panel. period : s between frames.
     resting : the unloaded readings (rows, columns). faults : what is known to be broken, or None.
     baseline : how the baseline was solved; None for a relative method until a frame was.
-    previous : (rows, columns) ohm, the last estimate, or None.
+    previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
+    has no error bars.
     anchor : what an effort has prepared from the solved baseline, or None.
     track : what error bars need of earlier frames; None where there are to be none.
     disc : where the fits of a disc stand, if the unknowns are a disc's.
@@ -70,6 +78,7 @@ class Stream:
     faults: Faults | None = None
     baseline: Step | None = None
     previous: Array | None = None
+    previous_deviation: Array | None = None
     anchor: LinearisedSolver | RegionSolver | None = None
     track: Track | None = None
     disc: OralDisc | None = None
@@ -88,11 +97,13 @@ class Stream:
             return stream
         if isinstance(estimator.effort, Linearised | Region):
             return stream._anchored(estimator.effort)
-        baseline = stream._solve(*stream.given(resting))
+        alone = stream._absolute() if estimator.weighs_previous else stream
+        baseline = alone._solve(*alone.given(resting))
         with suppress(*BROKEN):
             model = _surroundings(baseline)
             if stream.track is not None and model is not None:
-                stream = replace(stream, track=stream.track.resting(model))
+                track = stream.track.resting(model, remembered=estimator.relative)
+                stream = replace(stream, track=track, previous_deviation=track.deviation)
         return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
@@ -111,6 +122,7 @@ class Stream:
             self,
             baseline=step if len(data.measured) == 2 else self.baseline,
             previous=self.previous if found is None else found,
+            previous_deviation=self.previous_deviation if found is None else _deviation(track, step),
             track=track,
         ), step
 
@@ -159,8 +171,20 @@ class Stream:
         if self.estimator.relative:
             known = self._guess(readings.resistance) if self.previous is None else self.previous
             resting = None if self.baseline is None else _estimate(self.baseline, 0)
-        data = self.estimator.data(readings.alone(), known, self.faults, resting)
+        data = self.estimator.data(readings.alone(), known, self.faults, resting, self._known_deviation())
+        if self.estimator.weighs_previous and known is not None:
+            values = (readings.side == 0) & (readings.seen > 0)
+            expected = data.network(0, known).two_point_resistance()
+            data = replace(data, previous=known * common_step(readings.resistance[values], expected[values]))
         return data, None if self.previous is None else self.previous[None]
+
+    def _known_deviation(self) -> Array | None:
+        """Of log r0, for terms that read it; an open cell, and one without error bars, is not known at all."""
+        if not self.estimator.weighs_previous:
+            return None
+        if self.previous is None or self.previous_deviation is None:
+            return np.full(self.panel.shape, UNKNOWN)
+        return np.fmin(self.previous_deviation, UNKNOWN)
 
     @property
     def baseline_resistance(self) -> Array:
@@ -200,10 +224,14 @@ class Stream:
             return measured
         return measured / uniform_factor(*self.panel.shape)
 
+    def _absolute(self) -> "Stream":
+        """The stream without the terms that compare with an earlier frame."""
+        absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
+        return replace(self, estimator=absolute)
+
     def _anchored(self, effort: Linearised | Region) -> "Stream":
         """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
-        absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
-        alone = replace(self, estimator=absolute)
+        alone = self._absolute()
         baseline = alone._solve(*alone.given(self.resting))
         found = _estimate(baseline, 0)
         stream = replace(self, baseline=baseline, previous=found)

@@ -105,7 +105,8 @@ class Engine:
 
     def _solve(self, source: Source, resting: Array, resting_sigma: Array | None) -> None:
         """Solve the newest frame again and again until nothing more will come."""
-        estimator = replace(self._estimator, error_bars=False)  # nobody sees them here
+        # Nobody sees error bars here, but terms may need them.
+        estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)
         stream = Stream.begin(estimator, Scene(source.panel), source.period, plain(resting, resting_sigma))
         seen = 0
         while (news := self._arrivals.after(seen)) is not None:

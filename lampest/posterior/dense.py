@@ -3,13 +3,16 @@
 With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
 estimate is K·noise plus what the penalties pull it away from the truth:
 
-    S = K τ² Kᵀ + s² A⁻¹ (Zᵀ C Ω Z + ε s²) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+    S = K τ² Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
 where S₀ is the error of the previous frame and of the baseline, as far as terms read them. With C = 1 and one noise for
-all data this is the Laplace approximation s² A⁻¹. A penalty that does not suit the data must not leave narrow bars: C
-of a penalised residual x̂ is the largest of 1, of ω x̂²/s², how much larger it is than its weight allows, and of
-c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals; c = 1 where the weight
-maximises the evidence.
+all data this is the Laplace approximation s² A⁻¹. B is the share of a residual's variance that is the previous frame's
+error where a term's weight allows for that (an arrival cost), so that it counts once: Joseph's form of a Kalman
+filter's covariance, right also for a gain that reads only the diagonal of S₀. A penalty that does not suit the data
+must not leave narrow bars: C of a penalised residual x̂ is the largest of 1, of ω x̂²/s², how much larger it is than
+its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals;
+c = 1 where the weight maximises the evidence. Beyond the corner of Huber's loss a residual has no curvature and still
+pulls, with H = weight · corner.
 Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
 """
 
@@ -39,6 +42,10 @@ class DenseMemory:
     last: Array
     with_baseline: Array
     baseline: Array
+
+    def resting(self) -> "DenseMemory":
+        """The same, with the last estimate as the baseline."""
+        return DenseMemory(self.last, self.last, self.last)
 
     def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """In blocks: last estimate, baseline."""
@@ -111,15 +118,23 @@ class DenseErrors:
         return np.asarray((self._sparse_penalties @ self.inverse).T)
 
     @cached_property
+    def _held(self) -> Array:
+        """A⁻¹ Zᵀ H (free, rows beyond the corner of Huber's loss)."""
+        beyond = np.flatnonzero(self.model.steady_pull)
+        rows = sparse.csr_array(self._of_free(self.model.penalty_jacobian))[beyond]
+        return np.asarray((rows @ self.inverse).T * self.model.steady_pull[beyond])
+
+    @cached_property
     def _pulled(self) -> Array:
-        """s² C."""
+        """s² (C − B)."""
         model = self.model
         squares = model.penalty_curvature * model.penalty**2 / model.scale
         widened = np.maximum(1.0, squares)
         for number, expected in self._determined.items():
             own = model.penalty_term == number
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(expected, 1.0))
-        return model.scale * widened
+        known = None if self.before is None else np.diag(self.before.last)
+        return model.scale * (widened - model.known_share(known))
 
     @cached_property
     def _determined(self) -> dict[int, float]:
@@ -144,6 +159,7 @@ class DenseErrors:
     def variance(self) -> Array:
         """The diagonal of S over the free cells."""
         variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
+        variance += np.sum(self._held**2, axis=1)
         variance += IGNORANCE * self.model.scale**2 * np.sum(self.inverse**2, axis=1)
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
@@ -154,7 +170,7 @@ class DenseErrors:
     def covariance(self) -> Array:
         """S over all cells (frames · cells)²; zero for those that are not free."""
         covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
-        covariance += IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
+        covariance += self._held @ self._held.T + IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
                 covariance += first @ self.before.both()[one][other] @ second.T

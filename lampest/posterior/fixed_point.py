@@ -16,7 +16,7 @@ from lampest.posterior.linear import LinearModel, penalty_bend
 from lampest.posterior.sampled import SampledErrors
 from lampest.terms.losses import Absolute
 
-MOST_ROUNDS, SETTLED, FLAT = 30, 0.01, 1e-9
+MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12
 
 
 def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:
@@ -26,7 +26,8 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
         size = model.penalty[model.penalty_term == number]
         absolute = isinstance(model.at.cost.terms[number].loss, Absolute)
         total = 0.5 * float(np.abs(size).sum()) if absolute else float(size @ size)
-        chosen[number] = model.scale * len(size) / max(total, np.finfo(float).tiny)
+        # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.
+        chosen[number] = model.scale * len(size) / (total if total > NOTHING * len(size) else len(size))
     return chosen
 
 

@@ -130,6 +130,16 @@ class LinearModel:
         return penalty_bend(self, self.at.cost.weights)
 
     @cached_property
+    def steady_pull(self) -> Array:
+        """weight · corner of the penalties beyond the corner of Huber's loss, 0 of all others: half of ∂φ/∂x there."""
+        pull = np.zeros(len(self.penalty_term))
+        for number, term in enumerate(self.at.cost.terms):
+            if isinstance(term.loss, Huber):
+                beyond = (self.penalty_term == number) & (np.abs(self.penalty) > term.loss.corner)
+                pull[beyond] = self.at.cost.weights[number] * term.loss.corner
+        return pull
+
+    @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
         """∂x/∂u of the penalties."""
         jacobian = self._penalties.jacobian("by_cells", self.at)
@@ -146,6 +156,19 @@ class LinearModel:
         """The same for the baseline's cells."""
         data = self.at.data
         return self._known_jacobian("by_baseline", data.previous if data.baseline is None else data.baseline)
+
+    def known_share(self, variance: Array | None) -> Array:
+        """Of every penalty row's variance, what the previous frame's error makes up where the weight allows for it.
+
+        variance : of log of the previous frame's cells, or None. Nothing for terms whose weight is that of a change
+        alone.
+        """
+        weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
+        if variance is None or not weighing:
+            return np.zeros(len(self.penalty_term))
+        rows = self.previous_jacobian
+        squares = sparse.csc_array((rows.data**2, rows.indices, rows.indptr), shape=rows.shape)
+        return np.where(np.isin(self.penalty_term, weighing), np.minimum(squares @ variance, 1.0), 0.0)
 
     def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
         jacobian = self._penalties.jacobian(name, self.at)

@@ -1,10 +1,10 @@
 """The same errors from samples, in product form: no matrix over the cells is ever formed.
 
-ε = A⁻¹ (Jᵀ Ω τ z₁ + s Zᵀ √(C Ω) z₂ − M ε₀), z normal: each sample costs one solve by conjugate gradients and has the
-covariance S of `lampest.posterior.dense`. Standard deviations from n samples scatter by 1/√(2n).
+ε = A⁻¹ (Jᵀ Ω τ z₁ + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ − M ε₀), z normal: each sample costs one solve by conjugate
+gradients and has the covariance S of `lampest.posterior.dense`. Standard deviations from n samples scatter by 1/√(2n).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -25,10 +25,18 @@ ACCURACY, FINE = 1e-3, 1e-7
 
 @dataclass(frozen=True, eq=False)
 class SampledMemory:
-    """Samples of the errors of log r, (samples, cells): of the last estimate, and of the baseline's."""
+    """Samples of the errors of log r, (samples, cells): of the last estimate, and of the baseline's.
+
+    drawn : how many frames they are made of; every frame's noise must be a new one.
+    """
 
     last: Array
     baseline: Array
+    drawn: int = 1
+
+    def resting(self) -> "SampledMemory":
+        """The same, with the last estimate as the baseline."""
+        return replace(self, baseline=self.last)
 
     def shared(self) -> Array:
         """Their covariance, cell by cell."""
@@ -94,7 +102,7 @@ class SampledErrors:
 
     @cached_property
     def _widened(self) -> Array:
-        """C, as in the closed form, with γ from probes."""
+        """C − B, as in the closed form, with γ from probes."""
         model = self.model
         squares = model.penalty_curvature * model.penalty**2 / model.scale
         widened = np.maximum(1.0, squares)
@@ -103,7 +111,8 @@ class SampledErrors:
             own = model.penalty_term == number
             alone = min(rank(model.at.cost.unweighted), len(model.free)) / len(terms)
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(alone - self.used(int(number)), 1.0))
-        return widened
+        known = None if self.before is None else np.mean(self.before.last**2, axis=0)
+        return np.asarray(widened - model.known_share(known))
 
     def used(self, term: int) -> float:
         """tr(A⁻¹ Z_tᵀ Ω Z_t) of one term (its number), from probes."""
@@ -114,10 +123,14 @@ class SampledErrors:
             total += float(right @ self._inverse(right))
         return total / PROBES
 
+    @property
+    def _drawn_before(self) -> int:
+        return 0 if self.before is None else self.before.drawn
+
     @cached_property
     def _drawn(self) -> tuple[Array, Array]:
         """(samples of ε, the diagonal of A⁻¹ Zᵀ Ω Z), over the free cells."""
-        model, random = self.model, np.random.default_rng(0)
+        model, random = self.model, np.random.default_rng(self._drawn_before)
         pulled, samples = np.zeros(len(model.free)), np.empty((SAMPLES, len(model.free)))
         size = np.sqrt(self._widened * model.scale)
         curvature = sparse.diags_array(model.penalty_curvature)
@@ -126,6 +139,7 @@ class SampledErrors:
             noise = random.standard_normal(len(model.noise)) * model.noise
             pull = random.standard_normal(len(size))
             right = self._adjoint(model.data_curvature * noise) + self._penalties.T @ (size * pull)
+            right += model.penalty_jacobian.T @ (model.steady_pull * pull)
             if self.before is not None:
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known
@@ -179,4 +193,5 @@ class SampledErrors:
         samples[:, self.model.free] = self._drawn[0]
         if len(self.model.at.cell_resistance) == 2:
             return SampledMemory(samples[:, size:], samples[:, :size])
-        return SampledMemory(samples, np.zeros_like(samples) if self.before is None else self.before.baseline)
+        baseline = np.zeros_like(samples) if self.before is None else self.before.baseline
+        return SampledMemory(samples, baseline, self._drawn_before + 1)

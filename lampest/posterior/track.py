@@ -1,6 +1,6 @@
 """Error bars along a sequence: of every frame, and of its change against the baseline."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,33 +53,43 @@ class Track:
     """What error bars of later frames need of earlier ones.
 
     shared : errors that all readings have in common, or None. baseline : of the baseline, (rows, columns).
+    deviation : of log r of the last frame without shared errors, which the next one repeats, (rows, columns).
     memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
     frame and of the baseline, (cells, n) each.
     """
 
     shared: Shared | None = None
     baseline: Certainty | None = None
+    deviation: Array | None = None
     memory: DenseMemory | SampledMemory | None = None
     answers: tuple[Array, Array] | None = None
 
-    def resting(self, model: LinearModel) -> "Track":
-        """After a baseline that is solved alone. Raises numpy.linalg.LinAlgError where the cost is flat."""
+    def resting(self, model: LinearModel, remembered: bool) -> "Track":
+        """After a baseline that is solved alone; remembered : whether later frames look back at it.
+
+        Raises numpy.linalg.LinAlgError where the cost is flat.
+        """
         errors = _errors(model, None)
-        answer = self._answer(errors)
-        certainty = _widened(Certainty.of(errors), answer)
-        return replace(self, baseline=certainty.of_frame(0), answers=(answer, answer))
+        answer, own = self._answer(errors), Certainty.of(errors)
+        return Track(
+            self.shared,
+            _widened(own, answer).of_frame(0),
+            own.deviation[0],
+            errors.memory().resting() if remembered else None,
+            (answer, answer),
+        )
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
         relative = any(term.needs_previous for term in model.at.cost.terms)
         errors = _errors(model, self.memory)
-        answer = self._answer(errors)
-        certainty = _widened(Certainty.of(errors), answer)
+        answer, own = self._answer(errors), Certainty.of(errors)
+        certainty = _widened(own, answer)
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
         joint = len(model.at.cell_resistance) == 2
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
         baseline = certainty.of_frame(0) if joint else self.baseline
-        track = Track(self.shared, baseline, memory, (answer[-size:], resting))
+        track = Track(self.shared, baseline, own.deviation[-1], memory, (answer[-size:], resting))
         frame = certainty.of_frame(-1)
         if baseline is None:
             return track, Bars(frame, None)

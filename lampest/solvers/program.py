@@ -21,8 +21,8 @@ class Program:
     split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
 
     parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous and baseline
-    (cells, 1) ohm, side and seen if readings have them, the terms' weights, s in ohm, the size of the cost, the size of
-    the absolute residuals.
+    (cells, 1) ohm, the standard deviation of the former's logarithm, side and seen if readings have them, the terms'
+    weights, s in ohm, the size of the cost, the size of the absolute residuals.
     """
 
     conductance: casadi.SX

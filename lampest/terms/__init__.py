@@ -2,6 +2,7 @@
 
 from typing import get_args
 
+from lampest.terms.arrival import Arrival
 from lampest.terms.cell_resistance import CellResistance
 from lampest.terms.gradient import Gradient
 from lampest.terms.gradient_of_relative_change import GradientOfRelativeChange
@@ -21,6 +22,7 @@ AnyTerm = (
     | TotalVariation
     | LogRatio
     | TotalVariationOfChange
+    | Arrival
 )
 
 

@@ -27,6 +27,7 @@ class State:
     sigma : standard deviation of R_m, ohm.
     previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
     baseline : the unloaded panel's cell resistance, ohm; None where there is none.
+    previous_deviation : standard deviation of log r0; 0 where it is an unknown of the same solve, None without one.
     side, seen : of each reading: 0 a value, 1 or -1 where R is at least or at most this; 1, or 0 where it says
         nothing. None where all readings are values.
     """
@@ -40,6 +41,7 @@ class State:
     side: Any = None
     seen: Any = None
     baseline: Any = None
+    previous_deviation: Any = None
 
     def relative_change(self) -> Any:
         """100·(r − r0)/r0 in percent; paper, equation (15)."""
@@ -90,12 +92,14 @@ class Term(ABC):
     """A summand of the cost function: weight · loss(residual(state)).
 
     weight : a number, or 'auto' where the data are to choose it. needs_previous : whether it compares with the previous
-    frame or the baseline. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless
-    the weight is finite and not negative.
+    frame or the baseline. weighs_previous : whether it reads how well the previous frame is known, so that its variance
+    is that of the change and of the previous frame's error together. convex_in_log : whether it is convex in log r once
+    those are known. Raises ValueError unless the weight is finite and not negative.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     needs_previous: ClassVar[bool] = False
+    weighs_previous: ClassVar[bool] = False
     convex_in_log: ClassVar[bool] = False
     unit: ClassVar[str]
     weight: Weight = 1.0

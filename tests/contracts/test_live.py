@@ -31,7 +31,7 @@ from lampest.recording import MEASURED, Recording
 from lampest.response import ratio_from_pressure
 from lampest.sequence import reconstruct
 from lampest.solvers.solution import Settings
-from lampest.terms.misfit import Misfit
+from lampest.terms import Arrival, Misfit
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 LSM = Estimator((Misfit(),), "reduced")
@@ -65,10 +65,13 @@ def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> l
     return found
 
 
-@pytest.mark.parametrize("method", ["LSR-gCR", "LSR-dCR"])
-def test_live_finds_what_a_batch_finds(lamprey: Recording, method: str) -> None:
-    found = pictures(METHODS[method], lamprey)
-    batch = reconstruct(lamprey, METHODS[method])
+ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
+
+
+@pytest.mark.parametrize("method", [METHODS["LSR-gCR"], METHODS["LSR-dCR"], ARRIVAL], ids=["gCR", "dCR", "arrival"])
+def test_live_finds_what_a_batch_finds(lamprey: Recording, method: Estimator) -> None:
+    found = pictures(method, lamprey)
+    batch = reconstruct(lamprey, method)
     np.testing.assert_array_equal([picture.relative_change for picture in found], batch.relative_change)
     np.testing.assert_array_equal(
         [picture.measured_change for picture in found], 100 * (batch.measured / batch.measured_baseline - 1)

@@ -55,7 +55,8 @@ def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
     previous = 3000 * np.exp(0.4 * rng.standard_normal(PANEL.shape))
     cells = truth * np.exp(0.2 * rng.standard_normal(truth.shape))
     baseline = 3000 * np.exp(0.4 * rng.standard_normal(PANEL.shape))
-    known = {"previous": previous, "baseline": baseline} if frames == 1 else {}
+    deviation = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
+    known = {"previous": previous, "baseline": baseline, "previous_deviation": deviation} if frames == 1 else {}
     return Data(measured, sigma, measured / 10, measured * 1e3, **known), cells
 
 
@@ -64,7 +65,8 @@ def state(data: Data, cells: Array, scale: float = 1.0) -> State:
     values = (cells, two_point_resistance(cells), data.measured, data.sigma)
     frame = [casadi.DM(scale * value[0].ravel()) for value in values]
     previous, baseline = (casadi.DM(scale * known.ravel()) for known in (data.previous, data.baseline))
-    return State(PANEL, *frame, previous, baseline=baseline)
+    deviation = casadi.DM(data.previous_deviation.ravel())
+    return State(PANEL, *frame, previous, baseline=baseline, previous_deviation=deviation)
 
 
 def residual(term: Term, where: State) -> Array:
@@ -124,7 +126,7 @@ def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, 
     )
     # Resistances of the size of Huber's corner, so that residuals fall on either side of it.
     cells = PANEL.cells
-    for ohms in (slice(0, cells * frames), slice(-5 - 2 * cells, -5)):
+    for ohms in (slice(0, cells * frames), slice(-5 - 3 * cells, -5 - cells)):
         p[ohms] *= CORNER
     upper = np.asarray(program.hessian()(x, p, 1.3, multipliers))
     assert_array_equal(np.tril(upper, -1), 0)
@@ -190,7 +192,7 @@ def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any
     """With all resistances doubled a residual in ohm doubles, one in percent or in standard deviations stays."""
     data, cells = example(1)
     chosen = term(**words)
-    plain = not chosen.unit.startswith("percent") and words.get("weighting") != "noise"
+    plain = not chosen.unit.startswith(("percent", "standard deviations")) and words.get("weighting") != "noise"
     factor = 2.0 if plain else 1.0
     assert_array_equal(residual(chosen, state(data, cells, 2.0)), factor * residual(chosen, state(data, cells)))
 
