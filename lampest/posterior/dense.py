@@ -121,6 +121,8 @@ class DenseErrors:
     def _held(self) -> Array:
         """A⁻¹ Zᵀ H (free, rows beyond the corner of Huber's loss)."""
         beyond = np.flatnonzero(self.model.steady_pull)
+        if not len(beyond):
+            return np.zeros((len(self.inverse), 0))
         rows = sparse.csr_array(self._of_free(self.model.penalty_jacobian))[beyond]
         return np.asarray((rows @ self.inverse).T * self.model.steady_pull[beyond])
 
