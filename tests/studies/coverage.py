@@ -1,0 +1,79 @@
+"""How often 95 % intervals hold the truth on fresh scenes, and how large errors are against standard deviations.
+
+Run it with: python -m tests.studies.coverage --scenes 200 --seed 101
+"""
+
+import argparse
+
+import numpy as np
+
+from lampest.estimator import Estimator
+from lampest.kirchhoff import two_point_resistance
+from lampest.panel import Array, Panel
+from lampest.recording import Recording
+from lampest.response import ratio_from_pressure
+from lampest.scene import Scene
+from lampest.sequence import reconstruct
+from lampest.simulate.loads import OralDisc
+from lampest.simulate.pressure import patch_pressure
+from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+
+METHODS = {
+    "LSM": (Misfit(),),
+    "LSR-CR": (Misfit(), CellResistance(weight="auto")),
+    "LSR-gCR": (Misfit(), Gradient(weight="auto")),
+    "LSR-dCR": (Misfit(), RelativeChange(weight="auto")),
+    "LSR-gdCR": (Misfit(), GradientOfRelativeChange(weight="auto")),
+}
+
+
+def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
+    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows, columns)."""
+    side, noise = int(rng.integers(6, 17)), float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
+    panel, place = Panel(side, side), rng.uniform(0.2, 0.8, 2) * (side - 1) * 10
+    load = OralDisc(
+        kind="oral_disc",
+        centre_mm=(float(place[0]), float(place[1])),
+        diameter_mm=float(rng.uniform(20, 45)),
+        rim_width_mm=float(rng.uniform(4, 7)),
+        pressure_kpa=float(-rng.uniform(4, 20)),
+        rim_kpa=float(rng.uniform(50, 110)),
+    )
+    resting = 3050 * np.exp(0.2 * rng.standard_normal(panel.shape))
+    cells = np.stack([resting, resting * ratio_from_pressure(sum(patch_pressure(panel, 6.0, load)))])
+    exact = two_point_resistance(cells)
+    measured = exact * (1 + noise * rng.standard_normal(exact.shape))
+    role = np.array([0, 1], dtype=np.uint8)
+    return Recording(Scene(panel), measured, np.arange(2.0), role, sigma=noise * exact), cells
+
+
+def study(scenes: int, seed: int) -> None:
+    """Print, for every method, coverage and error over standard deviation of the cells away from bounds."""
+    rng = np.random.default_rng(seed)
+    held: dict[str, list[Array]] = {name: [] for name in METHODS}
+    standard: dict[str, list[Array]] = {name: [] for name in METHODS}
+    for _ in range(scenes):
+        recording, cells = mouth(rng)
+        for name, terms in METHODS.items():
+            found = reconstruct(recording, Estimator(terms, formulation="reduced"))
+            step = found.steps[0]
+            if not step.solution.solved or step.bars is None:
+                print(f"{name}: no error bars ({step.solution.status.value})")
+                continue
+            bars, error = step.bars.frame, np.log(found.cell_resistance[0] / cells[1])
+            free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
+            held[name].append(((error <= bars.below) & (-error <= bars.above))[free].astype(float))
+            standard[name].append((error / bars.deviation)[free])
+    for name in METHODS:
+        inside, size = np.concatenate(held[name]), np.concatenate(standard[name])
+        print(
+            f"{name}: {100 * inside.mean():.1f} % held, error/sd {np.sqrt(np.mean(size**2)):.2f}, {inside.size} cells"
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=101)
+    arguments = parser.parse_args()
+    study(arguments.scenes, arguments.seed)
