@@ -126,6 +126,8 @@ class Estimator:
             raise ValueError("weight: auto needs the term misfit")
         if self.unknowns == "oral_disc" and not all(isinstance(term, Misfit) for term in self.terms):
             raise ValueError("unknowns: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
+        if self.unknowns == "oral_disc" and not isinstance(self.effort, Converged):
+            raise ValueError("unknowns: oral_disc needs effort: converged")
         if self.weighs_previous:
             if self.error_bars is False or not self._of_cells:
                 raise ValueError("arrival weighs frames by their error bars: it needs error_bars and effort: converged")

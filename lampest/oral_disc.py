@@ -14,12 +14,10 @@ from lampest.recognition.baseline import Baseline
 from lampest.recognition.detector import Detector
 from lampest.recognition.direct import OralDiscFit, fit_oral_disc
 from lampest.recognition.doubts import Doubts
-from lampest.recognition.frame import Direct
+from lampest.recognition.frame import Direct, counting
 from lampest.recognition.settings import Settings
 from lampest.scene import Scene
 from lampest.solvers.solution import Outcome, Solution, Status, approximation
-
-BLIND = 1e3  # so many times the reading is the σ of one that says nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,4 +78,4 @@ def _fitted(cost: Cost, data: Data, cells: Array, steps: int) -> Solution:
 def _sigma(readings: Readings) -> Array:
     sigma = readings.sigma_of_values
     assert sigma is not None
-    return np.where(np.isfinite(sigma), sigma, BLIND * readings.resistance)
+    return counting(sigma, readings.resistance)

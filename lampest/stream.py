@@ -130,17 +130,19 @@ class Stream:
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
         disc = OralDisc.of(scene, self.period, self.resting)
-        data = self.estimator.data(self.resting.alone(), None, self.faults)
-        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
-        solution = disc.resting(cost, data)
-        step = Step(solution, perf_counter() - begin, tuple(float(weight) for weight in cost.weights))
+        data, cost = self._judged(self.resting)
+        step = Step(disc.resting(cost, data), perf_counter() - begin, tuple(map(float, cost.weights)))
         return replace(self, baseline=step, disc=disc)
+
+    def _judged(self, readings: Readings) -> tuple[Data, Cost]:
+        """What cells that were found in another way than by solving are judged by."""
+        data = self.estimator.data(readings.alone(), None, self.faults)
+        return data, self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
 
     def _push_disc(self, disc: OralDisc, readings: Readings) -> tuple["Stream", Step]:
         begin = perf_counter()
-        data = self.estimator.data(readings.alone(), None, self.faults)
-        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
-        weights = tuple(float(weight) for weight in cost.weights)
+        data, cost = self._judged(readings)
+        weights = tuple(map(float, cost.weights))
         with delayed_interrupt(), suppress(*BROKEN):
             disc, found = disc.push(readings)
             solution = replace(disc_solution(cost, data, found), at=None, dual=None)

@@ -18,6 +18,7 @@ from lampest.panel import Array, Panel
 from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.posterior.track import MOST_DENSE
 from lampest.problem import Data
 from lampest.search import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.newton import Newton
@@ -26,7 +27,6 @@ from lampest.terms.losses import Squared
 from lampest.terms.misfit import Misfit
 
 MOST_SOLVES, SETTLED = 4, 0.2
-MOST_DENSE = 1200
 
 
 def with_chosen_weights(

@@ -63,18 +63,16 @@ def detect(
 ) -> None:
     """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""
     from lampest.detect.report import FILE, event_table, write_detections
-    from lampest.detect.run import detect as detect_in
+    from lampest.detect.run import detect_file
     from lampest.plot.timeline import plot_timelines
     from lampest.recognition.settings import Settings
-    from lampest.results import read_results
 
     try:
         settings = Settings(patch, depth, noise)
     except ValueError as error:
         raise InputError(str(error)) from error
-    read = read_results(results)
     with progress("sources") as on_case:
-        found = detect_in(read, settings, on_case)
+        read, found = detect_file(results, settings, on_case)
     folder = results.parent if out is None else out
     files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder))
     print_table(event_table(found))

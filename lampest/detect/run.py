@@ -13,25 +13,24 @@ from lampest.panel import Array, Panel
 from lampest.pressure import water_pressure
 from lampest.recognition.baseline import Baseline
 from lampest.recognition.detector import Detector
-from lampest.recognition.frame import Direct, Frame, TwoStep
+from lampest.recognition.frame import Direct, Frame, TwoStep, counting
 from lampest.recognition.settings import Settings
 from lampest.recognition.verdict import Verdict
 from lampest.results import CaseResult, Results, read_results
 from lampest.scene import Water
 
 AS_PUBLISHED = Settings()
-BLIND = 1e3  # so many times the reading is the σ of one that says nothing
 
 
 def detect_file(
     path: str | Path, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
-) -> tuple[Detection, ...]:
-    """Detections of a results file. Raises InputError where it cannot be read or does not tell the readings' noise."""
+) -> tuple[Results, tuple[Detection, ...]]:
+    """A results file and its detections. Raises InputError where it cannot be read or does not tell the noise."""
     results = read_results(path)
     if not results.cases:
         raise InputError(f"{path}: holds no results to look at")
     try:
-        return detect(results, settings, on_case)
+        return results, detect(results, settings, on_case)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -118,4 +117,4 @@ def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: Set
         )
     if sigma is None:
         return np.asarray(measured * (settings.noise_percent or 0.0) / 100)
-    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, BLIND * measured)
+    return counting(sigma, measured)

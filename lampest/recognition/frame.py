@@ -15,7 +15,12 @@ from lampest.response import ratio_from_pressure
 STEP_KPA = 1e-3
 ALONE = 5.0
 MOST_DROPPED = 0.03
-DROPPED = 1e3
+DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+
+
+def counting(sigma: Array, measured: Array) -> Array:
+    """σ, so large that a reading does not count where it is no value (no finite, positive σ); any shape, ohm."""
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
 
 
 def log_response(pressure: Array) -> tuple[Array, Array]:

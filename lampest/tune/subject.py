@@ -9,6 +9,7 @@ from lampest.config import Case
 from lampest.cost import Cost
 from lampest.estimator import Doubts, Estimator
 from lampest.panel import Array
+from lampest.posterior.track import MOST_DENSE
 from lampest.problem import Data
 from lampest.readings import Readings
 from lampest.recording import Recording
@@ -17,7 +18,7 @@ from lampest.terms import term_kind
 from lampest.terms.losses import Squared
 from lampest.terms.misfit import Misfit
 from lampest.terms.term import Term
-from lampest.weights import MOST_DENSE, Search
+from lampest.weights import Search
 
 
 @dataclass(frozen=True, eq=False)

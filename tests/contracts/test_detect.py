@@ -112,7 +112,7 @@ def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
     write_results(tmp_path / "results.h5", [case])
     with pytest.raises(InputError, match=r"results\.h5: mouth: the noise of the readings is unknown"):
         detect_file(tmp_path / "results.h5")
-    found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
+    _, found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
     assert "lamprey" in found[0].labels[-1]
 
 
