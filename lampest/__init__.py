@@ -15,28 +15,28 @@ from typing import Any
 
 __version__ = version("lampest")
 _HOMES = {
-    "Recording": "lampest.recording",
-    "Scene": "lampest.scene",
-    "TwoPointReadout": "lampest.scene",
-    "Panel": "lampest.panel",
-    "InputError": "lampest.errors",
-    "Estimator": "lampest.estimator",
-    "Bounds": "lampest.estimator",
+    "Recording": "lampest.recording.recording",
+    "Scene": "lampest.panel.scene",
+    "TwoPointReadout": "lampest.panel.scene",
+    "Panel": "lampest.panel.panel",
+    "InputError": "lampest.files.errors",
+    "Estimator": "lampest.estimate.estimator",
+    "Bounds": "lampest.estimate.estimator",
     "Settings": "lampest.solvers.solution",
-    "Misfit": "lampest.terms",
-    "CellResistance": "lampest.terms",
-    "RelativeChange": "lampest.terms",
-    "Gradient": "lampest.terms",
-    "GradientOfRelativeChange": "lampest.terms",
-    "LogRatio": "lampest.terms",
-    "TotalVariation": "lampest.terms",
-    "TotalVariationOfChange": "lampest.terms",
-    "Arrival": "lampest.terms",
-    "Squared": "lampest.terms.losses",
-    "Huber": "lampest.terms.losses",
-    "Absolute": "lampest.terms.losses",
-    "two_point_resistance": "lampest.kirchhoff",
-    "read_results": "lampest.results",
+    "Misfit": "lampest.cost.terms",
+    "CellResistance": "lampest.cost.terms",
+    "RelativeChange": "lampest.cost.terms",
+    "Gradient": "lampest.cost.terms",
+    "GradientOfRelativeChange": "lampest.cost.terms",
+    "LogRatio": "lampest.cost.terms",
+    "TotalVariation": "lampest.cost.terms",
+    "TotalVariationOfChange": "lampest.cost.terms",
+    "Arrival": "lampest.cost.terms",
+    "Squared": "lampest.cost.losses",
+    "Huber": "lampest.cost.losses",
+    "Absolute": "lampest.cost.losses",
+    "two_point_resistance": "lampest.panel.network",
+    "read_results": "lampest.runs.results",
 }
 __all__ = [*_HOMES, "reconstruct"]
 
@@ -59,5 +59,5 @@ def reconstruct(recording: Any, terms: Any, **options: Any) -> Any:
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
     Raises InputError where the recording and the estimator do not fit.
     """
-    estimator = import_module("lampest.estimator").Estimator(tuple(terms), **options)
-    return import_module("lampest.sequence").reconstruct(recording, estimator)
+    estimator = import_module("lampest.estimate.estimator").Estimator(tuple(terms), **options)
+    return import_module("lampest.estimate.sequence").reconstruct(recording, estimator)

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel import Array
-from lampest.results import CaseResult
+from lampest.panel.panel import Array
+from lampest.runs.results import CaseResult
 
 METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from lampest.recording import Recording
+from lampest.recording.recording import Recording
 
 
 def truth_text(time: object, cell_resistance: object) -> str:

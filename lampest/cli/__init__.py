@@ -7,8 +7,8 @@ import typer
 
 from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT
-from lampest.errors import InputError
-from lampest.executors import ONE_THREAD
+from lampest.files.errors import InputError
+from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
     help="Cell resistances of passive resistive matrix sensors from two-point measurements.",

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lampest.cli.screen import INTERRUPTED, check_positive
-from lampest.errors import InputError
+from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
-    from lampest.acquire.record import Progress, Recorded
+    from lampest.recording.board.record import Progress, Recorded
 
 Port = Annotated[str | None, typer.Option("--port", help="Port or URL; else the one that looks like an Arduino.")]
 SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
@@ -22,7 +22,7 @@ Period = Annotated[float | None, typer.Option("--period", help="Seconds between 
 
 def ports() -> None:
     """List the serial ports, those that look like an Arduino first."""
-    from lampest.acquire.port import ports as all_ports
+    from lampest.recording.board.port import ports as all_ports
 
     found = all_ports()
     for port in found:
@@ -41,9 +41,9 @@ def record(
     period: Period = None,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
-    from lampest.acquire.keys import pressed_keys
-    from lampest.acquire.record import record as record_board
-    from lampest.importing import read_scene
+    from lampest.recording.board.keys import pressed_keys
+    from lampest.recording.board.record import record as record_board
+    from lampest.recording.foreign.importing import read_scene
 
     if frames is not None and seconds is not None:
         raise InputError("--frames and --seconds: give one of them")
@@ -67,7 +67,7 @@ def record(
 
 def repair(file: Annotated[Path, typer.Argument(help="A recording that was not closed.")]) -> None:
     """Turn what a crash left into a clean recording; one that is clean stays as it is."""
-    from lampest.acquire.record import repair as repair_recording
+    from lampest.recording.board.record import repair as repair_recording
 
     print(f"{repair_recording(file)} frames: {file}")
 
@@ -80,11 +80,11 @@ def calibrate(
     out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
 ) -> None:
     """Find the resistance in series with every reading and write it into a scene, with its uncertainty."""
-    from lampest.acquire.calibrate import calibrate as calibrate_recording
-    from lampest.acquire.calibrate import calibrated_scene_text
-    from lampest.acquire.known import known_resistors
-    from lampest.files import write_text
-    from lampest.recording import Recording
+    from lampest.files.whole import write_text
+    from lampest.recording.board.calibrate import calibrate as calibrate_recording
+    from lampest.recording.board.calibrate import calibrated_scene_text
+    from lampest.recording.board.known import known_resistors
+    from lampest.recording.recording import Recording
 
     recording = Recording.load(file)
     found = calibrate_recording(recording, known_resistors(known, recording.scene.panel))
@@ -120,9 +120,9 @@ def live(
     """Reconstruct each frame as it comes and show it in the browser."""
     import signal
 
-    from lampest.importing import read_scene
-    from lampest.live.run import Board, Replay
-    from lampest.live.run import live as run_live
+    from lampest.recording.foreign.importing import read_scene
+    from lampest.report.live.run import Board, Replay
+    from lampest.report.live.run import live as run_live
 
     check_positive("--speed", speed)
     check_positive("--period", period)

@@ -21,9 +21,9 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
-    from lampest.batch import run_batch
-    from lampest.config import read_run
-    from lampest.executors import local
+    from lampest.runs.batch import run_batch
+    from lampest.runs.config import read_run
+    from lampest.runs.executors import local
 
     cases = read_run(config, tuple(assign or ()))
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases))
@@ -44,10 +44,10 @@ def tune(
     assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
 ) -> None:
     """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice."""
-    from lampest.config import read_run
-    from lampest.plot.tune import plot_study
-    from lampest.tune.report import summary_table, write_study
-    from lampest.tune.run import run_tune
+    from lampest.runs.config import read_run
+    from lampest.studies.tune.figure import plot_study
+    from lampest.studies.tune.report import summary_table, write_study
+    from lampest.studies.tune.run import run_tune
 
     cases = read_run(config, tuple(assign or ()))
     with progress("cases") as on_case:
@@ -67,9 +67,9 @@ def starts(
     seed: Annotated[int, typer.Option("--seed")] = 0,
 ) -> None:
     """Say how often every case of a run reaches the best objective known from random starts."""
-    from lampest.compare import Table
-    from lampest.config import read_run
-    from lampest.starts import tally
+    from lampest.report.compare import Table
+    from lampest.runs.config import read_run
+    from lampest.studies.starts import tally
 
     cases = read_run(config).cases
     rows = []
@@ -90,7 +90,7 @@ def simulate(
     out: Annotated[Path | None, typer.Option("--out", help="The recording, or a folder where the file sweeps.")] = None,
 ) -> None:
     """Make recordings with their truth from a scene."""
-    from lampest.simulate import run as run_simulation
+    from lampest.recording.simulation import run as run_simulation
 
     for path in run_simulation(config, out):
         print(path)
@@ -108,7 +108,7 @@ def import_(
     variable: Annotated[str | None, typer.Option("--variable", help="The variable of a .mat file.")] = None,
 ) -> None:
     """Turn a table of two-point measurements into a recording."""
-    from lampest.importing import import_file, read_scene
+    from lampest.recording.foreign.importing import import_file, read_scene
 
     recording, notes = import_file(
         file, rows, columns, read_scene(scene) if scene else None, unit, baseline, transpose, variable

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from lampest.cli.screen import Out, print_table, progress
-from lampest.errors import InputError
+from lampest.files.errors import InputError
 
 
 class Show(Enum):
@@ -26,13 +26,13 @@ def compare(
     ] = None,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
-    from lampest.compare import compare_files, screen_table, write_csv
+    from lampest.report.compare import compare_files, screen_table, write_csv
 
     rows = compare_files(results)
     if csv:
         write_csv(csv, rows)
     if report:
-        from lampest.report.page import write_report
+        from lampest.report.page.page import write_report
 
         write_report(results, report)
     print_table(screen_table(rows))
@@ -44,7 +44,7 @@ def plot(
     show: Annotated[Show, typer.Option("--show", help="What is drawn.")] = Show.CONTOURS,
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
-    from lampest.plot import plot_results
+    from lampest.report.plots import plot_results
 
     for path in plot_results(results, out, show.value):
         print(path)
@@ -62,10 +62,10 @@ def detect(
     ] = None,
 ) -> None:
     """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""
-    from lampest.detect.report import FILE, event_table, write_detections
-    from lampest.detect.run import detect_file
-    from lampest.plot.timeline import plot_timelines
-    from lampest.recognition.settings import Settings
+    from lampest.loads.recognition.settings import Settings
+    from lampest.report.detect.report import FILE, event_table, write_detections
+    from lampest.report.detect.run import detect_file
+    from lampest.report.plots.timeline import plot_timelines
 
     try:
         settings = Settings(patch, depth, noise)
@@ -84,8 +84,8 @@ def terms() -> None:
     """List the cost terms with their formulas, units and options."""
     import dataclasses
 
-    from lampest.compare import Table
-    from lampest.terms import term_types
+    from lampest.cost.terms import term_types
+    from lampest.report.compare import Table
 
     rows = []
     for kind, term in term_types().items():
@@ -102,14 +102,14 @@ def schema() -> None:
     """Print the JSON schema of a run's file."""
     import json
 
-    from lampest.config import json_schema
+    from lampest.runs.config import json_schema
 
     print(json.dumps(json_schema(), indent=2))
 
 
 def info(file: Annotated[Path, typer.Argument(help="A recording or a results file.")]) -> None:
     """Say what a file holds and draw the first frame as a small map."""
-    from lampest.info import describe
+    from lampest.report.info import describe
 
     for line in describe(file):
         print(line)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.errors import InputError
+from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
-    from lampest.compare import Table
+    from lampest.report.compare import Table
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 

@@ -13,9 +13,9 @@ def bench(
     out: Folder = None,
 ) -> None:
     """Compare the speed of reduced, nodal and scipy's solvers over panel sizes, with the accuracy that each reaches."""
-    from lampest.bench.report import remarks, summary_table, write_bench
-    from lampest.bench.run import run_bench
-    from lampest.bench.settings import read_bench
+    from lampest.studies.bench.report import remarks, summary_table, write_bench
+    from lampest.studies.bench.run import run_bench
+    from lampest.studies.bench.settings import read_bench
 
     settings = read_bench(config)
     with progress("methods") as on_step:
@@ -31,10 +31,10 @@ def tradeoff(
     out: Folder = None,
 ) -> None:
     """Measure what every rung of the ladder of efforts costs in time and in accuracy; table, HDF5 and figure."""
-    from lampest.plot.tradeoff import plot_tradeoff
-    from lampest.tradeoff.report import summary_table, write_tradeoff
-    from lampest.tradeoff.run import run_tradeoff
-    from lampest.tradeoff.settings import read_plan
+    from lampest.studies.tradeoff.figure import plot_tradeoff
+    from lampest.studies.tradeoff.report import summary_table, write_tradeoff
+    from lampest.studies.tradeoff.run import run_tradeoff
+    from lampest.studies.tradeoff.settings import read_plan
 
     plan = read_plan(config)
     with progress("measurements") as on_step:
@@ -51,10 +51,10 @@ def extremes(
     out: Folder = None,
 ) -> None:
     """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
-    from lampest.extremes.report import remarks, summary_table, write_atlas
-    from lampest.extremes.run import run_atlas
-    from lampest.extremes.settings import read_atlas
-    from lampest.plot.extremes import plot_extremes
+    from lampest.studies.extremes.figure import plot_extremes
+    from lampest.studies.extremes.report import remarks, summary_table, write_atlas
+    from lampest.studies.extremes.run import run_atlas
+    from lampest.studies.extremes.settings import read_atlas
 
     atlas = read_atlas(config)
     with progress("scenes") as on_step:

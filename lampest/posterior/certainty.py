@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel import Array
+from lampest.panel.panel import Array
 from lampest.posterior.interval import TWO_SIDED, one_sided
 from lampest.posterior.linear import LinearModel
 

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, lapack
 
-from lampest.cost import Cost
-from lampest.panel import Array
+from lampest.cost.cost import Cost
+from lampest.panel.panel import Array
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.residuals import residuals
 

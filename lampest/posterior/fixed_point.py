@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from lampest.panel import Array
+from lampest.cost.losses import Absolute
+from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import LinearModel, penalty_bend
 from lampest.posterior.sampled import SampledErrors
-from lampest.terms.losses import Absolute
 
 MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12
 

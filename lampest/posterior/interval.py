@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtri, ndtri_exp
 
-from lampest.panel import Array
+from lampest.panel.panel import Array
 
 LEVEL = 0.95
 TWO_SIDED = float(ndtri((1 + LEVEL) / 2))

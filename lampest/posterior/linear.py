@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.panel import Array
+from lampest.cost.losses import Absolute, Huber
+from lampest.cost.problem import Evaluation
+from lampest.panel.panel import Array
 from lampest.posterior.residuals import Part, Residuals, residuals
-from lampest.problem import Evaluation
-from lampest.terms.losses import Absolute, Huber
 
 NEAR_BOUND = 1e-3  # in log r
 ABSOLUTE = float(np.sqrt(2 / np.pi)) / 2  # of E|x + noise|, half the second derivative at 0, in units of 1/noise

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.cost import Compiled, Cost
-from lampest.panel import Array
-from lampest.problem import Evaluation
+from lampest.cost.cost import Compiled, Cost
+from lampest.cost.problem import Evaluation
+from lampest.panel.panel import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.panel import Array
+from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, rank
 from lampest.posterior.linear import LinearModel
-from lampest.solvers.conjugate import Linear, conjugate_gradients
-from lampest.solvers.curvature import Curvature
-from lampest.solvers.directions import local_inverse, misfit_inverse
-from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.newton.conjugate import Linear, conjugate_gradients
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.directions import local_inverse, misfit_inverse
+from lampest.solvers.newton.smoothing import Smoothing
 
 SAMPLES, PROBES = 100, 8
 ACCURACY, FINE = 1e-3, 1e-7

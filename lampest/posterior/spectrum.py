@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, eigh, solve_triangular
 from scipy.optimize import minimize_scalar
 
-from lampest.panel import Array
+from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.panel import Array
+from lampest.panel.panel import Array
+from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
-from lampest.posterior.systematic import Shared
 
 MOST_DENSE = 1200  # unknowns; from there on samples are faster
 

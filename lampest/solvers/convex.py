@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lampest.kirchhoff import Network, grounding, uniform_factor
-from lampest.panel import Array
-from lampest.solvers.conjugate import DENSE_UNKNOWNS, conjugate_gradients
-from lampest.solvers.stencil import Stencil
+from lampest.panel.network import Network, grounding, uniform_factor
+from lampest.panel.panel import Array
+from lampest.solvers.newton.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.solvers.newton.stencil import Stencil
 
 MOST_ITERATIONS = 30
 LEAST_LENGTH = 1e-6

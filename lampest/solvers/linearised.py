@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from lampest.cost import Cost
-from lampest.panel import Array
-from lampest.problem import Data, Evaluation
-from lampest.solvers.conjugate import DENSE_UNKNOWNS, conjugate_gradients
-from lampest.solvers.curvature import Curvature
-from lampest.solvers.directions import local_inverse
-from lampest.solvers.smoothing import Smoothing
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.panel import Array
+from lampest.solvers.newton.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.directions import local_inverse
+from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solution, Status, approximation
 
 ACCURACY = 1e-5  # single cells are small beside whole lines in what is minimised: 1e-2 leaves a change of one unseen

@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost import Cost
-from lampest.panel import Array
-from lampest.problem import Data, Evaluation
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.panel import Array
 
 VERIFIED = 1e-6
 OPEN_FRACTION = 0.99

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from board.bench import scene
 
-from lampest.document import to_yaml
+from lampest.files.document import to_yaml
 
 COMMAND = Path(sys.executable).with_name("lampest")
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

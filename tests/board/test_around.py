@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from board.bench import FIRMWARE, bench, scene, some_cells
 
-from lampest.acquire import port
-from lampest.acquire.framing import message
-from lampest.acquire.keys import pressed_keys
-from lampest.acquire.record import record
-from lampest.errors import InputError
+from lampest.files.errors import InputError
+from lampest.recording.board import port
+from lampest.recording.board.framing import message
+from lampest.recording.board.keys import pressed_keys
+from lampest.recording.board.record import record
 
 
 def test_missing_packages_are_named_in_one_sentence(tmp_path: Path) -> None:

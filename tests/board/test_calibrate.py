@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
-from lampest.acquire.calibrate import calibrate, calibrated_scene, calibrated_scene_text
-from lampest.acquire.record import record
-from lampest.document import parse_document, validated
-from lampest.errors import InputError
-from lampest.kirchhoff import two_point_resistance
-from lampest.recording import Recording
-from lampest.scene import Scene
+from lampest.files.document import parse_document, validated
+from lampest.files.errors import InputError
+from lampest.panel.network import two_point_resistance
+from lampest.panel.scene import Scene
+from lampest.recording.board.calibrate import calibrate, calibrated_scene, calibrated_scene_text
+from lampest.recording.board.record import record
+from lampest.recording.recording import Recording
 
 
 def from_board(folder: Path, cells: np.ndarray, *options: object, frames: int = 5) -> Recording:
@@ -58,8 +58,8 @@ def test_channels_that_differ_are_found_and_reported(tmp_path: Path) -> None:
 
 def test_the_stated_uncertainty_is_that_of_repeated_calibrations() -> None:
     """40 invented recordings: the results scatter as sigma_ohm says."""
-    from lampest.simulate.measure import measured
-    from lampest.simulate.unmodelled import Unmodelled
+    from lampest.recording.simulation.measure import measured
+    from lampest.recording.simulation.unmodelled import Unmodelled
 
     known, cells = scene(), np.repeat(some_cells(np.random.default_rng(1), 1), 4, axis=0)
     found = []

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
-from lampest.acquire.record import record
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array
-from lampest.recording import MEASURED, UNLOADED, Recording
-from lampest.simulate.measure import measured
-from lampest.simulate.unmodelled import Unmodelled
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array
+from lampest.recording.board.record import record
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.unmodelled import Unmodelled
 
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from board.bench import Bench, bench, scene, some_cells
 
-from lampest.acquire.protocol import Frame, Receiver, frame_body
-from lampest.acquire.record import Progress, record, repair
-from lampest.errors import InputError
-from lampest.recording import Recording
+from lampest.files.errors import InputError
+from lampest.recording.board.protocol import Frame, Receiver, frame_body
+from lampest.recording.board.record import Progress, record, repair
+from lampest.recording.recording import Recording
 
 RECORDER = """
 import sys
 from pathlib import Path
-from lampest.acquire.record import record
+from lampest.recording.board.record import record
 def tell(progress):
     print(progress.frames, flush=True)
 print(record(sys.argv[1], Path(sys.argv[2]), on_progress=tell, period=float(sys.argv[3]), baseline=3).frames)
@@ -136,7 +136,7 @@ def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> N
 
     def look(progress: Progress) -> None:
         if progress.frames == 5:
-            reader = "import sys; from lampest.recording import Recording; print(len(Recording.load(sys.argv[1]).time))"
+            reader = "import sys, lampest; print(len(lampest.Recording.load(sys.argv[1]).time))"
             done = subprocess.run([sys.executable, "-c", reader, str(out)], capture_output=True, text=True, check=True)
             seen.append(int(done.stdout))
             with pytest.raises(InputError, match="still being recorded"):
@@ -182,7 +182,7 @@ def test_wrong_wishes_are_refused_and_leave_nothing(tmp_path: Path) -> None:
 
 
 def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lampest.acquire.port.HELLO_SECONDS", 0.5)
+    monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
 

@@ -11,9 +11,19 @@ from board.bench import FIRMWARE, built
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lampest.acquire import protocol
-from lampest.acquire.framing import crc16, message, unstuffed
-from lampest.acquire.protocol import Answer, Frame, Hello, Kind, Receiver, Result, command, frame_body, hello_body
+from lampest.recording.board import protocol
+from lampest.recording.board.framing import crc16, message, unstuffed
+from lampest.recording.board.protocol import (
+    Answer,
+    Frame,
+    Hello,
+    Kind,
+    Receiver,
+    Result,
+    command,
+    frame_body,
+    hello_body,
+)
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
 

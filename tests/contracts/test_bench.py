@@ -10,18 +10,18 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.bench.problems import frame_data, resting_cells
-from lampest.bench.report import growth, rows
-from lampest.bench.run import Bench, Timing, run_bench
-from lampest.bench.settings import SOLVERS, BenchFile, Method, Terms, read_bench
-from lampest.bench.trf import Trf, _Point
-from lampest.cost import Cost
-from lampest.errors import InputError
-from lampest.panel import Panel
-from lampest.search import evaluated
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Huber
+from lampest.cost.terms.misfit import Misfit
+from lampest.files.errors import InputError
+from lampest.panel.panel import Panel
+from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings
-from lampest.terms.losses import Huber
-from lampest.terms.misfit import Misfit
+from lampest.studies.bench.problems import frame_data, resting_cells
+from lampest.studies.bench.report import growth, rows
+from lampest.studies.bench.run import Bench, Timing, run_bench
+from lampest.studies.bench.settings import SOLVERS, BenchFile, Method, Terms, read_bench
+from lampest.studies.bench.trf import Trf, _Point
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.compare import compare, compare_files, csv_text, screen_table, write_csv
-from lampest.errors import InputError
-from lampest.info import describe
-from lampest.plot import contours, plot_results, save
-from lampest.plot.contours import strongest_frame
-from lampest.recording import Recording
-from lampest.results import PublishedFigures, Results, StepFigures, write_results
-from lampest.scene import Panel, Scene, TwoPointReadout
+from lampest.files.errors import InputError
+from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest.recording.recording import Recording
+from lampest.report.compare import compare, compare_files, csv_text, screen_table, write_csv
+from lampest.report.info import describe
+from lampest.report.plots import contours, plot_results, save
+from lampest.report.plots.contours import strongest_frame
+from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
 
 PUBLISHED = {
     "LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29)),

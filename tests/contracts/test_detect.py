@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.detect.detection import QUANTITIES
-from lampest.detect.report import event_table, write_detections
-from lampest.detect.run import detect, detect_file
-from lampest.errors import InputError
-from lampest.panel import Panel
-from lampest.plot.timeline import plot_timelines
-from lampest.readings import Readings
-from lampest.recognition.settings import Settings
-from lampest.recognition.verdict import KINDS
-from lampest.results import CaseResult, Results, write_results
-from lampest.scene import Scene, TwoPointReadout
-from lampest.simulate.loads import OralDisc
-from lampest.simulate.simulation import Simulation, simulate
+from lampest.files.errors import InputError
+from lampest.loads.recognition.settings import Settings
+from lampest.loads.recognition.verdict import KINDS
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.readings import Readings
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.report.detect.detection import QUANTITIES
+from lampest.report.detect.report import event_table, write_detections
+from lampest.report.detect.run import detect, detect_file
+from lampest.report.plots.timeline import plot_timelines
+from lampest.runs.results import CaseResult, Results, write_results
 
 FRAMES = 3
 

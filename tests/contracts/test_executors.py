@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest.batch import Task, run_batch, solve_case
-from lampest.config import json_schema, read_run
-from lampest.errors import InputError
-from lampest.executors import Dask, Processes, Serial, Slurm, local
-from lampest.results import CaseResult, read_results
+from lampest.files.errors import InputError
+from lampest.runs.batch import Task, run_batch, solve_case
+from lampest.runs.config import json_schema, read_run
+from lampest.runs.executors import Dask, Processes, Serial, Slurm, local
+from lampest.runs.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
 TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
@@ -55,7 +55,7 @@ def test_results_are_those_of_serial_even_where_a_worker_dies(
     disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
     run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
     reference = run_batch(run, disk.folder / "one", Serial())
-    monkeypatch.setattr("lampest.batch.solve_case", dying_once)
+    monkeypatch.setattr("lampest.runs.batch.solve_case", dying_once)
     report = run_batch(run, disk.folder / "two", executor)
     assert (disk.folder / "two" / "died").exists()
     assert (report.done, report.skipped, report.failed) == (6, 0, ())
@@ -127,7 +127,7 @@ def test_workers_with_several_threads_are_refused() -> None:
 
 
 def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lampest.executors.dask.PATIENCE_S", 0.3)
+    monkeypatch.setattr("lampest.runs.executors.dask.PATIENCE_S", 0.3)
     with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:9"):
         list(Dask(address="tcp://127.0.0.1:9").results(eval, ["1"]))
 
@@ -197,7 +197,9 @@ def test_defaults_are_of_this_machine() -> None:
 
 
 def test_dask_is_imported_only_when_it_is_used() -> None:
-    program = "import sys, lampest.batch, lampest.executors\nprint({'dask', 'distributed'} & set(sys.modules))"
+    program = (
+        "import sys, lampest.runs.batch, lampest.runs.executors\nprint({'dask', 'distributed'} & set(sys.modules))"
+    )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ended.stdout == "set()\n"
 

@@ -10,24 +10,24 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.estimator import Estimator
-from lampest.extremes.audit import exact_residual
-from lampest.extremes.digits import convex_estimate, correct_digits, fifty_digits
-from lampest.extremes.report import mild, remarks, rows
-from lampest.extremes.run import CRASHED, Solve, run_atlas
-from lampest.extremes.scenes import CASES, Sample, recording_of
-from lampest.extremes.settings import AtlasFile, Grid, read_atlas
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Panel
-from lampest.problem import Data
-from lampest.readings import AT_LEAST, AT_MOST, Readings
-from lampest.recording import Recording
-from lampest.scene import Scene, TwoPointReadout
-from lampest.search import best_solution, evaluated
-from lampest.solvers.reach import within_reach
+from lampest.cost.problem import Data
+from lampest.cost.terms.cell_resistance import CellResistance
+from lampest.cost.terms.misfit import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.recording import Recording
+from lampest.solvers.newton.reach import within_reach
+from lampest.solvers.search import best_solution, evaluated
 from lampest.solvers.solution import Settings, Status
-from lampest.terms.cell_resistance import CellResistance
-from lampest.terms.misfit import Misfit
+from lampest.studies.extremes.audit import exact_residual
+from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
+from lampest.studies.extremes.report import mild, remarks, rows
+from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
+from lampest.studies.extremes.scenes import CASES, Sample, recording_of
+from lampest.studies.extremes.settings import AtlasFile, Grid, read_atlas
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]
@@ -138,7 +138,11 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     estimator = Estimator((Misfit(),), "reduced")
     data = estimator.data(Readings.of(recording)[0].alone())
     solver = estimator.problem(Panel(3, 3), 1, 1.0)
-    for place in ("lampest.solvers.newton.direction", "lampest.search.evaluated", "lampest.search.convex_start"):
+    for place in (
+        "lampest.solvers.newton.newton.direction",
+        "lampest.solvers.search.evaluated",
+        "lampest.solvers.search.convex_start",
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(place, breaks)
             found = best_solution(solver, data, None)
@@ -208,7 +212,7 @@ def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(*arguments: object) -> None:
         raise KeyError("gone")
 
-    monkeypatch.setattr("lampest.extremes.run.first_stream", breaks)
+    monkeypatch.setattr("lampest.studies.extremes.run.first_stream", breaks)
     atlas = read_tiny()
     found = run_atlas(atlas)
     assert all(solve.crashed and "KeyError" in solve.status for solve in found)
@@ -216,6 +220,6 @@ def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def read_tiny() -> AtlasFile:
-    from lampest.executors import Serial
+    from lampest.runs.executors import Serial
 
     return AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), solver=Settings(), executor=Serial())

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from lampest.errors import InputError
-from lampest.importing import import_file, read_scene
-from lampest.panel import Panel
-from lampest.readout import voltage_from_resistance
-from lampest.scene import Scene, TwoPointReadout
+from lampest.files.errors import InputError
+from lampest.panel.divider import voltage_from_resistance
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.foreign.importing import import_file, read_scene
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5

@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest.errors import InputError
-from lampest.estimator import Estimator
-from lampest.live import engine as engine_module
-from lampest.live import server as server_module
-from lampest.live.engine import Engine, Reading, Source, total_pressure, with_picture
-from lampest.live.feed import from_recording
-from lampest.live.newest import Newest
-from lampest.live.run import METHODS, Replay, chosen, live
-from lampest.live.server import PageServer, address, is_local_name, serving
-from lampest.live.view import POINTS, Picture, View, view_text
-from lampest.panel import Panel
-from lampest.recording import MEASURED, Recording
-from lampest.response import ratio_from_pressure
-from lampest.sequence import reconstruct
+from lampest.cost.terms import Arrival, Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.loads.response import ratio_from_pressure
+from lampest.panel.panel import Panel
+from lampest.recording.recording import MEASURED, Recording
+from lampest.report.live import engine as engine_module
+from lampest.report.live import server as server_module
+from lampest.report.live.engine import Engine, Reading, Source, total_pressure, with_picture
+from lampest.report.live.feed import from_recording
+from lampest.report.live.newest import Newest
+from lampest.report.live.run import METHODS, Replay, chosen, live
+from lampest.report.live.server import PageServer, address, is_local_name, serving
+from lampest.report.live.view import POINTS, Picture, View, view_text
 from lampest.solvers.solution import Settings
-from lampest.terms import Arrival, Misfit
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 LSM = Estimator((Misfit(),), "reduced")
@@ -241,7 +241,7 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     answer = page.ask()
     assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-    assert answer.read() == files("lampest.live").joinpath("page.html").read_bytes()
+    assert answer.read() == files("lampest.report.live").joinpath("page.html").read_bytes()
     views = page.ask(path="/views")
     assert views.headers["Content-Type"] == "text/event-stream"
     assert first_view(views)["state"] == "receiving"
@@ -323,7 +323,7 @@ def test_addresses() -> None:
 
 
 def test_the_page_loads_nothing_from_elsewhere() -> None:
-    text = files("lampest.live").joinpath("page.html").read_text(encoding="utf-8")
+    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
     assert not re.findall(r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")", text)
     assert len(text) < 30_000
 

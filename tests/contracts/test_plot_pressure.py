@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.errors import InputError
-from lampest.panel import Panel
-from lampest.plot import save
-from lampest.plot.pressure import pressure_figure
-from lampest.pressure import pressure_of
-from lampest.results import CaseResult
-from lampest.scene import Scene, Water
+from lampest.files.errors import InputError
+from lampest.loads.pressure import pressure_of
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, Water
+from lampest.report.plots import save
+from lampest.report.plots.pressure import pressure_figure
+from lampest.runs.results import CaseResult
 
 
 def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.1) -> CaseResult:

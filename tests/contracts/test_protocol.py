@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest.acquire.framing import crc16, message, stuffed, stuffed_length, unstuffed
-from lampest.acquire.protocol import (
+from lampest.recording.board.framing import crc16, message, stuffed, stuffed_length, unstuffed
+from lampest.recording.board.protocol import (
     MOST_CODE,
     MOST_STUFFED,
     PROTOCOL_VERSION,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.errors import InputError
-from lampest.report.batch import Batch, Subject, read_batch
-from lampest.report.page import report, write_report
-from lampest.results import CaseResult, write_results
+from lampest.files.errors import InputError
+from lampest.report.page.batch import Batch, Subject, read_batch
+from lampest.report.page.page import report, write_report
+from lampest.runs.results import CaseResult, write_results
 
 EMPTY = {"meta", "link", "img", "br"}
 

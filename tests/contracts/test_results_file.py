@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.errors import InputError
-from lampest.results import CaseResult, PublishedFigures, StepFigures, read_results, write_results
+from lampest.files.errors import InputError
+from lampest.runs.results import CaseResult, PublishedFigures, StepFigures, read_results, write_results
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 
@@ -65,7 +65,7 @@ def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
 def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from support import METHODS, invented_case\n"
-        "from lampest.results import write_results\n"
+        "from lampest.runs.results import write_results\n"
         "write_results(sys.argv[2], [invented_case(name, failed=(1,)) for name in METHODS])"
     )
     for name in ("one.h5", "two.h5"):

@@ -15,11 +15,11 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.batch import exclusive, run_batch
-from lampest.config import read_run
-from lampest.executors import Processes, Serial
-from lampest.results import CaseResult, read_results
-from lampest.terms import term_types
+from lampest.cost.terms import term_types
+from lampest.runs.batch import exclusive, run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors import Processes, Serial
+from lampest.runs.results import CaseResult, read_results
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")
@@ -123,7 +123,7 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
 def test_case_that_fails_stops_no_other(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lampest import batch
+    from lampest.runs import batch
 
     solve = batch.reconstruct
 

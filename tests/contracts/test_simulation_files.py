@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from lampest.document import parse_document, validated
-from lampest.errors import InputError
-from lampest.recording import Recording
-from lampest.simulate import Simulation, read_simulations, run
+from lampest.files.document import parse_document, validated
+from lampest.files.errors import InputError
+from lampest.recording.recording import Recording
+from lampest.recording.simulation import Simulation, read_simulations, run
 
 ROOT = Path(__file__).parents[2]
 BASE = """\

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.tradeoff.report import front, on_front, summary_rows
-from lampest.tradeoff.run import Tradeoff, run_tradeoff
-from lampest.tradeoff.settings import label, read_plan
+from lampest.studies.tradeoff.report import front, on_front, summary_rows
+from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
+from lampest.studies.tradeoff.settings import label, read_plan
 
 TINY = """\
 schema: 1

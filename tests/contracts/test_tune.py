@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.config import read_run
-from lampest.tune.subject import why_not
+from lampest.runs.config import read_run
+from lampest.studies.tune.subject import why_not
 
 TUNE = """\
 schema: 1

@@ -13,10 +13,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from lampest.kirchhoff import two_point_resistance
-from lampest.readout import resistance_from_voltage
-from lampest.recording import Recording
-from lampest.scene import Panel, Scene, TwoPointReadout
+from lampest.panel.divider import resistance_from_voltage
+from lampest.panel.network import two_point_resistance
+from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest.recording.recording import Recording
 
 COMMAND = Path(sys.executable).with_name("lampest")
 TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")

@@ -17,11 +17,11 @@ import h5py
 import numpy as np
 from support import invented_case
 
-from lampest.acquisition import Acquisition
-from lampest.readout import resistance_from_voltage
-from lampest.recording import Recording
-from lampest.results import PublishedFigures, StepFigures, write_results
-from lampest.scene import Panel, Scene, TwoPointReadout
+from lampest.panel.divider import resistance_from_voltage
+from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest.recording.acquisition import Acquisition
+from lampest.recording.recording import Recording
+from lampest.runs.results import PublishedFigures, StepFigures, write_results
 
 SUFFIXES = {
     "run": ".yaml",

@@ -18,13 +18,13 @@ from unittest import mock
 from fuzz.mutants import RUN, SUFFIXES, Mutant, text
 
 from lampest import cli
-from lampest.config import read_run
-from lampest.errors import InputError
-from lampest.importing import import_file, read_scene
-from lampest.recording import Recording
-from lampest.results import read_results
-from lampest.simulate import read_simulations
-from lampest.simulate import run as simulate
+from lampest.files.errors import InputError
+from lampest.recording.foreign.importing import import_file, read_scene
+from lampest.recording.recording import Recording
+from lampest.recording.simulation import read_simulations
+from lampest.recording.simulation import run as simulate
+from lampest.runs.config import read_run
+from lampest.runs.results import read_results
 
 FINE, REFUSED = "taken", "refused"
 MOST_SECONDS = 5.0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fuzz.batches import COMMAND, Batch, batch, content, finished, session, until, write_recording
 
-from lampest.recording import Recording
-from lampest.results import read_results
+from lampest.recording.recording import Recording
+from lampest.runs.results import read_results
 
 LONG = pytest.mark.soak
 HERE = ["unshare", "--map-root-user", "--mount", "sh", "-c"]

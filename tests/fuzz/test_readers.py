@@ -19,11 +19,11 @@ from fuzz.readers import FINE, REFUSED, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest.config import read_run
-from lampest.document import MOST_BYTES, parse_document
-from lampest.errors import InputError
-from lampest.recording import Recording
-from lampest.results import check_name, read_results
+from lampest.files.document import MOST_BYTES, parse_document
+from lampest.files.errors import InputError
+from lampest.recording.recording import Recording
+from lampest.runs.config import read_run
+from lampest.runs.results import check_name, read_results
 
 ROOT = Path(__file__).parents[2]
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)

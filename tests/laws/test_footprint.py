@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lampest.footprint import cover
-from lampest.panel import Array, Panel
+from lampest.loads.footprint import cover
+from lampest.panel.panel import Array, Panel
 
 PANEL = Panel(7, 5, 10.0)
 POINTS = 200

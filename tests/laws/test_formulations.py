@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.estimator import FORMULATIONS
-from lampest.kirchhoff import Network, grounding, two_point_resistance
-from lampest.panel import Array, Panel
+from lampest.estimate.estimator import FORMULATIONS
+from lampest.panel.network import Network, grounding, two_point_resistance
+from lampest.panel.panel import Array, Panel
 
 SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.kirchhoff import Network, current_balance, grounding, laplacian, two_point_resistance, uniform_factor
-from lampest.panel import Array
+from lampest.panel.network import Network, current_balance, grounding, laplacian, two_point_resistance, uniform_factor
+from lampest.panel.panel import Array
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
 SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7), (10, 10)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lampest.response import (
+from lampest.loads.response import (
     RESPONSE_SD,
     TOLD_KPA,
     pressure_from_logarithm,

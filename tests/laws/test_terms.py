@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.cost import Cost
-from lampest.estimator import FORMULATIONS, Bounds, Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.problem import Data, Evaluation
-from lampest.recording import Recording
-from lampest.scene import Scene
-from lampest.sequence import reconstruct
-from lampest.solvers.curvature import Curvature
-from lampest.solvers.program import Program
-from lampest.solvers.smoothing import Smoothing
-from lampest.terms import Misfit, term_kind, term_types
-from lampest.terms.losses import Absolute, Huber, Loss, Squared
-from lampest.terms.term import State, Term
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Absolute, Huber, Loss, Squared
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms import Misfit, term_kind, term_types
+from lampest.cost.terms.term import State, Term
+from lampest.estimate.estimator import FORMULATIONS, Bounds, Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
+from lampest.solvers.ipopt.program import Program
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.smoothing import Smoothing
 
 PANEL = Panel(3, 4)
 CORNER = 40.0

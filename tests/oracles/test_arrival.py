@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.cost import Cost
-from lampest.efforts import Region
-from lampest.errors import InputError
-from lampest.estimator import FORMULATIONS, Estimator, FormulationName
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Squared
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms import Arrival, LogRatio, Misfit
+from lampest.cost.terms.arrival import common_step
+from lampest.cost.terms.term import Term
+from lampest.estimate.efforts import Region
+from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.files.errors import InputError
+from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import OralDisc, Rod
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.problem import Data, Evaluation
-from lampest.recording import Recording
-from lampest.response import ratio_from_pressure
-from lampest.scene import Faults, Scene
-from lampest.sequence import Reconstruction, reconstruct
-from lampest.simulate.loads import OralDisc, Rod
-from lampest.simulate.pressure import patch_pressure
-from lampest.terms import Arrival, LogRatio, Misfit
-from lampest.terms.arrival import common_step
-from lampest.terms.losses import Squared
-from lampest.terms.term import Term
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.pressure import patch_pressure
 
 PANEL, NOISE, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
 ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)

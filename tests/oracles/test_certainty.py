@@ -8,23 +8,23 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest.estimator import Doubts, Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
+from lampest.cost.losses import Absolute, Huber
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
-from lampest.readings import plain
-from lampest.recording import Recording
-from lampest.scene import Scene, Systematic
-from lampest.search import best_solution
-from lampest.sequence import Reconstruction, reconstruct
+from lampest.recording.readings import plain
+from lampest.recording.recording import Recording
+from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Solution
-from lampest.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.terms.losses import Absolute, Huber
-from lampest.terms.term import Term
 
 SHAPE = (7, 8)
 

@@ -5,26 +5,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest.detect.events import events, states
-from lampest.panel import Panel
-from lampest.readings import Readings
-from lampest.recognition.baseline import Baseline
-from lampest.recognition.detector import Detector
-from lampest.recognition.direct import fit_oral_disc
-from lampest.recognition.doubts import Doubts
-from lampest.recognition.frame import Direct, TwoStep, Weight, outliers
-from lampest.recognition.loads import CUP, FLAT, LAMPREY, RING, ROD, Disc, Round, disc_pressure
-from lampest.recognition.verdict import OR, Verdict
-from lampest.recording import Recording
-from lampest.scene import Scene, TwoPointReadout
-from lampest.simulate.course import Course
-from lampest.simulate.loads import OralDisc
-from lampest.simulate.loads import Ring as RingLoad
-from lampest.simulate.loads import Rod as RodLoad
-from lampest.simulate.loads import SuctionCup as CupLoad
-from lampest.simulate.pressure import patch_pressure
-from lampest.simulate.simulation import Simulation, simulate
-from lampest.simulate.unmodelled import Unmodelled
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.direct import fit_oral_disc
+from lampest.loads.recognition.doubts import Doubts
+from lampest.loads.recognition.frame import Direct, TwoStep, Weight, outliers
+from lampest.loads.recognition.loads import CUP, FLAT, LAMPREY, RING, ROD, Disc, Round, disc_pressure
+from lampest.loads.recognition.verdict import OR, Verdict
+from lampest.loads.shapes import OralDisc
+from lampest.loads.shapes import Ring as RingLoad
+from lampest.loads.shapes import Rod as RodLoad
+from lampest.loads.shapes import SuctionCup as CupLoad
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import patch_pressure
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.detect.events import events, states
 
 PANEL = Panel(9, 11, 10.0)
 READOUT = TwoPointReadout(kind="two_point", noise_lsb=0.7)
@@ -206,7 +206,7 @@ def test_states_need_two_frames() -> None:
 
 
 def test_a_mouth_touches_attaches_and_lets_go() -> None:
-    from lampest.detect.detection import Detection
+    from lampest.report.detect.detection import Detection
 
     course = Course(start_s=1.5, approach_s=2, attachment_s=1, release_at_s=9.5, release_s=1)
     recording = recorded(MOUTH, frames=15, course=course)

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.blocks import changed, grown, widened
-from lampest.config import read_run
-from lampest.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
-from lampest.errors import InputError
-from lampest.estimator import Estimator
-from lampest.kirchhoff import Network, grounding, two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.recording import Recording
-from lampest.scene import Scene
-from lampest.sequence import Reconstruction, reconstruct
+from lampest.cost.losses import Absolute, Huber
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.files.errors import InputError
+from lampest.panel.network import Network, grounding, two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
+from lampest.runs.config import read_run
+from lampest.solvers.region.blocks import changed, grown, widened
 from lampest.solvers.solution import Status
-from lampest.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.terms.losses import Absolute, Huber
-from lampest.terms.term import Term
 
 SHAPE = (14, 15)
 BLOCK = (slice(5, 8), slice(6, 10))

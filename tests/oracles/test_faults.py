@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.errors import InputError
-from lampest.estimator import Bounds, Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.readings import AT_LEAST, AT_MOST, Readings
-from lampest.readout import rails
-from lampest.recording import Recording
-from lampest.scene import Faults, Scene, TwoPointReadout
-from lampest.sequence import reconstruct
-from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.panel.divider import rails
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Faults, Scene, TwoPointReadout
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.recording import Recording
 
 SHAPE = (6, 7)
 SIGMA = 0.01

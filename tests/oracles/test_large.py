@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.estimator import Estimator
-from lampest.kirchhoff import Network, grounding, two_point_resistance
-from lampest.panel import Panel
-from lampest.readout import resistance_from_voltage, sigma_resistance, voltage_from_resistance
-from lampest.recording import Recording
-from lampest.scene import Scene, TwoPointReadout
-from lampest.sequence import reconstruct
+from lampest.cost.losses import Absolute, Huber
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.divider import resistance_from_voltage, sigma_resistance, voltage_from_resistance
+from lampest.panel.network import Network, grounding, two_point_resistance
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.recording import Recording
 from lampest.solvers import convex, directions, linearised
-from lampest.solvers.stencil import Stencil
-from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.terms.losses import Absolute, Huber
-from lampest.terms.term import Term
+from lampest.solvers.newton.stencil import Stencil
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {

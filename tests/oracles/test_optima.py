@@ -9,18 +9,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-from lampest.cost import Cost
-from lampest.estimator import Bounds, Estimator, FormulationName
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.problem import Data, Evaluation
-from lampest.readings import plain
-from lampest.readout import resolution_limit
-from lampest.recording import Recording
-from lampest.scene import Scene
-from lampest.sequence import Reconstruction, reconstruct
-from lampest.terms import Gradient, Misfit, term_types
-from lampest.terms.losses import Absolute, Huber, Loss, Squared
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Absolute, Huber, Loss, Squared
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms import Gradient, Misfit, term_types
+from lampest.estimate.estimator import Bounds, Estimator, FormulationName
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.panel.divider import resolution_limit
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.readings import plain
+from lampest.recording.recording import Recording
 
 WEIGHTS = {
     "misfit": 0.0,

@@ -6,21 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.batch import run_batch
-from lampest.config import read_run
-from lampest.errors import InputError
-from lampest.estimator import Estimator
-from lampest.executors import local
-from lampest.panel import Panel
-from lampest.recording import Recording
-from lampest.results import read_results
-from lampest.scene import Scene, Systematic, TwoPointReadout, Water
-from lampest.sequence import reconstruct
-from lampest.simulate.loads import OralDisc
-from lampest.simulate.simulation import Simulation, simulate
-from lampest.simulate.unmodelled import Unmodelled
+from lampest.cost.terms import Gradient, Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, Systematic, TwoPointReadout, Water
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors import local
+from lampest.runs.results import read_results
 from lampest.solvers.solution import Status
-from lampest.terms import Gradient, Misfit
 
 DISC = Estimator((Misfit(),), unknowns="oral_disc")
 

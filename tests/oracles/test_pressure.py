@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lampest.document import parse_document, to_yaml, validated
-from lampest.errors import InputError
-from lampest.panel import Array, Panel
-from lampest.pressure import VACUUM_KPA, pressure_of, water_pressure
-from lampest.response import RESPONSE_SD, ratio_from_pressure
-from lampest.scene import Scene, Temperature, Water
-from lampest.simulate import Simulation, simulate
-from lampest.simulate.loads import SuctionCup
-from lampest.simulate.simulation import Cells
+from lampest.files.document import parse_document, to_yaml, validated
+from lampest.files.errors import InputError
+from lampest.loads.pressure import VACUUM_KPA, pressure_of, water_pressure
+from lampest.loads.response import RESPONSE_SD, ratio_from_pressure
+from lampest.loads.shapes import SuctionCup
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, Temperature, Water
+from lampest.recording.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Cells
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
 AIR = Scene(Panel(4, 3))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.report.advice import advise, doubts
-from lampest.report.batch import Batch, Subject, matched
-from lampest.report.compared import PREDICTION, compared, predicted
-from lampest.report.differences import disagreements
-from lampest.report.measures import measures
-from lampest.report.statistics import block_length, mean_interval, median_interval, picks
-from lampest.results import CaseResult
+from lampest.report.page.advice import advise, doubts
+from lampest.report.page.batch import Batch, Subject, matched
+from lampest.report.page.compared import PREDICTION, compared, predicted
+from lampest.report.page.differences import disagreements
+from lampest.report.page.measures import measures
+from lampest.report.page.statistics import block_length, mean_interval, median_interval, picks
+from lampest.runs.results import CaseResult
 
 SHAPE = (4, 3, 3)
 

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.kirchhoff import two_point_resistance, uniform_factor
-from lampest.panel import Array, Panel
-from lampest.readout import resistance_from_sums, resolution_limit, sigma_resistance, voltage_from_resistance
-from lampest.recording import Recording
-from lampest.response import ratio_from_pressure
-from lampest.scene import Scene, TwoPointReadout, Water
-from lampest.simulate import Simulation, read_simulations, run, simulate
-from lampest.simulate.course import Course
-from lampest.simulate.loads import Load, OralDisc, Ring, Rod, SuctionCup
-from lampest.simulate.measure import raw_sums
-from lampest.simulate.pressure import patch_pressure, pressure_on_cells
-from lampest.simulate.simulation import Cells
-from lampest.simulate.unmodelled import Unmodelled
+from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import Load, OralDisc, Ring, Rod, SuctionCup
+from lampest.panel.divider import resistance_from_sums, resolution_limit, sigma_resistance, voltage_from_resistance
+from lampest.panel.network import two_point_resistance, uniform_factor
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, TwoPointReadout, Water
+from lampest.recording.recording import Recording
+from lampest.recording.simulation import Simulation, read_simulations, run, simulate
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.measure import raw_sums
+from lampest.recording.simulation.pressure import patch_pressure, pressure_on_cells
+from lampest.recording.simulation.simulation import Cells
+from lampest.recording.simulation.unmodelled import Unmodelled
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = (

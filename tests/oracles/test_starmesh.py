@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.kirchhoff import SAFE_CONDITION, Network, grounding, two_point_resistance
-from lampest.panel import Array
-from lampest.starmesh import exact_two_point_resistance
+from lampest.panel.network import SAFE_CONDITION, Network, grounding, two_point_resistance
+from lampest.panel.panel import Array
+from lampest.panel.starmesh import exact_two_point_resistance
 
 FOURTEEN_DIGITS = 1e-14
 TEN_DIGITS = 1e-10

@@ -8,26 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.cost import Cost
-from lampest.estimator import FORMULATIONS, Estimator, FormulationName
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.posterior.dense import DenseErrors, DenseMemory
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
-from lampest.problem import Data
-from lampest.recording import Recording
-from lampest.response import ratio_from_pressure
-from lampest.scene import Scene
-from lampest.search import best_solution, evaluated
-from lampest.search import solved as run
-from lampest.sequence import Reconstruction, reconstruct
-from lampest.simulate.course import Course
-from lampest.simulate.loads import Load, Rod, SuctionCup
-from lampest.simulate.pressure import patch_pressure
-from lampest.solvers.newton import Newton
-from lampest.solvers.solution import Settings
-from lampest.terms import (
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Absolute, Squared
+from lampest.cost.problem import Data
+from lampest.cost.terms import (
     AnyTerm,
     Gradient,
     GradientOfRelativeChange,
@@ -37,8 +21,24 @@ from lampest.terms import (
     TotalVariation,
     TotalVariationOfChange,
 )
-from lampest.terms.losses import Absolute, Squared
-from lampest.terms.term import Reference, State, Term
+from lampest.cost.terms.term import Reference, State, Term
+from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import Load, Rod, SuctionCup
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.posterior.dense import DenseErrors, DenseMemory
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import patch_pressure
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.search import best_solution, evaluated
+from lampest.solvers.search import solved as run
+from lampest.solvers.solution import Settings
 
 PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)

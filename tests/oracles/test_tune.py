@@ -9,20 +9,20 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest.config import Case
-from lampest.estimator import Bounds, Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Panel
+from lampest.cost.problem import Evaluation
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
-from lampest.problem import Evaluation
-from lampest.recording import Recording
-from lampest.scene import Scene
-from lampest.sequence import reconstruct
-from lampest.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.terms.term import Term
-from lampest.tune.choices import Tuned, l_curve, morozov, tune
-from lampest.tune.curves import Point, held, solve_at
-from lampest.tune.subject import Subject
+from lampest.recording.recording import Recording
+from lampest.runs.config import Case
+from lampest.studies.tune.choices import Tuned, l_curve, morozov, tune
+from lampest.studies.tune.curves import Point, held, solve_at
+from lampest.studies.tune.subject import Subject
 
 NOISE = 0.02
 

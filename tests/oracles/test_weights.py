@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.errors import InputError
-from lampest.estimator import AutoWeight, Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
+from lampest.cost.losses import Absolute
+from lampest.cost.problem import Data
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.estimate.weights import with_chosen_weights
+from lampest.files.errors import InputError
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.problem import Data
-from lampest.readings import plain
-from lampest.recording import Recording
-from lampest.scene import Scene
-from lampest.search import best_solution
-from lampest.sequence import reconstruct
-from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.terms.losses import Absolute
-from lampest.terms.term import Term
-from lampest.weights import with_chosen_weights
+from lampest.recording.readings import plain
+from lampest.recording.recording import Recording
+from lampest.solvers.search import best_solution
 
 SHAPE = (8, 7)
 AUTO = "auto"

@@ -7,16 +7,16 @@ import argparse
 
 import numpy as np
 
-from lampest.estimator import Estimator
-from lampest.kirchhoff import two_point_resistance
-from lampest.panel import Array, Panel
-from lampest.recording import Recording
-from lampest.response import ratio_from_pressure
-from lampest.scene import Scene
-from lampest.sequence import reconstruct
-from lampest.simulate.loads import OralDisc
-from lampest.simulate.pressure import patch_pressure
-from lampest.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import OralDisc
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.pressure import patch_pressure
 
 METHODS = {
     "LSM": (Misfit(),),

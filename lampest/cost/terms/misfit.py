@@ -1,0 +1,26 @@
+"""The data term."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import casadi
+
+from lampest.cost.terms.term import State, Term
+
+
+@dataclass(frozen=True)
+class Misfit(Term):
+    """f(r) − R_m in ohm, or (f(r) − R_m)/σ without unit where weighting is 'noise'; paper, equation (11)."""
+
+    unit: ClassVar[str] = "ohm"
+    kind: Literal["misfit"] = "misfit"
+    weight: float = 1.0
+    weighting: Literal["plain", "noise"] = "plain"
+
+    def residual(self, state: State) -> Any:
+        """Modelled minus measured two-point resistance, (cells, 1); of a bound only what breaks it."""
+        difference = state.two_point_resistance - state.measured
+        if state.side is not None:
+            beyond = state.side * casadi.fmin(state.side * difference, 0)
+            difference = state.seen * ((1 - state.side**2) * difference + beyond)
+        return difference / state.sigma if self.weighting == "noise" else difference

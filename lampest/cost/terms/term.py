@@ -1,0 +1,114 @@
+"""What a cost term reads and what it must say. cost = weight · loss(residual)."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import casadi
+
+from lampest.cost.losses import Loss, Squared
+from lampest.panel.panel import Panel
+
+Reference = Literal["baseline", "previous"]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
+
+    Parameters
+    ----------
+    panel : shape of the panel.
+    cell_resistance : r, ohm.
+    two_point_resistance : R = f(r) as the model has it, ohm.
+    measured : R_m without the series resistance, ohm.
+    sigma : standard deviation of R_m, ohm.
+    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
+    baseline : the unloaded panel's cell resistance, ohm; None where there is none.
+    previous_deviation : standard deviation of log r0; 0 where it is an unknown of the same solve, None without one.
+    side, seen : of each reading: 0 a value, 1 or -1 where R is at least or at most this; 1, or 0 where it says
+        nothing. None where all readings are values.
+    """
+
+    panel: Panel
+    cell_resistance: Any
+    two_point_resistance: Any
+    measured: Any
+    sigma: Any
+    previous: Any = None
+    side: Any = None
+    seen: Any = None
+    baseline: Any = None
+    previous_deviation: Any = None
+
+    def relative_change(self) -> Any:
+        """100·(r − r0)/r0 in percent; paper, equation (15)."""
+        return 100 * (self.cell_resistance - self.previous) / self.previous
+
+    def ratio(self, reference: Reference) -> Any:
+        """r/r0, r0 the baseline's or the previous frame's, (cells, 1)."""
+        return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
+
+    def log_steps(self, values: Any) -> Any:
+        """100·log(x_b/x_a) over all pairs of neighbours, b below or right of a, (pairs, 1) percent."""
+        first, second = neighbour_operators(self.panel.rows, self.panel.columns)
+        return 100 * casadi.log((second @ values) / (first @ values))
+
+    def gradient(self, values: Any) -> Any:
+        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D."""
+        return gradient_operator(self.panel.rows, self.panel.columns) @ values
+
+
+@cache
+def gradient_operator(rows: int, columns: int) -> casadi.DM:
+    """Sparse (2·cells, cells): the panel's finite differences for row-major columns."""
+    panel = Panel(rows, columns)
+    along_rows = casadi.sparsify(casadi.DM(panel.row_gradient()))
+    along_columns = casadi.sparsify(casadi.DM(panel.column_gradient()))
+    return casadi.vertcat(
+        casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
+    )
+
+
+@cache
+def neighbour_operators(rows: int, columns: int) -> tuple[casadi.DM, casadi.DM]:
+    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours."""
+
+    def picked(below: tuple[int, int], right: tuple[int, int]) -> casadi.DM:
+        """Rows from `below[0]` to `below[1]` of the panel, then columns from `right[0]` to `right[1]`."""
+        down = casadi.kron(casadi.DM.eye(rows)[slice(*below), :], casadi.DM.eye(columns))
+        return casadi.vertcat(down, casadi.kron(casadi.DM.eye(rows), casadi.DM.eye(columns)[slice(*right), :]))
+
+    return picked((0, rows - 1), (0, columns - 1)), picked((1, rows), (1, columns))
+
+
+Weight = float | Literal["auto"]
+
+
+@dataclass(frozen=True)
+class Term(ABC):
+    """A summand of the cost function: weight · loss(residual(state)).
+
+    weight : a number, or 'auto' where the data are to choose it. needs_previous : whether it compares with the previous
+    frame or the baseline. weighs_previous : whether it reads how well the previous frame is known, so that its variance
+    is that of the change and of the previous frame's error together. convex_in_log : whether it is convex in log r once
+    those are known. Raises ValueError unless the weight is finite and not negative.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    needs_previous: ClassVar[bool] = False
+    weighs_previous: ClassVar[bool] = False
+    convex_in_log: ClassVar[bool] = False
+    unit: ClassVar[str]
+    weight: Weight = 1.0
+    loss: Loss = Squared()
+
+    def __post_init__(self) -> None:
+        if self.weight != "auto" and not (isfinite(self.weight) and self.weight >= 0):
+            raise ValueError("weight must be zero or positive, and finite")
+
+    @abstractmethod
+    def residual(self, state: State) -> Any:
+        """The column of residuals, in `unit`."""

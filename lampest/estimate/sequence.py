@@ -1,0 +1,125 @@
+"""A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.problem import Data
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.stream import Step, Stream
+from lampest.estimate.weights import with_chosen_weights
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Faults
+from lampest.posterior.certainty import Certainty
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Cell resistances of a recording's measured frames.
+
+    frame : (frames) index into the recording. measured : (frames, rows, columns) ohm, series resistance taken off.
+    measured_baseline : (rows, columns) ohm, mean of the unloaded frames, or the first frame where there is none.
+    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
+    baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
+    baseline_bars : the baseline's error bars, or None.
+    """
+
+    recording: Recording
+    estimator: Estimator
+    frame: NDArray[np.intp]
+    measured: Array
+    measured_baseline: Array
+    sigma: Array | None
+    sigma_baseline: Array | None
+    baseline_resistance: Array
+    baseline: Step
+    baseline_bars: Certainty | None
+    steps: tuple[Step, ...]
+    joint_start: bool
+
+    @property
+    def cell_resistance(self) -> Array:
+        """(frames, rows, columns) ohm; NaN where a frame failed."""
+        return np.stack([step.solution.cell_resistance[-1] for step in self.steps])
+
+    @property
+    def relative_change(self) -> Array:
+        """100·(r − r_baseline)/r_baseline, (frames, rows, columns) percent."""
+        return 100 * (self.cell_resistance / self.baseline_resistance - 1)
+
+
+def reconstruct(
+    recording: Recording, estimator: Estimator, on_frame: Callable[[], None] = lambda: None
+) -> Reconstruction:
+    """Solve every measured frame of a recording.
+
+    A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
+    InputError where readings do not exceed the series resistance or the noise is needed and unknown.
+    """
+    readings = Readings.of(recording)
+    stream = first_stream(recording, readings, estimator)
+    frames = recording.measured_frames()
+    steps: list[Step] = []
+    for frame in frames:
+        stream, step = stream.push(readings[frame])
+        steps.append(step)
+        on_frame()
+    return Reconstruction(
+        recording,
+        stream.estimator,
+        frames,
+        readings.resistance[frames],
+        stream.resting.resistance,
+        readings[frames].sigma_of_values,
+        stream.resting.sigma_of_values,
+        stream.baseline_resistance,
+        stream.baseline or steps[0],
+        None if stream.track is None else stream.track.baseline,
+        tuple(steps),
+        estimator.joint_start,
+    )
+
+
+def first_stream(recording: Recording, readings: Readings, estimator: Estimator) -> "Stream":
+    """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
+    resting, scene = resting_readings(recording, readings), recording.scene
+    if estimator.automatic and estimator.auto_weight.per == "recording":
+        strongest = readings[strongest_frame(recording, readings, resting)]
+        estimator = with_weights_of_a_recording(estimator, scene.panel, resting, strongest, scene.faults)
+    return Stream.begin(estimator, scene, frame_period(recording), resting)
+
+
+def resting_readings(recording: Recording, readings: Readings) -> Readings:
+    """The mean of the unloaded frames, or the first frame where there is none."""
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    return readings[unloaded if len(unloaded) else [0]].mean()
+
+
+def strongest_frame(recording: Recording, readings: Readings, resting: Readings) -> int:
+    """The measured frame whose two-point resistances differ most from the unloaded ones: mean |log R/R₀|."""
+    frames = recording.measured_frames()
+    change = np.abs(np.log(readings.resistance[frames] / resting.resistance)).mean(axis=(1, 2))
+    return int(frames[np.argmax(change)])
+
+
+def with_weights_of_a_recording(
+    estimator: Estimator, panel: Panel, resting: Readings, frame: Readings, faults: Faults | None
+) -> Estimator:
+    """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
+    data = deciding_data(estimator, resting, frame, faults)
+    doubts = Doubts.of(panel, faults, data)
+    return with_chosen_weights(estimator, panel, data, doubts, None, frame.sigma is not None)
+
+
+def deciding_data(estimator: Estimator, resting: Readings, frame: Readings, faults: Faults | None) -> Data:
+    """What weights are chosen from: one frame, with the baseline where terms compare it with that."""
+    return estimator.data(resting.together(frame) if estimator.relative else frame.alone(), None, faults)
+
+
+def frame_period(recording: Recording) -> float:
+    """Median time between frames, s."""
+    return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")

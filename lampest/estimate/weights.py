@@ -1,0 +1,128 @@
+"""Weights that the user leaves to the data: `weight: auto`.
+
+One penalty with a squared loss: the cost is linearised at an estimate, and the weight taken that minimises a rule's
+function (`lampest.posterior.spectrum`); the estimate for that weight is where it is linearised next. Several penalties,
+other losses, and panels where a matrix over the cells would be too large: the fixed point of the evidence.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Squared
+from lampest.cost.problem import Data
+from lampest.cost.terms.misfit import Misfit
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array, Panel
+from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.posterior.track import MOST_DENSE
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.search import BROKEN, best_solution, convex, evaluated
+from lampest.solvers.solution import Settings
+
+MOST_SOLVES, SETTLED = 4, 0.2
+
+
+def with_chosen_weights(
+    estimator: Estimator, panel: Panel, data: Data, doubts: Doubts | None, near: Array | None, noisy: bool
+) -> Estimator:
+    """The estimator with numbers for the weights that it leaves open, from one solve's data.
+
+    near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
+    Raises InputError where σ is needed and unknown.
+    """
+    rule = rule_in_use(estimator, noisy)
+    search = Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
+    penalties = [number for number, term in enumerate(estimator.terms) if not isinstance(term, Misfit)]
+    single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
+    first = convex(data, near) if near is None else near
+    with np.errstate(all="ignore"):
+        if single and data.measured.size <= MOST_DENSE:
+            return estimator.with_weights(search.by_rule(penalties[0], rule, first))
+        if rule == "press":
+            raise InputError("weight: auto of more than one penalty, or of other than a squared loss, needs the noise")
+        return estimator.with_weights(search.by_evidence(penalties, first))
+
+
+def rule_in_use(estimator: Estimator, noisy: bool) -> Rule:
+    """The estimator's rule, or the default one. noisy : whether the data's σ is known.
+
+    Raises InputError where the rule needs σ and it is unknown.
+    """
+    rule = estimator.auto_weight.rule or ("risk" if noisy else "press")
+    if rule != "press" and not noisy:
+        raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
+    return rule
+
+
+@dataclass(frozen=True)
+class Search:
+    """cost : with weights that are numbers or 'auto'. data : of one solve."""
+
+    cost: Cost
+    data: Data
+    settings: Settings
+
+    @property
+    def _given(self) -> list[float | None]:
+        return [None if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
+
+    def weighted(self, weights: Sequence[float]) -> Cost:
+        """The cost with numbers for all weights."""
+        terms = zip(self.cost.terms, weights, strict=True)
+        return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
+
+    def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+        """The weights with that of the only penalty that a rule calls the best."""
+        weights = [1.0 if given is None else given for given in self._given]
+        weights[penalty] = self.tried(penalty, rule, first)[-1]
+        return weights
+
+    def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+        """What a rule calls the best weight at a start, and then at the estimate for each weight before.
+
+        Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest.
+        """
+        weights = [1.0 if given is None else given for given in self._given]
+        model: LinearModel | None = LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))
+        found: list[float] = []
+        with suppress(*BROKEN):
+            while model is not None and len(found) < MOST_SOLVES:
+                weights[penalty] = Spectrum.of(model).best(rule)
+                found.append(weights[penalty])
+                if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:
+                    break
+                model = self._solved(weights, model.at.cell_resistance) if len(found) < MOST_SOLVES else None
+        return found or [self._suggested((penalty,), first)[penalty]]
+
+    def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
+        weights = [1.0 if given is None else given for given in self._given]
+        at = evaluated(self.weighted(weights), self.data, first)
+        return first_weights(LinearModel(at, np.zeros(0)), weights, penalties)
+
+    def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
+        """What surrounds the estimate for these weights."""
+        found = best_solution(Newton(self.weighted(weights), self.settings), self.data, start)
+        return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
+
+    def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
+        """The weights that are open where the evidence has its fixed point."""
+        sought = tuple(number for number in penalties if self._given[number] is None)
+        weights, near = self._suggested(sought, first), first
+        with suppress(*BROKEN):
+            for _ in range(MOST_SOLVES):
+                model = self._solved(weights, near)
+                if model is None:
+                    break
+                near, before = model.at.cell_resistance, weights
+                large = self.data.measured.size > MOST_DENSE
+                weights = next_weights(model, sought) if large else FixedPoint(model, sought).weights()
+                if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
+                    break
+        return weights

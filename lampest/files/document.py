@@ -1,0 +1,198 @@
+"""YAML text ↔ validated objects: the only place that knows YAML. Errors name file, line and column."""
+
+import dataclasses
+import io
+import itertools
+import json
+import re
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from lampest.files.errors import InputError
+
+MOST_VALUES = 100_000
+MOST_BYTES = 100_000  # which take up to 4 s
+DEEPEST = 50
+MOST_BITS = 1000
+SHOULD_BE = "Input should be "
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+@dataclass(frozen=True)
+class Document:
+    """A parsed YAML text: its plain content, where it came from, and the positions of its keys."""
+
+    content: Any
+    source: str
+    marks: Any
+
+    def position(self, location: tuple[int | str, ...]) -> str:
+        """'file:line:column' of the deepest part of `location` that the text holds."""
+        node, line, column = self.marks, 0, 0
+        for part in location:
+            if isinstance(node, CommentedMap) and part in node:
+                line, column = node.lc.key(part)
+            elif isinstance(node, CommentedSeq) and isinstance(part, int) and part < len(node):
+                line, column = node.lc.item(part)
+            else:
+                continue
+            node = node[part]
+        return f"{self.source}:{line + 1}:{column + 1}"
+
+    def error(self, location: tuple[int | str, ...], message: str) -> InputError:
+        """The sentence for a fault at `location`, for the caller to raise."""
+        path = ".".join(str(part) for part in location)
+        return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
+
+    def with_value(self, path: tuple[str, ...], value: Any) -> "Document":
+        """A copy whose entry at `path` (mapping keys; missing mappings are made) is `value`."""
+        content = json.loads(json.dumps(self.content))
+        node = content
+        for key in path[:-1]:
+            child = node.setdefault(key, {}) if isinstance(node, dict) else None
+            if not isinstance(child, dict):
+                raise InputError(f"{self.source}: {'.'.join(path)} does not lead through mappings")
+            node = child
+        node[path[-1]] = value
+        return dataclasses.replace(self, content=content)
+
+
+def read_document(path: Path) -> Document:
+    """Parse a YAML file. Raises InputError where it cannot be read or parsed."""
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
+        text = content.decode("utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text in UTF-8") from error
+    return parse_document(text, str(path))
+
+
+def parse_document(text: str, source: str) -> Document:
+    """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
+    if len(text) > MOST_BYTES:
+        raise InputError(f"{source}: larger than {MOST_BYTES} characters, which no configuration is")
+    if _depth(text) > DEEPEST:
+        raise InputError(f"{source}: brackets within brackets more than {DEEPEST} times")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an anchor that is set twice
+            marks = YAML(typ="rt").load(text)
+        content = _plain(marks)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
+        raise InputError(f"{where}: {' '.join(str(error.problem or error.context).split())}") from error
+    except RecursionError as error:
+        raise InputError(f"{source}: nested too deeply, or within itself") from error
+    except (YAMLError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{source}: {' '.join(str(error).split())}") from error
+    return Document(content, source, marks)
+
+
+def _depth(text: str) -> int:
+    """How deep brackets stand within brackets; those in quotes count, too."""
+    steps = (1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text))
+    return max(itertools.accumulate(steps, lambda depth, step: max(depth + step, 0)), default=0)
+
+
+def parse_scalar(text: str) -> Any:
+    """The value that YAML 1.2 reads from a short text such as `1e-3`, `nodal` or `[1, 2]`."""
+    return parse_document(text, f"'{text}'").content
+
+
+def _plain(marks: Any) -> Any:
+    """The content as plain Python objects; refuses tags and texts that unfold without end."""
+    count = 0
+
+    def walk(node: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} values")
+        if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
+            raise ValueError(f"the tag {node.tag.value} has no place here")
+        if isinstance(node, CommentedMap):
+            for key in node:
+                if not isinstance(key, str | int | float):
+                    raise ValueError("a key must be a plain word or number")
+            return {str(key): walk(node[key]) for key in node}
+        if isinstance(node, CommentedSeq):
+            return [walk(item) for item in node]
+        if isinstance(node, int) and node.bit_length() > MOST_BITS:
+            raise ValueError(f"a whole number of more than {MOST_BITS} bits")
+        if node is None or isinstance(node, bool | int | float | str):
+            for kind in (bool, int, float, str):
+                if isinstance(node, kind):
+                    return kind(node)
+            return None
+        raise ValueError(f"a value of type {type(node).__name__} has no place here")
+
+    content = walk(marks)
+    try:
+        json.dumps(content, ensure_ascii=False).encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise ValueError("a text holds half a sign, a surrogate") from error
+    return content
+
+
+@cache
+def adapter(kind: Any) -> TypeAdapter[Any]:
+    """The validator of a type."""
+    return TypeAdapter(kind)
+
+
+def validated(document: Document, kind: Any) -> Any:
+    """The document's content as an object of `kind`; unknown keys and wrong types are errors. Raises InputError."""
+    try:
+        return adapter(kind).validate_json(json.dumps(document.content), strict=True)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        # A misspelt key also leaves its field missing; the key is what the user can see.
+        first = next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), faults[0])
+        location = _location(first["loc"])
+        alternatives = [fault["msg"] for fault in faults if _location(fault["loc"]) == location]
+        message = " or ".join([alternatives[0], *(text.removeprefix(SHOULD_BE) for text in alternatives[1:])])
+        message = message.removeprefix("Value error, ")
+        if first["type"] in UNKNOWN_KEY:
+            message = "no such key"
+        raise document.error(location, message) from error
+
+
+def _location(parts: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Where a fault is, without what the validator says of the alternatives of a type."""
+    kinds = ("float", "int", "bool", "str")
+    return tuple(part for part in parts if part not in kinds and not str(part).startswith(("function-", "literal[")))
+
+
+def to_yaml(value: Any) -> str:
+    """YAML text of a dataclass, a mapping or a list; entries that are None are left out."""
+    stream = io.StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style = False
+    writer.width = 4096
+    writer.dump(plain(value), stream)
+    return stream.getvalue()
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses as mappings without their None entries, tuples as lists; everything else as it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value

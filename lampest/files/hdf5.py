@@ -1,0 +1,277 @@
+"""HDF5 as lampest writes it: whole or not at all, in the oldest format, fixed-length ASCII, units on everything."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.files.whole import whole_file
+
+MOST_VALUES = 100_000_000
+MOST_TEXT_BYTES = 5_000_000
+MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
+BEST_COMPRESSION = 1100  # deflate's limit is 1032
+MOST_LINKS = 8
+OPEN_FOR_WRITING = ("already open for", "truncated file")
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[h5py.File]:
+    """A file that appears under its name only when it is complete and on the disk.
+
+    Raises InputError where the folder cannot be written or the disk is full; nothing is left behind then.
+    """
+    # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
+    with h5py.File(str(path), "w", driver="core", backing_store=False, block_size=2**20) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(image)
+
+
+@contextmanager
+def existing_file(path: Path) -> Iterator[h5py.File]:
+    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
+    if not _is_file(path):
+        raise InputError(f"{path}: no such file")
+    try:
+        with _opened(path) as file:
+            yield file
+    except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or holds a zero byte
+        return False
+
+
+def _opened(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        # One that is being recorded, or whose recorder was killed, opens only as what it is. For others that would
+        # switch off the library's checks of sizes, and let a damaged file claim memory.
+        if not any(words in str(error) for words in OPEN_FOR_WRITING):
+            raise
+        return h5py.File(path, "r", swmr=True)
+
+
+def ascii_array(values: Any) -> Any:
+    """Text as fixed-length ASCII; other signs are written as '?'."""
+    if isinstance(values, str):
+        return np.bytes_(values.encode("ascii", "replace"))
+    return np.array([value.encode("ascii", "replace") for value in values], dtype="S")
+
+
+def set_attributes(node: Any, **attributes: Any) -> None:
+    """Attributes with text as fixed-length ASCII."""
+    for name, value in attributes.items():
+        node.attrs[name] = ascii_array(value) if isinstance(value, str | list) else value
+
+
+def write_dataset(
+    group: h5py.Group, name: str, data: Any, units: str, long_name: str, scales: tuple[str, ...] = ()
+) -> None:
+    """One dataset with its units, its name in words, and dimension scales from the same group ('' for none)."""
+    data = np.asarray(data)
+    packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if data.size > 64 else {}
+    dataset = group.create_dataset(name, data=data, **packed)
+    set_attributes(dataset, units=units, long_name=long_name)
+    for axis, scale in enumerate(scales):
+        if scale:
+            dataset.dims[axis].attach_scale(group[scale])
+
+
+def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
+    """An axis: a one-dimensional dataset that others attach."""
+    write_dataset(group, name, data, units, long_name)
+    group[name].make_scale(name)
+
+
+def write_text(group: h5py.Group, name: str, text: str) -> None:
+    """A text as a fixed-length ASCII scalar."""
+    group.create_dataset(name, data=ascii_array(text))
+
+
+@contextmanager
+def located(file: h5py.File, path: str) -> Iterator[None]:
+    """Turns what the library says of a damaged place into one InputError that names it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (
+        OSError,
+        RuntimeError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        MemoryError,
+    ) as error:
+        raise InputError(f"{file.filename}: {path} is damaged ({' '.join(str(error).split())})") from error
+
+
+def has(file: h5py.File, path: str) -> bool:
+    """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
+    with located(file, path):
+        return _found(file, path) is not None
+
+
+def read_array(file: h5py.File, path: str, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()) -> Any:
+    """A numeric dataset of that many dimensions, or of either of two numbers of them.
+
+    Raises InputError where it is absent, of another shape, damaged, or absurdly large.
+    """
+    with located(file, path):
+        dataset = _dataset(file, path)
+        if dataset is None:
+            raise InputError(f"{file.filename}: {path} is missing")
+        wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
+        if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
+            numbers = " or ".join(str(number) for number in wanted)
+            raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
+        if shape and dataset.shape != shape:
+            found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
+            raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
+        if dataset.size > MOST_VALUES:
+            raise InputError(
+                f"{file.filename}: {path} claims {dataset.size} values; more than {MOST_VALUES} are not read"
+            )
+        stored = dataset.id.get_storage_size()
+        if dataset.nbytes > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
+            raise InputError(f"{file.filename}: {path} claims {dataset.nbytes} bytes, but holds only {stored}")
+        return dataset[()]
+
+
+def read_whole(
+    file: h5py.File, path: str, kind: Any, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()
+) -> Any:
+    """The same as integers of that kind. Raises InputError also where a value is not whole or beyond its range."""
+    values = read_array(file, path, dimensions, shape)
+    whole = values if values.dtype.kind == "f" else values.astype(kind)
+    if values.dtype.kind == "f" or not np.array_equal(whole, values):
+        raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
+    return whole
+
+
+def read_text(file: h5py.File, path: str) -> str:
+    """A scalar text. Raises InputError where it is absent or no text."""
+    with located(file, path):
+        dataset = _dataset(file, path)
+        if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or no text")
+        if dataset.dtype.itemsize > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
+        return _text(dataset[()])
+
+
+def read_texts(file: h5py.File, path: str, length: int | None = None) -> tuple[str, ...]:
+    """A list of that many texts. Raises InputError where it is absent, longer, shorter or no text."""
+    with located(file, path):
+        dataset = _dataset(file, path)
+        size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
+        if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind not in "SO":
+            raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
+        if dataset.dtype.itemsize * len(dataset) > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(dataset)} bytes")
+        return tuple(_text(value) for value in dataset[()])
+
+
+def read_attribute(file: h5py.File, path: str, name: str) -> Any:
+    """An attribute, text as str, or None where there is none. Raises InputError where it cannot be read."""
+    with located(file, f"{path}@{name}"):
+        attributes = _node(file, path).attrs
+        if name not in attributes:
+            return None
+        held = attributes.get_id(name)
+        if held.shape is None:
+            return None
+        if held.get_storage_size() > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
+        value = attributes[name]
+        return _text(value) if isinstance(value, bytes | str) else value
+
+
+def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
+    """A numeric attribute, or `otherwise` where there is none or NaN. Raises InputError where it is not finite."""
+    value = read_attribute(file, path, name)
+    number = np.shape(value) == () and np.asarray(value).dtype.kind in "iuf"
+    if otherwise is not None and (value is None or (number and np.isnan(value))):
+        return otherwise
+    if not number or not np.isfinite(value):
+        raise InputError(f"{file.filename}: {path}@{name} is missing or no finite number")
+    return float(value)
+
+
+def attribute_names(file: h5py.File, path: str) -> list[str]:
+    """The names of a node's attributes. Raises InputError where there is no such node."""
+    with located(file, path):
+        return [str(name) for name in _node(file, path).attrs]
+
+
+def child_groups(file: h5py.File, path: str) -> list[str]:
+    """The names of the groups within a group, alphabetically. Raises InputError where there is no such group."""
+    return _children(file, path, h5py.Group)
+
+
+def child_datasets(file: h5py.File, path: str) -> list[str]:
+    """The names of the datasets within a group, alphabetically. Raises InputError where there is no such group."""
+    return _children(file, path, h5py.Dataset)
+
+
+def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
+    with located(file, path):
+        group = _node(file, path)
+        if not isinstance(group, h5py.Group):
+            raise InputError(f"{file.filename}: {path} is no group")
+        nodes = {name: _found(file, f"{path}/{name}") for name in group}
+        if None in nodes.values():
+            lost = next(name for name, node in nodes.items() if node is None)
+            raise InputError(f"{file.filename}: {path} is damaged ({lost} leads nowhere)")
+        return [name for name, node in nodes.items() if isinstance(node, kind)]
+
+
+def _node(file: h5py.File, path: str) -> Any:
+    node = _found(file, path)
+    if node is None:
+        raise InputError(f"{file.filename}: {path} is missing")
+    return node
+
+
+def _found(file: h5py.File, path: str, links: int = MOST_LINKS) -> Any:
+    """The group or dataset at a path, or None; what the file says of other files of the machine is not followed."""
+    node: Any = file
+    for part in filter(None, path.split("/")):
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(f"{file.filename}: {path} is a link to another file, which is not followed")
+        if isinstance(link, h5py.SoftLink):
+            target = link.path if link.path.startswith("/") else f"{node.name}/{link.path}"
+            node = _found(file, target, links - 1) if links else None
+        else:
+            node = None if link is None else node.get(part)
+    return node
+
+
+def _dataset(file: h5py.File, path: str) -> Any:
+    """The dataset at a path, or None."""
+    dataset = _found(file, path)
+    if not isinstance(dataset, h5py.Dataset):
+        return None
+    if dataset.is_virtual or dataset.external:
+        raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
+    return dataset
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

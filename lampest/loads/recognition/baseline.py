@@ -1,0 +1,93 @@
+"""The unloaded panel with its uncertainty: what every frame is compared with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from lampest.loads.recognition.doubts import Doubts
+from lampest.panel.network import Network, grounding, uniform_factor
+from lampest.panel.panel import Array
+
+STEPS = 12
+SETTLED = 1e-6
+ROUGHLY = 3  # steps after which the cells are known well enough to see which reading stands alone
+ALONE, FAR_OFF = 4.5, 10.0
+SCALE_SD = 3.0  # of the mean of ln r0: nothing is known of it beforehand
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
+
+    logarithm : (rows, columns) mean of ln r0. offsets : (rows + columns + 1) in their standard deviations.
+    covariance : of both together, (cells + rows + columns + 1)².
+    series_ohm : what was taken off the readings. doubts : the errors that are assumed.
+    """
+
+    logarithm: Array
+    offsets: Array
+    covariance: Array
+    series_ohm: float
+    doubts: Doubts
+
+    @classmethod
+    def of(cls, measured: Array, sigma: Array, series_ohm: float, doubts: Doubts) -> "Baseline":
+        """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², by Gauss-Newton steps.
+
+        measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
+        """
+        rows, columns = measured.shape
+        cells, lines = measured.size, rows + columns + 1
+        prior = np.zeros((cells + lines,) * 2)
+        prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * doubts.cell_spread**2
+        prior[cells:, cells:] = np.eye(lines)
+        mean = np.zeros(cells + lines)
+        mean[:cells] = np.log(np.median(measured / uniform_factor(rows, columns)))
+        spread = doubts.offsets(measured + series_ohm)
+        noise, state = sigma.ravel() ** 2, mean
+        for step in range(STEPS):
+            network = network_of(state[:cells].reshape(rows, columns))
+            slope = np.hstack([log_slope(network), spread])
+            residual = measured.ravel() - network.two_point_resistance().ravel() - spread @ state[cells:]
+            across = prior @ slope.T
+            innovation = residual + slope @ (state - mean)
+            factor = cho_factor(slope @ across + np.diag(noise))
+            if step == ROUGHLY:
+                noise = np.where(_alone(factor, innovation), (FAR_OFF * measured.ravel()) ** 2, noise)
+                factor = cho_factor(slope @ across + np.diag(noise))
+            move = mean + across @ cho_solve(factor, innovation) - state
+            state = state + move * min(1.0, 1.0 / np.abs(move[:cells]).max(initial=1e-300))
+            if step > ROUGHLY and np.abs(move).max() < SETTLED:
+                break
+        covariance = prior - across @ cho_solve(factor, across.T)
+        return cls(state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, doubts)
+
+
+def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:
+    """Whether a reading is far from what all others and the spread of cells let expect; see `frame.outliers`."""
+    inverse = cho_solve(factor, np.eye(len(innovation)))
+    alone: NDArray[np.bool_] = np.abs(inverse @ innovation) > ALONE * np.sqrt(np.diag(inverse))
+    return alone
+
+
+def network_of(logarithm: Array) -> Network:
+    """The network of cells ln r (rows, columns)."""
+    cells = np.exp(logarithm)
+    return Network.solve(1 / cells, grounding(cells))
+
+
+def log_slope(network: Network) -> Array:
+    """∂R_i/∂ln r_l = D_il² g_l, (cells, cells) ohm."""
+    slope: Array = network.transfer() ** 2 * network.conductance.ravel()
+    return slope
+
+
+def log_slope_of(network: Network, chosen: NDArray[np.intp]) -> Array:
+    """The columns of that matrix for some cells, (cells, chosen) ohm; `chosen` holds their numbers."""
+    rows, columns = network.conductance.shape
+    lines = network.impedance[:, chosen // columns] - network.impedance[:, rows + chosen % columns]
+    transfer = (lines[:rows, None] - lines[None, rows:]).reshape(rows * columns, -1)
+    slope: Array = transfer**2 * network.conductance.ravel()[chosen]
+    return slope

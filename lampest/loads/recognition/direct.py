@@ -1,0 +1,51 @@
+"""The direct way: an oral disc fitted straight to two-point resistances; the cells follow from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.frame import Direct
+from lampest.loads.recognition.loads import LAMPREY, Disc
+from lampest.panel.panel import Array
+
+
+@dataclass(frozen=True, eq=False)
+class OralDiscFit:
+    """An oral disc and what follows from it.
+
+    disc, disc_errors : its numbers and their standard deviations. disc_covariance : (8, 8) in the order of the numbers.
+    cell_resistance, two_point_model : (rows, columns) ohm. goodness : χ² per reading.
+    objective : ½χ² of readings and priors. fit : where the next frame's fit may start.
+    """
+
+    disc: Disc
+    disc_errors: Disc
+    disc_covariance: Array
+    cell_resistance: Array
+    two_point_model: Array
+    goodness: float
+    objective: float
+    fit: Fit
+
+
+def fit_oral_disc(detector: Detector, frame: Direct, start: Fit | None = None) -> OralDiscFit:
+    """argmin ‖R − f(r0·f(p(θ)))‖² over centre, diameters, suction, rim pressure and tilt, with their priors.
+
+    detector : prepared for the panel and its baseline. start : the frame before, or None: all of the panel is searched.
+    """
+    fit = detector.lamprey(frame, start)
+    disc, slopes = LAMPREY.disc(fit.parameters)
+    covariance = slopes @ fit.covariance @ slopes.T
+    shape = frame.measured.shape
+    return OralDiscFit(
+        disc,
+        Disc(*np.sqrt(np.diag(covariance))),
+        covariance,
+        np.exp(frame.baseline.logarithm + fit.change),
+        frame.measured - fit.residual.reshape(shape),
+        fit.chi2 / frame.measured.size,
+        fit.cost,
+        fit,
+    )

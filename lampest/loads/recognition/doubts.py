@@ -1,0 +1,57 @@
+"""What the model does not know: the sources of error that stand beside the noise of the readings."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lampest.loads.response import RESPONSE_SD
+from lampest.panel.panel import Array
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """Standard deviations of what is not measured. Every one of them widens error bars and tempers verdicts.
+
+    Parameters
+    ----------
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently.
+    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
+    drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
+    settled : of the logarithm of a cell's resistance at rest, apart from drift.
+    channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
+    reference : relative error of the reference resistor: 1 % at most, uniform.
+
+    Source of the last four: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    creep by a few percent for each decade of time. Raises ValueError where one is negative or not finite.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    response: float = RESPONSE_SD
+    cell_spread: float = 0.4
+    drift_per_minute: float = 0.01
+    settled: float = 0.002
+    channel_ohm: float = 3.0
+    reference: float = 0.006
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be zero or positive, and finite")
+
+    def cells_sd(self, logarithm: Array, seconds: float) -> Array:
+        """Standard deviation of ln r at ln(r/r0) = `logarithm`, `seconds` after the baseline; same shape."""
+        drift = self.drift_per_minute * seconds / 60
+        return np.asarray(np.sqrt((self.response * logarithm) ** 2 + drift**2 + self.settled**2))
+
+    def offsets(self, total: Array) -> Array:
+        """E·sd (cells, rows + columns + 1) ohm: what one standard deviation of every offset adds to the readings.
+
+        total : (rows, columns) ohm, what the divider sees, series resistance included.
+        """
+        rows, columns = total.shape
+        by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
+        by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
+        channels = self.channel_ohm * np.hstack([by_row, by_column])
+        return np.hstack([channels, self.reference * total.reshape(-1, 1)])

@@ -1,0 +1,151 @@
+"""One candidate fitted to one frame, and how likely the frame is under it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.loads.recognition.frame import Frame, Weight
+from lampest.loads.recognition.loads import Candidate
+from lampest.panel.panel import Array, Panel
+
+STEPS = 30
+ENOUGH = 2e-2  # of the logarithm of the posterior: below, a step changes nothing that is reported
+LARGEST_DAMPING = 1e8
+FARTHEST = 5.0  # standard deviations of the prior: beyond, nothing is looked for
+TRIAL = 4
+LOOSE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters φ of a candidate.
+
+    parameters, covariance : (parameters) and its square. change : (rows, columns) ln r/r0. residual : (cells) ohm.
+    chi2 : of the readings. cost : half of it plus half the priors'. evidence : ln of the frame's probability under the
+    candidate, up to what all candidates share. steps : evaluations of the model.
+    """
+
+    candidate: Candidate
+    parameters: Array
+    covariance: Array
+    change: Array
+    residual: Array
+    chi2: float
+    cost: float
+    evidence: float
+    steps: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    parameters: Array
+    change: Array
+    residual: Array
+    errors: Array
+    slopes: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """A candidate on a panel with patches, before a frame with its weight."""
+
+    panel: Panel
+    patch_mm: float
+    candidate: Candidate
+    frame: Frame
+    weight: Weight
+
+    def at(self, parameters: Array) -> _Place:
+        """Errors of unit variance, of readings and priors, and their slopes by φ."""
+        pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, parameters)
+        change, response = self.frame.change(pressure)
+        touched = np.flatnonzero(np.any(by_parameter != 0, axis=0))
+        residual, slopes = self.frame.missed(change, touched)
+        of_cells = (response.ravel() * by_parameter.reshape(len(parameters), response.size))[:, touched].T
+        whitened = self.weight @ np.column_stack([residual, slopes @ of_cells])
+        sd = self.candidate.sd(self.panel)
+        prior = (parameters - self.candidate.mean(self.panel)) / sd
+        errors = np.concatenate([whitened[:, 0], prior])
+        return _Place(
+            parameters,
+            change,
+            residual,
+            errors,
+            np.vstack([-whitened[:, 1:], np.diag(1 / sd)]),
+            float(errors @ errors) / 2,
+        )
+
+    def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf) -> Fit:
+        """Damped Gauss-Newton steps from φ = `start` until they gain less than ENOUGH.
+
+        They also end after `steps`, and soon where the cost stays above `hopeless`.
+        """
+        damping = 1e-3
+        mean, reach = self.candidate.mean(self.panel), FARTHEST * self.candidate.sd(self.panel)
+        low, high = mean - reach, mean + reach
+        here, count = self.at(np.clip(start, low, high)), 1
+        while count < steps and len(start):
+            if count > TRIAL and here.cost > hopeless:
+                break
+            normal, slope = here.slopes.T @ here.slopes, here.slopes.T @ here.errors
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            limit = self.limits()
+            step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
+            step = np.clip(here.parameters + step, low, high) - here.parameters
+            there, count = self.at(here.parameters + step), count + 1
+            gain, promised = here.cost - there.cost, -(slope @ step + step @ normal @ step / 2)
+            if gain > 0:
+                here = there
+                damping = max(damping / 10, 1e-6) if gain > 0.5 * promised else damping
+                if gain < ENOUGH and promised < ENOUGH:
+                    break
+            else:
+                if promised < ENOUGH:
+                    break
+                damping = max(10 * damping, 1e-3)
+                if damping > LARGEST_DAMPING:
+                    break
+        return self._fit(here, count, here.cost > hopeless)
+
+    def limits(self) -> Array:
+        """The longest step of every parameter: a third of a pitch of the centre, half a unit of logarithms."""
+        pitch = self.panel.pitch_mm
+        longest = {"x": pitch / 2, "y": pitch / 2, "tilt_x": 0.3, "tilt_y": 0.3, "diameter": 0.2}
+        return np.array([longest.get(name, 0.7) for name in self.candidate.names])
+
+    def _fit(self, here: _Place, count: int, hopeless: bool) -> Fit:
+        """The result at a place that steps no longer improve; see `_widths`."""
+        sd = self.candidate.sd(self.panel)
+        precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
+        stiffness, axes = np.linalg.eigh(precision)
+        widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # the priors' own is 1
+        if not hopeless:
+            widths, tried = self._widths(here, widths, sd[:, None] * axes)
+        spread = sd[:, None] * axes * widths
+        cells = here.residual.size
+        return Fit(
+            self.candidate,
+            here.parameters,
+            spread @ spread.T,
+            here.change,
+            here.residual,
+            float(here.errors[:cells] @ here.errors[:cells]),
+            here.cost,
+            float(np.log(widths).sum() - here.cost),
+            count + tried,
+        )
+
+    def _widths(self, here: _Place, widths: Array, axes: Array) -> tuple[Array, int]:
+        """Standard deviations along the axes of the posterior, in those of the prior, and evaluations.
+
+        Where the slopes see nothing, because a rim runs between patches, they would promise the width of the prior.
+        There the cost one such width away on either side tells how wide the trough is: a parabola through that point.
+        """
+        loose = np.flatnonzero(widths > LOOSE)
+        widths = widths.copy()
+        for axis in loose:
+            step = widths[axis] * axes[:, axis]
+            rises = [self.at(here.parameters + sign * step).cost - here.cost for sign in (1, -1)]
+            widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
+        return widths, 2 * len(loose)

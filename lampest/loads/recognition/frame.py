@@ -1,0 +1,202 @@
+"""One frame as a likelihood: what a pressure on the cells makes of the readings, weighed by all that is uncertain."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from lampest.loads.recognition.baseline import Baseline, log_slope, log_slope_of, network_of
+from lampest.loads.response import ratio_from_pressure
+from lampest.panel.panel import Array
+
+STEP_KPA = 1e-3
+ALONE = 5.0
+MOST_DROPPED = 0.03
+DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+
+
+def counting(sigma: Array, measured: Array) -> Array:
+    """σ, so large that a reading does not count where it is no value (no finite, positive σ); any shape, ohm."""
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
+
+
+def log_response(pressure: Array) -> tuple[Array, Array]:
+    """ln f(p) and its slope, any shape, kPa → 1 and 1/kPa. The slope is a difference over 2 Pa: f has corners."""
+    here, up, down = np.log(ratio_from_pressure(np.stack([pressure, pressure + STEP_KPA, pressure - STEP_KPA])))
+    return here, (up - down) / (2 * STEP_KPA)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame(ABC):
+    """A frame's readings and what they are compared with.
+
+    measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
+    unloaded frames too. seconds : since the baseline.
+    """
+
+    measured: Array
+    sigma: Array
+    baseline: Baseline
+    water: Array
+    seconds: float
+
+    @abstractmethod
+    def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+        """R − f(r0·e^change) − offsets (cells), ohm, and ∂f by the changes of some cells (cells, chosen)."""
+
+    @abstractmethod
+    def slope(self, change: Array) -> Array:
+        """∂f/∂ln r at ln r/r0 = `change`, (cells, cells) ohm."""
+
+    def change(self, pressure: Array) -> tuple[Array, Array]:
+        """ln r/r0 = ln f(p + p_w) − ln f(p_w) and its slope, (rows, columns), 1 and 1/kPa."""
+        loaded, slope = log_response(pressure + self.water)
+        return loaded - self._unloaded, slope
+
+    def covariance(self, change: Array) -> Array:
+        """σ² + H C Hᵀ + J τ² Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, the cells' doubts."""
+        doubts, slope = self.baseline.doubts, self.slope(change)
+        both = np.hstack([slope, self._offsets])
+        scatter = slope * doubts.cells_sd(change, self.seconds).ravel()
+        total = both @ self.baseline.covariance @ both.T + scatter @ scatter.T
+        return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
+
+    @abstractmethod
+    def direct(self) -> "Direct":
+        """The same readings without an estimate between them and a load."""
+
+    @abstractmethod
+    def bend(self, change: Array) -> Array:
+        """What the comparison itself is off by at ln r/r0 = `change`, (cells) ohm."""
+
+    @cached_property
+    def target(self) -> Array:
+        """The readings without the most probable offsets, (cells) ohm."""
+        return np.asarray(self.measured.ravel() - self._offsets @ self.baseline.offsets)
+
+    @cached_property
+    def _offsets(self) -> Array:
+        """E (cells, rows + columns + 1) ohm: what every offset's standard deviation adds to the readings."""
+        return self.baseline.doubts.offsets(self.measured + self.baseline.series_ohm)
+
+    @cached_property
+    def _unloaded(self) -> Array:
+        """ln f(p_w), (rows, columns)."""
+        return np.log(ratio_from_pressure(self.water))
+
+
+@dataclass(frozen=True, eq=False)
+class Direct(Frame):
+    """A load makes cells, and cells make readings, by Kirchhoff's law: no estimate stands between."""
+
+    def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+        """R − f(r) at the cells themselves."""
+        network = network_of(self.baseline.logarithm + change)
+        return self.target - network.two_point_resistance().ravel(), log_slope_of(network, chosen)
+
+    def slope(self, change: Array) -> Array:
+        """∂f/∂ln r at the cells themselves."""
+        return log_slope(network_of(self.baseline.logarithm + change))
+
+    def direct(self) -> "Direct":
+        """Itself."""
+        return self
+
+    def bend(self, change: Array) -> Array:
+        """Nothing."""
+        return np.zeros(change.size)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoStep(Frame):
+    """A load is compared with an estimate r̂, weighed by what the readings know of it: f(r) ≈ f(r̂) + ∂f/∂g·(g − ĝ).
+
+    With a misfit of zero the sum of squares is ‖∂f/∂g·(g − ĝ)‖² in units of σ, the estimate's distance from the load
+    by its information matrix; for a regularised one, R − f(r̂) takes the bias off again. Linear in the conductance g,
+    because an open cell has no logarithm to speak of, while its conductance is just zero.
+
+    estimate : (rows, columns) ohm.
+    """
+
+    estimate: Array
+
+    def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+        """R − f(r̂) − ∂f/∂g·(g − ĝ)."""
+        model, slope, logarithm = self._about
+        ratio = np.exp(logarithm - self.baseline.logarithm - change).ravel()  # g/ĝ
+        return self.target - model - slope @ (1 - ratio), slope[:, chosen] * ratio[chosen]
+
+    def slope(self, change: Array) -> Array:
+        """∂f/∂g at the estimate times the load's g."""
+        _, slope, logarithm = self._about
+        return np.asarray(slope * np.exp(logarithm - self.baseline.logarithm - change).ravel())
+
+    def direct(self) -> Direct:
+        """Without the estimate."""
+        return Direct(self.measured, self.sigma, self.baseline, self.water, self.seconds)
+
+    def bend(self, change: Array) -> Array:
+        """What the straight line misses of f(r)."""
+        network = network_of(self.baseline.logarithm + change)
+        return self.target - network.two_point_resistance().ravel() - self.missed(change, np.zeros(0, dtype=np.intp))[0]
+
+    @cached_property
+    def _about(self) -> tuple[Array, Array, Array]:
+        """f(r̂) (cells) ohm, ∂f/∂ln r there (cells, cells) ohm, and ln r̂ (rows, columns)."""
+        logarithm = np.log(self.estimate)
+        network = network_of(logarithm)
+        return network.two_point_resistance().ravel(), log_slope(network), logarithm
+
+
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """The root of a covariance, lower triangular, with the change of the cells that it was made for."""
+
+    root: Array
+    change: Array
+
+    @classmethod
+    def of(cls, frame: Frame, change: Array) -> "Weight":
+        """For a frame about ln r/r0 = `change`."""
+        return cls(cholesky(frame.covariance(change), lower=True), change)
+
+    def __matmul__(self, vectors: Array) -> Array:
+        """L⁻¹·v: errors of unit variance."""
+        return np.asarray(solve_triangular(self.root, vectors, lower=True, check_finite=False))
+
+    @cached_property
+    def precision(self) -> Array:
+        """C⁻¹, (cells, cells)."""
+        whitening = self @ np.eye(len(self.root))
+        return np.asarray(whitening.T @ whitening)
+
+
+def outliers(weight: Weight, residual: Array) -> NDArray[np.intp]:
+    """Numbers of the readings that lie far from what all the others say of them; residual (cells) ohm.
+
+    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
+    is taken out before the next is looked for.
+    """
+    precision = weight.precision.copy()
+    pull, found = precision @ residual, np.zeros(0, dtype=np.intp)
+    left = np.ones(len(residual), dtype=bool)
+    while len(found) < max(1, int(MOST_DROPPED * len(residual))):
+        score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
+        worst = int(np.argmax(score))
+        if score[worst] <= ALONE:
+            break
+        found, left[worst] = np.append(found, worst), False
+        column = precision[:, worst] / precision[worst, worst]
+        pull = pull - column * pull[worst]
+        precision = precision - np.outer(column, precision[worst])
+    return found
+
+
+def without(frame: Frame, dropped: NDArray[np.intp]) -> Frame:
+    """The frame with some readings' σ so large that they no longer count."""
+    sigma = frame.sigma.copy().ravel()
+    sigma[dropped] *= DROPPED
+    return replace(frame, sigma=sigma.reshape(frame.sigma.shape))

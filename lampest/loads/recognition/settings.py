@@ -1,0 +1,44 @@
+"""What a user may tell the recognition beside the results."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, ClassVar
+
+from lampest.loads.recognition.doubts import Doubts
+from lampest.panel.panel import Panel
+
+PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Assumptions about the panel and the errors.
+
+    Parameters
+    ----------
+    patch_mm : edge of a cell's film in mm; None: 6/10 of the pitch.
+    top_row_depth_mm : depth of row 0 below the water's surface in mm, row by row deeper; None: what the results
+        say, or in air.
+    noise_percent : standard deviation of every reading in percent, where the results do not hold it; None: refuse.
+    doubts : the errors beside the readings' noise.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    patch_mm: float | None = None
+    top_row_depth_mm: float | None = None
+    noise_percent: float | None = None
+    doubts: Doubts = field(default_factory=Doubts)
+
+    def __post_init__(self) -> None:
+        for name in ("patch_mm", "noise_percent"):
+            value = getattr(self, name)
+            if value is not None and not (isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite")
+        if self.top_row_depth_mm is not None and not 0 <= self.top_row_depth_mm < float("inf"):
+            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
+
+    def patch_of(self, panel: Panel) -> float:
+        """Edge of the film in mm. Never more than the pitch."""
+        return min(self.patch_mm or PATCH_SHARE * panel.pitch_mm, panel.pitch_mm)

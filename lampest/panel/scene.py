@@ -1,0 +1,214 @@
+"""What a measurement contains. An effect that a scene does not name does not exist in the model."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Panel
+
+
+@dataclass(frozen=True)
+class TwoPointReadout:
+    """One row and one column are selected, all other lines float; an ADC reads a divider with a reference resistor.
+
+    Parameters
+    ----------
+    supply_volt : divider supply and ADC reference in volt.
+    reference_ohm : reference resistor in ohm.
+    measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
+    adc_bits : resolution of the converter.
+    readings : conversions that are averaged for one cell.
+    noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    kind: Literal["two_point"] = "two_point"
+    supply_volt: float = 5.0
+    reference_ohm: float = 1000.0
+    measured_across: Literal["reference", "sensor"] = "reference"
+    adc_bits: int = 10
+    readings: int = 20
+    noise_lsb: float = 0.7
+
+    def __post_init__(self) -> None:
+        for name in ("supply_volt", "reference_ohm"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive and finite")
+        if not 1 <= self.adc_bits <= 32:
+            raise ValueError("adc_bits must lie between 1 and 32")
+        if not 1 <= self.readings <= 65535:
+            raise ValueError("readings must lie between 1 and 65535")
+        if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
+            raise ValueError("noise_lsb must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What is known to be broken, by (row, column) or line; it leaves the model.
+
+    Parameters
+    ----------
+    open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
+    dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    open: tuple[tuple[int, int], ...] = ()
+    shorted: tuple[tuple[int, int], ...] = ()
+    dead_rows: tuple[int, ...] = ()
+    dead_columns: tuple[int, ...] = ()
+
+    def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell carries nothing."""
+        cells = np.zeros(panel.shape, dtype=bool)
+        for row, column in self.open:
+            cells[row, column] = True
+        cells[list(self.dead_rows)] = True
+        cells[:, list(self.dead_columns)] = True
+        return cells
+
+    def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell joins its lines."""
+        cells = np.zeros(panel.shape, dtype=bool)
+        for row, column in self.shorted:
+            cells[row, column] = True
+        return cells
+
+    def blind(self, panel: Panel) -> NDArray[np.bool_]:
+        """(rows, columns) where a reading says nothing."""
+        readings = self.shorted_cells(panel)
+        readings[list(self.dead_rows)] = True
+        readings[:, list(self.dead_columns)] = True
+        return readings
+
+    def check(self, panel: Panel) -> None:
+        """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
+        for row, column in (*self.open, *self.shorted):
+            if not (0 <= row < panel.rows and 0 <= column < panel.columns):
+                raise ValueError(f"faults: there is no cell [{row}, {column}]")
+        for lines, count, name in ((self.dead_rows, panel.rows, "row"), (self.dead_columns, panel.columns, "column")):
+            for line in lines:
+                if not 0 <= line < count:
+                    raise ValueError(f"faults: there is no {name} {line}")
+        if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
+            raise ValueError("faults: a cell cannot be open and shorted")
+        if np.all(self.blind(panel)) or np.all(self.open_cells(panel)):
+            raise ValueError("faults: nothing is left of the panel")
+
+
+@dataclass(frozen=True)
+class Water:
+    """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
+
+    Raises ValueError where the depth is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    top_row_depth_mm: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.top_row_depth_mm < float("inf"):
+            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
+class Temperature:
+    """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
+
+    Exponential, because 1 + α (T − T_b) turns negative far from T_b and depends on which temperature is called the
+    first; both agree within (α (T − T_b))²/2, which is 3e-4 for −0.3 % per kelvin over 8 kelvin.
+
+    Parameters
+    ----------
+    coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
+    baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    coefficient_per_kelvin: float
+    baseline_celsius: float
+    measured_celsius: float
+    coefficient_sd_per_kelvin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not -1 <= self.coefficient_per_kelvin <= 1:
+            raise ValueError("coefficient_per_kelvin must lie between -1 and 1")
+        if not 0 <= self.coefficient_sd_per_kelvin <= 1:
+            raise ValueError("coefficient_sd_per_kelvin must lie between 0 and 1")
+        for name in ("baseline_celsius", "measured_celsius"):
+            if not -273.15 <= getattr(self, name) <= 1000:
+                raise ValueError(f"{name} must lie between -273.15 and 1000")
+
+    @property
+    def difference_kelvin(self) -> float:
+        """T − T_b."""
+        return self.measured_celsius - self.baseline_celsius
+
+    @property
+    def logarithm(self) -> float:
+        """ln(r(T)/r(T_b)) = α (T − T_b)."""
+        return self.coefficient_per_kelvin * self.difference_kelvin
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """How far off all readings may be together; widens error bars and changes no estimate.
+
+    Parameters
+    ----------
+    reference_tolerance : the reference resistor is off by up to this fraction.
+    channel_spread_ohm : standard deviation of the series resistance of each line's channel, in ohm.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    reference_tolerance: float = 0.0
+    channel_spread_ohm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.reference_tolerance < 1:
+            raise ValueError("reference_tolerance must be zero or positive, and below 1")
+        if not (isfinite(self.channel_spread_ohm) and self.channel_spread_ohm >= 0):
+            raise ValueError("channel_spread_ohm must be zero or positive, and finite")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The panel, how it is read, and what stands between the two.
+
+    Parameters
+    ----------
+    panel : rows, columns and pitch.
+    readout : the electronics; None where only resistances are known, and then their σ is unknown too.
+    series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm.
+    faults : what is known to be broken, or None.
+    water : how deep the panel stands under water; None: in air, or not known.
+    temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
+    systematic : how far off all readings may be together; None: not at all, or not known.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    panel: Panel
+    readout: TwoPointReadout | None = None
+    series_resistance_ohm: float = 0.0
+    faults: Faults | None = None
+    water: Water | None = None
+    temperature: Temperature | None = None
+    systematic: Systematic | None = None
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
+            raise ValueError("series_resistance_ohm must be zero or positive, and finite")
+        if self.faults is not None:
+            self.faults.check(self.panel)

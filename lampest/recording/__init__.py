@@ -1,0 +1,1 @@
+"""Recordings and the only way from file, board or simulation to readings."""

@@ -1,0 +1,140 @@
+"""The file while it is being recorded: appended frame by frame so that others can read along and a crash loses nothing.
+
+Its layout is the recording's. Single writer, multiple readers (SWMR): what was flushed stays readable after kill -9.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+from lampest.files import hdf5
+from lampest.files.document import to_yaml
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
+from lampest.recording.board.stream import Sample
+from lampest.recording.recording import FORMAT
+
+CHUNK_FRAMES = 16
+
+
+@dataclass(frozen=True)
+class Journal:
+    """An open, growing recording file."""
+
+    file: h5py.File
+
+    @classmethod
+    @contextmanager
+    def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
+        """Make the file. Raises InputError where it cannot be made or a file of that name exists."""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = h5py.File(path, "x", libver=("v110", "v110"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be made ({error.strerror or error})") from error
+        with file:
+            _lay_out(file, scene, readings)
+            file.flush()
+            file.swmr_mode = True
+            with _locked(path):
+                yield cls(file)
+
+    def append(self, sample: Sample, resistance: Array, role: int) -> None:
+        """Add one frame and flush it: from here on it survives. Raises InputError where the disk is full."""
+        frame = sample.frame
+        self._push(
+            {
+                "acquisition/host_time": sample.host_time,
+                "acquisition/device_ms": frame.device_ms,
+                "acquisition/sequence": frame.sequence,
+                "acquisition/missed": frame.missed,
+                "acquisition/lost": sample.lost,
+                "acquisition/session": sample.session,
+                "raw/sums": frame.sums,
+                "two_point/time": sample.time,
+                "two_point/role": role,
+                "two_point/resistance": resistance,
+            }
+        )
+
+    def mark(self, time: float, label: str) -> None:
+        """Add an event at a time on the recording's axis."""
+        text = np.bytes_(label.encode("ascii", "replace")[:LABEL_BYTES])
+        self._push({"acquisition/event_time": time, "acquisition/event_label": text})
+
+    def _push(self, values: dict[str, object]) -> None:
+        try:
+            for path, value in values.items():
+                dataset = self.file[f"entry/{path}"]
+                length = dataset.shape[0]
+                dataset.resize(length + 1, axis=0)
+                dataset[length] = value
+            self.file.flush()
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
+
+
+def is_finished(path: Path) -> bool:
+    """Whether a recording was closed. Raises InputError where it cannot be read."""
+    with hdf5.existing_file(path) as file:
+        return "lampest_unfinished" not in file.attrs
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether a living process is recording into the file."""
+    if fcntl is None:
+        return False
+    with path.open("rb") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """A lock that readers do not mind and that ends with the process; HDF5's own ends where SWMR begins."""
+    with path.open("rb") as handle:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_SH)
+        yield
+
+
+def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
+    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    entry = file.create_group("entry")
+    hdf5.set_attributes(entry, NX_class="NXentry", default="two_point")
+    hdf5.write_text(entry, "scene", to_yaml(scene))
+    frames = entry.create_group("two_point")
+    hdf5.set_attributes(frames, NX_class="NXdata", signal="resistance", axes=["time", "row", "column"])
+    shape = scene.panel.shape
+    _grow(frames, "resistance", "f8", "ohm", "two-point resistance, divider equation", shape)
+    _grow(frames, "time", "f8", "s", "time of the frame")
+    _grow(frames, "role", "u1", "1", "0 unloaded baseline, 1 measured")
+    raw = entry.create_group("raw")
+    hdf5.set_attributes(raw, NX_class="NXdata", signal="sums", readings=np.uint16(readings))
+    _grow(raw, "sums", "u2", "1", "sums of ADC codes", shape)
+    acquisition = entry.create_group("acquisition")
+    hdf5.set_attributes(acquisition, NX_class="NXcollection")
+    for name, kind, units, long_name in FRAME_FIELDS:
+        _grow(acquisition, name, kind, units, long_name)
+    _grow(acquisition, "event_time", "f8", "s", "time of the event")
+    _grow(acquisition, "event_label", f"S{LABEL_BYTES}", "1", "what was marked")
+
+
+def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:
+    chunk = (CHUNK_FRAMES if shape else 1024, *shape)
+    dataset = group.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=chunk)
+    hdf5.set_attributes(dataset, units=units, long_name=long_name)

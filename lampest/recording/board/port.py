@@ -1,0 +1,203 @@
+"""The serial port with a board behind it: find, open, wait for HELLO, set, start, read. The one place with pyserial."""
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+
+import serial
+from serial.tools import list_ports
+
+from lampest.files.errors import InputError
+from lampest.recording.board.protocol import (
+    BAUD,
+    PROTOCOL_VERSION,
+    Answer,
+    Foreign,
+    Frame,
+    Hello,
+    Kind,
+    Message,
+    Receiver,
+    Result,
+    command,
+)
+
+# A Mega's bootloader listens for about a second after a reset; what is sent to it then may confuse it.
+BOOT_SECONDS = 2.0
+HELLO_SECONDS = 8.0
+ANSWER_SECONDS = 0.5
+TRIES = 4
+ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
+
+
+class NoBoardError(InputError):
+    """The port is there or not, but no board answers at it."""
+
+
+@dataclass(frozen=True)
+class PortName:
+    """A serial port of this computer: what to open, what the system calls it, and whether it looks like an Arduino."""
+
+    url: str
+    description: str
+    likely: bool
+
+
+def ports() -> tuple[PortName, ...]:
+    """All serial ports, those that look like an Arduino first."""
+    found = [
+        PortName(port.device, port.description or "", port.vid in ARDUINO_VENDORS) for port in list_ports.comports()
+    ]
+    return tuple(sorted(found, key=lambda port: (not port.likely, port.url)))
+
+
+def only_port() -> str:
+    """The one port that looks like an Arduino. Raises InputError where there is none or more than one."""
+    likely = [port.url for port in ports() if port.likely]
+    if len(likely) == 1:
+        return likely[0]
+    reason = "several ports look like an Arduino: " + ", ".join(likely) if likely else "no port looks like an Arduino"
+    raise InputError(f"{reason}; name one (`lampest ports` lists them)")
+
+
+class Board:
+    """An open port. What has arrived and not been read is its only state.
+
+    Every method raises OSError where the board is unplugged.
+    """
+
+    def __init__(self, port: serial.SerialBase, url: str) -> None:
+        self._port = port
+        self._url = url
+        self._receiver = Receiver()
+        self._waiting: deque[Message] = deque()
+        self._tags = count(1)
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, url: str) -> Iterator["Board"]:
+        """Open a port by its name or a pyserial URL (socket://, rfc2217://, loop://) and reset the board behind it.
+
+        Raises NoBoardError where the port cannot be opened.
+        """
+        try:
+            port = serial.serial_for_url(url, BAUD, timeout=0.05, write_timeout=2.0, exclusive=True)
+        except (OSError, ValueError) as error:
+            raise NoBoardError(f"{url}: cannot be opened ({' '.join(str(error).split())})") from error
+        try:
+            _pulse_reset(port)
+            yield cls(port, url)
+        finally:
+            with contextlib.suppress(OSError):
+                port.close()
+
+    def messages(self) -> tuple[Message, ...]:
+        """What became complete; waits at most 0.05 s for a byte. Raises InputError for another protocol version."""
+        waiting = tuple(self._waiting)
+        self._waiting.clear()
+        return waiting or self._arrived()
+
+    def hello(self) -> Hello:
+        """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
+        began = time.monotonic()
+        ask_at = began + BOOT_SECONDS
+        while time.monotonic() < began + HELLO_SECONDS:
+            found = self.messages()
+            for item in found:
+                if isinstance(item, Hello) and not item.running:
+                    return item
+            # Whatever talks without a HELLO was not reset by opening the port.
+            running = any(isinstance(item, Frame) for item in found) and time.monotonic() > began + 0.3
+            if running or time.monotonic() > ask_at:
+                self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
+                ask_at = time.monotonic() + ANSWER_SECONDS
+        raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s")
+
+    def order(self, kind: Kind, value: int = 0) -> Answer:
+        """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
+        tag = next(self._tags) % 256
+
+        def is_answer(item: Message) -> bool:
+            return isinstance(item, Answer) and (item.command, item.tag) == (kind, tag)
+
+        answer = self._ask(command(kind, tag, value), is_answer, kind.name)
+        assert isinstance(answer, Answer)
+        # A board that runs already has carried out a START whose answer was lost.
+        if answer.result is Result.DONE or (kind, answer.result) == (Kind.START, Result.REFUSED_RUNNING):
+            return answer
+        raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
+
+    def identify(self) -> Hello:
+        """Ask for a HELLO. Raises NoBoardError where none comes."""
+        hello = self._ask(command(Kind.IDENTIFY), lambda item: isinstance(item, Hello), "IDENTIFY")
+        assert isinstance(hello, Hello)
+        return hello
+
+    def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Message:
+        """Send until the wanted message comes; what else comes meanwhile waits to be read."""
+        for _ in range(TRIES):
+            self._port.write(wire)
+            until = time.monotonic() + ANSWER_SECONDS
+            while time.monotonic() < until:
+                found = self._arrived()
+                for place, item in enumerate(found):
+                    if wanted(item):
+                        self._waiting.extend(found[:place] + found[place + 1 :])
+                        return item
+                self._waiting.extend(found)
+        raise NoBoardError(f"{self._url}: the board does not answer {name}")
+
+    def _arrived(self) -> tuple[Message, ...]:
+        self._receiver, found = self._receiver.feed(self._port.read(self._port.in_waiting or 1))
+        for item in found:
+            if isinstance(item, Foreign):
+                raise InputError(
+                    f"{self._url}: the board speaks version {item.version} of the protocol and this lampest version "
+                    f"{PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to it"
+                )
+        return found
+
+    def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:
+        """Set the board and start it; a period of None means 1 s or the shortest, whichever is longer.
+
+        Returns the HELLO that states the settings. Raises InputError where the board refuses one.
+        """
+        self.order(Kind.STOP)
+        self._waiting.clear()
+        self.order(Kind.SET_ROWS, rows)
+        self.order(Kind.SET_COLUMNS, columns)
+        self.order(Kind.SET_READINGS, readings)
+        shortest = self.identify().shortest_period_us
+        if period_us is not None and period_us < shortest:
+            raise InputError(
+                f"a period of {period_us / 1e6:g} s is too short: {rows} × {columns} cells with {readings} readings "
+                f"each take {shortest / 1e6:g} s"
+            )
+        self.order(Kind.SET_PERIOD, max(1_000_000, shortest) if period_us is None else period_us)
+        settings = self.identify()
+        if (settings.rows, settings.columns, settings.readings) != (rows, columns, readings):
+            raise NoBoardError(f"{self._url}: the board restarted while it was being set")
+        self.order(Kind.START)
+        # HELLOs from before the start would look like a restart.
+        frames = [item for item in self._waiting if isinstance(item, Frame)]
+        self._waiting.clear()
+        self._waiting.extend(frames)
+        return settings
+
+    def stop(self) -> None:
+        """Stop scanning, if the board still listens."""
+        with contextlib.suppress(OSError, InputError):
+            self.order(Kind.STOP)
+
+
+def _pulse_reset(port: serial.SerialBase) -> None:
+    """Pull DTR, which resets an Arduino; ports without that line stay as they are."""
+    with contextlib.suppress(OSError, ValueError):
+        port.reset_input_buffer()
+        port.dtr = False
+        time.sleep(0.1)
+        port.reset_input_buffer()
+        port.dtr = True

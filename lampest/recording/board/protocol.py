@@ -1,0 +1,216 @@
+"""Messages between board and host: bytes in, messages out, and back; no I/O.
+
+The same layouts and numbers stand in firmware/lampest_board/protocol.h; tests hold the two together.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.recording.board.framing import crc16, message, stuffed_length, unstuffed
+
+PROTOCOL_VERSION = 1
+BAUD = 500_000
+MOST_ROWS = MOST_COLUMNS = 16
+MOST_READINGS = 64
+MOST_CODE = 1023
+
+_HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
+_FRAME = struct.Struct("<BBBBBIIH")
+_ANSWER = struct.Struct("<BBBBBI")
+_COMMAND = struct.Struct("<BBBI")
+MOST_STUFFED = stuffed_length(_FRAME.size + 2 * MOST_ROWS * MOST_COLUMNS)
+
+
+class Kind(IntEnum):
+    """Types of messages: up to 15 from the board, above to the board."""
+
+    HELLO = 1
+    FRAME = 2
+    ANSWER = 3
+    IDENTIFY = 16
+    START = 17
+    STOP = 18
+    SET_ROWS = 19
+    SET_COLUMNS = 20
+    SET_READINGS = 21
+    SET_PERIOD = 22
+    SET_SETTLE = 23
+
+
+class Result(Enum):
+    """What became of a command, as a sentence."""
+
+    DONE = "done"
+    REFUSED_UNKNOWN = "the board does not know this command"
+    REFUSED_RANGE = "the value is outside what the board can do"
+    REFUSED_TOO_FAST = "the period is shorter than a scan takes"
+    REFUSED_RUNNING = "the board is scanning; stop it first"
+    REFUSED_VERSION = "the board speaks another version of the protocol"
+
+
+RESULT_CODES = tuple(Result)
+ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What the board is and how it is set; it says so after a reset, once a second while idle, and when asked."""
+
+    rows: int
+    columns: int
+    readings: int
+    most_rows: int
+    most_columns: int
+    most_readings: int
+    firmware: tuple[int, int]
+    period_us: int
+    shortest_period_us: int
+    settle_us: int
+    supply_millivolt: int
+    reference_milliohm: int
+    adc_bits: int
+    measured_across: Literal["reference", "sensor"]
+    running: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One scan: sums (rows, columns) uint16 of `readings` codes each; device_ms at its start; ticks missed before."""
+
+    readings: int
+    sequence: int
+    device_ms: int
+    missed: int
+    sums: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The board's answer to the command with this tag, and the value that now holds."""
+
+    command: int
+    tag: int
+    result: Result
+    value: int
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """An undamaged message of another version of the protocol."""
+
+    version: int
+
+
+@dataclass(frozen=True)
+class Garbage:
+    """Bytes between two zeros that are no message."""
+
+    length: int
+
+
+Message = Hello | Frame | Answer | Foreign | Garbage
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """What has arrived since the last zero. Feeding it gives the next receiver and the messages now complete."""
+
+    pending: bytes = b""
+
+    def feed(self, data: bytes) -> tuple["Receiver", tuple[Message, ...]]:
+        """Cut at zeros and read each piece; never raises, whatever the bytes."""
+        *pieces, rest = (self.pending + data).split(b"\0")
+        # One byte too many is enough to know that a piece is no message.
+        return Receiver(rest[: MOST_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
+
+
+def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
+    """A command as it goes over the wire; tag 0 to 255, value 0 to 2³² − 1."""
+    return message(_COMMAND.pack(PROTOCOL_VERSION, kind, tag, value))
+
+
+def hello_body(hello: Hello) -> bytes:
+    """HELLO as the board packs it."""
+    return _HELLO.pack(
+        PROTOCOL_VERSION,
+        Kind.HELLO,
+        hello.rows,
+        hello.columns,
+        hello.readings,
+        hello.most_rows,
+        hello.most_columns,
+        hello.most_readings,
+        hello.firmware[0] << 8 | hello.firmware[1],
+        hello.period_us,
+        hello.shortest_period_us,
+        hello.settle_us,
+        hello.supply_millivolt,
+        hello.reference_milliohm,
+        hello.adc_bits,
+        ACROSS.index(hello.measured_across),
+        hello.running,
+    )
+
+
+def frame_body(frame: Frame) -> bytes:
+    """FRAME as the board packs it."""
+    rows, columns = frame.sums.shape
+    header = _FRAME.pack(
+        PROTOCOL_VERSION, Kind.FRAME, rows, columns, frame.readings, frame.sequence, frame.device_ms, frame.missed
+    )
+    return header + frame.sums.astype("<u2").tobytes()
+
+
+def answer_body(answer: Answer) -> bytes:
+    """ANSWER as the board packs it."""
+    code = RESULT_CODES.index(answer.result)
+    return _ANSWER.pack(PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value)
+
+
+def _read_piece(piece: bytes) -> Message:
+    content = unstuffed(piece) if len(piece) <= MOST_STUFFED else None
+    # The CRC over a body and its own CRC is zero.
+    if content is None or len(content) < 4 or crc16(content) != 0:
+        return Garbage(len(piece))
+    body = content[:-2]
+    if body[0] != PROTOCOL_VERSION:
+        return Foreign(body[0])
+    readers = {Kind.HELLO: _read_hello, Kind.FRAME: _read_frame, Kind.ANSWER: _read_answer}
+    reader = readers.get(body[1])  # type: ignore[call-overload]
+    return (reader(body) if reader else None) or Garbage(len(piece))
+
+
+def _read_hello(body: bytes) -> Hello | None:
+    if len(body) != _HELLO.size:
+        return None
+    fields: list[Any] = list(_HELLO.unpack(body)[2:])
+    if fields[13] >= len(ACROSS):
+        return None
+    fields[6], fields[13], fields[14] = divmod(fields[6], 256), ACROSS[fields[13]], bool(fields[14])
+    return Hello(*fields)
+
+
+def _read_frame(body: bytes) -> Frame | None:
+    if len(body) < _FRAME.size:
+        return None
+    _, _, rows, columns, readings, sequence, device_ms, missed = _FRAME.unpack_from(body)
+    sizes_fit = 1 <= rows <= MOST_ROWS and 1 <= columns <= MOST_COLUMNS and 1 <= readings <= MOST_READINGS
+    if not sizes_fit or len(body) != _FRAME.size + 2 * rows * columns:
+        return None
+    sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
+    # More than a CRC of 16 bits can promise: no converter gives such a sum.
+    if sums.max() > readings * MOST_CODE:
+        return None
+    return Frame(readings, sequence, device_ms, missed, sums)
+
+
+def _read_answer(body: bytes) -> Answer | None:
+    if len(body) != _ANSWER.size:
+        return None
+    _, _, kind, tag, result, value = _ANSWER.unpack(body)
+    return Answer(kind, tag, RESULT_CODES[result], value) if result < len(RESULT_CODES) else None

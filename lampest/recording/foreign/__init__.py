@@ -1,0 +1,1 @@
+"""Other programs' files as recordings: CSV, .npy, .mat."""

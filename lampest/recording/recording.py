@@ -1,0 +1,214 @@
+"""A recording: frames of two-point resistance, the scene they were taken in, and, for simulated ones, the truth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files import hdf5
+from lampest.files.document import parse_document, to_yaml, validated
+from lampest.files.errors import InputError
+from lampest.panel.divider import sigma_resistance
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
+
+FORMAT = "recording/1"
+UNLOADED, MEASURED = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Frames of one panel in the order of time.
+
+    Parameters
+    ----------
+    scene : panel, readout and series resistance as the estimator is told them.
+    resistance : (frames, rows, columns) ohm, what the divider equation gives, series resistance included.
+    time : (frames) s.
+    role : (frames) 0 unloaded baseline, 1 measured.
+    sigma : (frames, rows, columns) or (rows, columns) ohm, or None: then the readout's.
+    truth_cell_resistance, truth_pressure : (frames, rows, columns) ohm and kPa, or None.
+    raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
+    name : what results call it (the file's stem).
+    simulation : for simulated ones, all that made them, as YAML text, or None.
+    acquisition : for those from a board, its clocks, gaps and events, or None.
+
+    Raises InputError where shapes disagree or a value is not positive and finite.
+    """
+
+    scene: Scene
+    resistance: Array
+    time: Array
+    role: NDArray[np.uint8]
+    sigma: Array | None = None
+    truth_cell_resistance: Array | None = None
+    truth_pressure: Array | None = None
+    raw_sums: NDArray[np.uint16] | None = None
+    raw_readings: int | None = None
+    name: str = "recording"
+    simulation: str | None = None
+    acquisition: Acquisition | None = None
+
+    def __post_init__(self) -> None:
+        frames, shape = len(self.resistance), self.scene.panel.shape
+        if self.resistance.shape[1:] != shape or frames == 0:
+            found = " × ".join(str(size) for size in self.resistance.shape)
+            raise InputError(
+                f"{self.name}: /entry/two_point/resistance is {found}, but the scene's panel asks for frames × "
+                f"{shape[0]} × {shape[1]} with at least one frame"
+            )
+        _check_positive(self.name, "/entry/two_point/resistance", self.resistance)
+        if self.sigma is not None:
+            if self.sigma.shape not in (self.resistance.shape, shape):
+                raise InputError(f"{self.name}: /entry/two_point/sigma has another shape than the frames")
+            _check_positive(self.name, "/entry/two_point/sigma", self.sigma)
+        if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
+            raise InputError(f"{self.name}: /entry/two_point/time must hold one finite time for each frame")
+        if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
+            raise InputError(f"{self.name}: /entry/two_point/role must hold 0 or 1 for each frame")
+        for truth, path in ((self.truth_cell_resistance, "cell_resistance"), (self.truth_pressure, "pressure")):
+            if truth is not None and truth.shape != self.resistance.shape:
+                raise InputError(f"{self.name}: /entry/truth/{path} has another shape than the frames")
+        if self.acquisition is not None and len(self.acquisition.host_time) != frames:
+            raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Recording":
+        """Read a recording file, finished or not. Raises InputError with the dataset's path where it is wrong."""
+        path = Path(path)
+        with hdf5.existing_file(path) as file:
+            base = "/entry/two_point/"
+            optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
+            resistance = np.asarray(hdf5.read_array(file, base + "resistance", 3), dtype=float)
+            kept = _whole_frames(file, resistance)
+            resistance = resistance[kept]
+            frames = len(resistance)
+            scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
+            sigma = None
+            if optional["sigma"]:
+                sigma = np.asarray(hdf5.read_array(file, base + "sigma", (2, 3)), dtype=float)
+            time = hdf5.read_array(file, base + "time", 1)[kept] if optional["time"] else np.arange(frames)
+            role = hdf5.read_array(file, base + "role", 1)[kept] if optional["role"] else np.ones(frames)
+            truth = {
+                name: np.asarray(hdf5.read_array(file, f"/entry/truth/{name}", 3), dtype=float)
+                if hdf5.has(file, f"/entry/truth/{name}")
+                else None
+                for name in ("cell_resistance", "pressure")
+            }
+            raw = hdf5.has(file, "/entry/raw/sums")
+            sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3)[kept] if raw else None
+            readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
+            simulated = hdf5.has(file, "/entry/truth/simulation")
+            simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
+            acquisition = Acquisition.read(file, kept)
+        return cls(
+            scene,
+            resistance,
+            np.asarray(time, dtype=float),
+            np.asarray(role),
+            sigma,
+            truth["cell_resistance"],
+            truth["pressure"],
+            sums,
+            readings,
+            path.stem,
+            simulation,
+            acquisition,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording, whole or not at all. Raises InputError where the place cannot be written."""
+        with hdf5.new_file(Path(path)) as file:
+            self._write(file)
+
+    def _write(self, file: h5py.File) -> None:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry", default="two_point")
+        hdf5.write_text(entry, "scene", to_yaml(self.scene))
+        group = self._frames_group(entry, "two_point", "resistance")
+        axes = ("time", "row", "column")
+        hdf5.write_dataset(group, "resistance", self.resistance, "ohm", "two-point resistance, divider equation", axes)
+        if self.sigma is not None:
+            scales = axes[-self.sigma.ndim :]
+            hdf5.write_dataset(group, "sigma", self.sigma, "ohm", "standard deviation of resistance", scales)
+        role = self.role.astype(np.uint8)
+        hdf5.write_dataset(group, "role", role, "1", "0 unloaded baseline, 1 measured", ("time",))
+        if self.truth_cell_resistance is not None:
+            truth = self._frames_group(entry, "truth", "cell_resistance")
+            cells = self.truth_cell_resistance
+            hdf5.write_dataset(truth, "cell_resistance", cells, "ohm", "true cell resistance", axes)
+            if self.truth_pressure is not None:
+                hdf5.write_dataset(truth, "pressure", self.truth_pressure, "kPa", "true pressure on the cells", axes)
+            if self.simulation is not None:
+                hdf5.write_text(truth, "simulation", self.simulation)
+        if self.raw_sums is not None and self.raw_readings is not None:
+            raw = self._frames_group(entry, "raw", "sums")
+            hdf5.set_attributes(raw, readings=np.uint16(self.raw_readings))
+            hdf5.write_dataset(raw, "sums", self.raw_sums.astype(np.uint16), "1", "sums of ADC codes", axes)
+        if self.acquisition is not None:
+            self.acquisition.write(entry, self.time)
+
+    def _frames_group(self, entry: h5py.Group, name: str, signal: str) -> h5py.Group:
+        group = entry.create_group(name)
+        hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
+        rows, columns = self.scene.panel.shape
+        hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
+        hdf5.write_scale(group, "row", np.arange(rows), "1", "row line")
+        hdf5.write_scale(group, "column", np.arange(columns), "1", "column line")
+        return group
+
+    def network_resistance(self) -> Array:
+        """R − R_series, (frames, rows, columns) ohm: what the cells alone would show.
+
+        Raises InputError where a reading is not larger than the series resistance.
+        """
+        network = self.resistance - self.scene.series_resistance_ohm
+        self.check_above_series(network)
+        return network
+
+    def check_above_series(self, network: Array) -> None:
+        """Raise InputError where `network`, what is left of the readings, is not positive."""
+        if np.any(network <= 0):
+            frame, row, column = np.argwhere(network <= 0)[0]
+            raise InputError(
+                f"{self.name}: /entry/two_point/resistance[{frame}, {row}, {column}] is "
+                f"{self.resistance[frame, row, column]:.6g} ohm, not above the scene's series resistance of "
+                f"{self.scene.series_resistance_ohm:g} ohm"
+            )
+
+    def measured_frames(self) -> NDArray[np.intp]:
+        """Indices of the frames with role 1. Raises InputError where there is none."""
+        frames = np.flatnonzero(self.role == MEASURED)
+        if len(frames) == 0:
+            raise InputError(f"{self.name}: /entry/two_point/role has no measured frame (role 1)")
+        return frames
+
+    def sigma_or_none(self) -> Array | None:
+        """σ of every reading, (frames, rows, columns) ohm: the file's, else the readout's, else None."""
+        if self.sigma is not None:
+            return np.broadcast_to(self.sigma, self.resistance.shape)
+        if self.scene.readout is None:
+            return None
+        return sigma_resistance(self.scene.readout, self.resistance)
+
+
+def _whole_frames(file: h5py.File, resistance: Array) -> slice:
+    """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
+    if "lampest_unfinished" not in file.attrs:
+        return slice(None)
+    paths = ("two_point/time", "two_point/role", "raw/sums", *(f"acquisition/{name}" for name, *_ in FRAME_FIELDS))
+    frames = min(len(hdf5.read_array(file, f"/entry/{path}", 3 if path == "raw/sums" else 1)) for path in paths)
+    torn = np.any(resistance[:frames] <= 0, axis=(1, 2))
+    return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(resistance)))
+
+
+def _check_positive(name: str, path: str, values: Array) -> None:
+    bad = ~(np.isfinite(values) & (values > 0))
+    if np.any(bad):
+        index = tuple(int(part) for part in np.argwhere(bad)[0])
+        where = ", ".join(str(part) for part in index)
+        raise InputError(f"{name}: {path}[{where}] is {values[index]} ohm; it must be positive and finite")

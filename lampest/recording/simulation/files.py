@@ -1,0 +1,115 @@
+"""Simulation files: YAML with an optional sweep and drawn numbers → recordings on the disk.
+
+A number may be given as `{uniform: [low, high]}`: it is drawn from the seed and by the place where it stands, so that
+other drawn numbers do not change it. A recording keeps what was drawn, in /entry/truth/simulation.
+"""
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any, cast
+
+from lampest.files.document import Document, read_document, validated
+from lampest.files.errors import InputError
+from lampest.files.sweep import cases
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import stream
+
+MOST_VALUES = 50_000_000
+FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
+
+
+def run(path: Path, out: Path | None) -> list[Path]:
+    """Simulate all that a file describes and write the recordings; returns their paths.
+
+    Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
+    into several. All are computed before the first is written. Raises InputError.
+    """
+    planned = read_simulations(path)
+    targets = _targets(path, out, planned)
+    if sum(simulation.values for _, simulation in planned) > MOST_VALUES:
+        raise InputError(f"{path}: all recordings together hold more than {MOST_VALUES} values; split the sweep")
+    recordings = []
+    for (name, simulation), target in zip(planned, targets, strict=True):
+        try:
+            recordings.append(simulate(simulation, target.stem))
+        except ValueError as error:
+            raise InputError(f"{path}: {name}: {error}") from error
+    for target, recording in zip(targets, recordings, strict=True):
+        recording.save(target)
+    return targets
+
+
+def read_simulations(path: Path) -> list[tuple[str, Simulation]]:
+    """Every combination of a file's sweep: (output path as the file names it, simulation).
+
+    Raises InputError with line and column.
+    """
+    document = read_document(path)
+    found = []
+    planned = cases(document, lambda varied: cast(Simulation, validated(drawn(varied), Simulation)))
+    for number, case in enumerate(planned, start=1):
+        template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
+        name = _filled(document, template, case.value.seed, number, case.assignments)
+        found.append((name, dataclasses.replace(case.value, output=name)))
+    names = [name for name, _ in found]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
+    return found
+
+
+def drawn(document: Document) -> Document:
+    """A copy in which every `{uniform: [low, high]}` is a number drawn from the seed. Raises InputError there."""
+    content = document.content
+    seed = content.get("seed") if isinstance(content, dict) else None
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        return document
+
+    def walk(node: Any, place: tuple[int | str, ...]) -> Any:
+        if isinstance(node, list):
+            return [walk(item, (*place, index)) for index, item in enumerate(node)]
+        if not isinstance(node, dict):
+            return node
+        if set(node) != {"uniform"}:
+            return {key: walk(item, (*place, key)) for key, item in node.items()}
+        bounds = node["uniform"]
+        numbers = isinstance(bounds, list) and all(type(bound) in (int, float) for bound in bounds)
+        if not numbers or len(bounds) != 2 or not -1e12 < bounds[0] <= bounds[1] < 1e12:
+            raise document.error((*place, "uniform"), "must be a list of two numbers, the lower one first")
+        purpose = ".".join(str(part) for part in place)
+        return round(float(stream(seed, purpose).uniform(*bounds)), 6)
+
+    return dataclasses.replace(document, content=walk(content, ()))
+
+
+def _filled(document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]) -> str:
+    """The output's name with {seed}, {case} and the last words of the swept paths filled in; also {word:03d}."""
+    values = {path.split(".")[-1]: value for path, value in assignments.items()} | {"seed": seed, "case": number}
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] not in values:
+            raise document.error(("output",), f"{{{match[1]}}} is none of {', '.join(sorted(values))}")
+        found = values[match[1]]
+        return f"{found:0{match[2]}d}" if match[2] and isinstance(found, int) else str(found)
+
+    name = FIELD.sub(value, template)
+    if "{" in name or "}" in name or not name.endswith(".h5"):
+        raise document.error(("output",), f"'{name}' is no name of a recording: it must end in .h5 and hold no braces")
+    return name
+
+
+def _targets(path: Path, out: Path | None, planned: list[tuple[str, Simulation]]) -> list[Path]:
+    """Where the recordings go. Raises InputError where `out` is a file for several, or a folder for one."""
+    if out is None:
+        return [(path.parent / name).resolve() for name, _ in planned]
+    if len(planned) == 1:
+        if out.is_dir():
+            raise InputError(f"{out}: is a folder; name the file for the one recording of {path}")
+        return [out]
+    if out.is_file() or out.suffix == ".h5":
+        raise InputError(f"{out}: must be a folder, because {path} makes {len(planned)} recordings")
+    targets = [out / Path(name).name for name, _ in planned]
+    if len(set(targets)) < len(targets):
+        raise InputError(f"{path}: output names differ only by their folders; they cannot all go into {out}")
+    return targets

@@ -1,0 +1,151 @@
+"""A simulation: what is on the panel and how it is measured → a recording with its truth."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lampest.files.document import to_yaml
+from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import AnyLoad
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, Water
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.measure import measured, raw_sums
+from lampest.recording.simulation.pressure import pressure_on_cells
+from lampest.recording.simulation.unmodelled import Unmodelled, stream
+
+MOST_VALUES = 20_000_000
+LEAST_OHM, MOST_OHM = 1e-3, 1e12
+MOST_CELLS = 100_000
+
+
+@dataclass(frozen=True)
+class Cells:
+    """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    resistance_ohm: float = 3050.0
+    spread: float = 0.2
+    patch_mm: float = 6.0
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
+            raise ValueError("resistance_ohm must be positive and finite")
+        if not 0 <= self.spread <= 5:
+            raise ValueError("spread must lie between 0 and 5")
+        if not (isfinite(self.patch_mm) and self.patch_mm > 0):
+            raise ValueError("patch_mm must be positive and finite")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """All that makes a simulated recording.
+
+    Parameters
+    ----------
+    schema : version of this format.
+    seed : every random number follows from it.
+    scene : what the estimator will be told.
+    cells : the unloaded cells.
+    baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
+    frame_period_s : time between frames.
+    loads, course : what touches the panel, and when; absent in the unloaded frames.
+    water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
+    unmodelled : what the estimator is not told.
+    output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    schema: Literal[1]
+    seed: int
+    scene: Scene
+    cells: Cells = field(default_factory=Cells)
+    baseline_frames: int = 3
+    frames: int = 21
+    frame_period_s: float = 1.0
+    loads: tuple[AnyLoad, ...] = ()
+    course: Course = field(default_factory=Course)
+    water: Water | None = None
+    unmodelled: Unmodelled = field(default_factory=Unmodelled)
+    output: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**64:
+            raise ValueError("seed must lie between 0 and 2^64")
+        if self.baseline_frames < 0 or self.frames < 1:
+            raise ValueError("a recording needs at least one measured frame")
+        if not (isfinite(self.frame_period_s) and self.frame_period_s > 0):
+            raise ValueError("frame_period_s must be positive and finite")
+        if self.values > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} values in one recording")
+        if self.scene.panel.cells > MOST_CELLS:
+            raise ValueError(f"more than {MOST_CELLS} cells are not simulated")
+        if self.course.start_s <= -self.frame_period_s:
+            raise ValueError(
+                "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"
+            )
+        electronic = self.unmodelled.reference_tolerance or self.unmodelled.outlier_probability
+        if self.scene.readout is None and electronic:
+            raise ValueError("reference_tolerance and outlier_probability need a readout in the scene")
+
+    @property
+    def values(self) -> int:
+        """frames · rows · columns, unloaded frames included."""
+        return (self.baseline_frames + self.frames) * self.scene.panel.cells
+
+
+def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
+    """r = r0·e^drift·f(p)·e^(α(T − T_b)), R = network(r), measured: the recording with its truth, all from the seed.
+
+    Raises ValueError where a cell's or a measured resistance leaves its range.
+    """
+    frames = simulation.baseline_frames + simulation.frames
+    time = np.arange(frames) * simulation.frame_period_s
+    loaded_time = time - time[simulation.baseline_frames]
+    panel = simulation.scene.panel
+    water = simulation.water or simulation.scene.water
+    pressure = pressure_on_cells(
+        panel, simulation.cells.patch_mm, simulation.loads, simulation.course, water, loaded_time
+    )
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        cells = unloaded_cells(simulation) * drift(simulation, time) * ratio_from_pressure(pressure)
+        if simulation.scene.temperature is not None:
+            cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
+    if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
+        raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
+    resistance, sums = measured(simulation.scene, two_point_resistance(cells), simulation.unmodelled, simulation.seed)
+    raw = raw_sums(simulation.scene.readout, sums)
+    return Recording(
+        scene=simulation.scene,
+        resistance=resistance,
+        time=time,
+        role=np.where(loaded_time < 0, UNLOADED, MEASURED).astype(np.uint8),
+        truth_cell_resistance=cells,
+        truth_pressure=pressure,
+        raw_sums=raw,
+        raw_readings=None if raw is None or simulation.scene.readout is None else simulation.scene.readout.readings,
+        name=name,
+        simulation=to_yaml(simulation),
+    )
+
+
+def unloaded_cells(simulation: Simulation) -> Array:
+    """r0, (rows, columns) ohm, log-normal."""
+    normal = stream(simulation.seed, "cells").standard_normal(simulation.scene.panel.shape)
+    return np.asarray(simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal))
+
+
+def drift(simulation: Simulation, time: Array) -> Array:
+    """exp(rate · t), (frames, rows, columns): every cell at its own rate, part of the truth."""
+    normal = stream(simulation.seed, "drift").standard_normal(simulation.scene.panel.shape)
+    rate = simulation.unmodelled.drift_per_minute / 60 * normal
+    return np.asarray(np.exp(rate * time[:, None, None]))

@@ -1,0 +1,211 @@
+"""Tables over recordings and estimators: time, data error, cell error, and what a publication gives beside them."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.whole import write_text
+from lampest.panel.panel import Array
+from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
+
+Steps = Literal["all", "initial", "following"]
+Chosen = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, standard deviation (n − 1; None for one value), median and 95th percentile of some values."""
+
+    mean: float
+    sd: float | None
+    median: float
+    percentile_95: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case over some of its steps; a failed frame counts in `frames` and nowhere else.
+
+    Parameters
+    ----------
+    source, recording, estimator : results file, recording's stem, estimator's name.
+    steps : 'all'; or 'initial' and 'following' where the first frame was solved together with the baseline.
+    frames, solved : number of frames, and how many of them were solved.
+    solve_time : of the solved frames, in s.
+    data_error : |two-point model − measured|/measured over all cells and solved frames, in percent.
+    cell_error : |cell resistance − truth|/truth over all cells and solved frames, in percent; None without a truth.
+    open_cells : cells that cannot be told from open ones, summed over the solved frames.
+    worst_kkt_residual : the largest violation of the optimality conditions.
+    published : what a publication says of the same steps.
+    """
+
+    source: str
+    recording: str
+    estimator: str
+    steps: Steps
+    frames: int
+    solved: int
+    solve_time: Spread | None
+    data_error: Spread | None
+    cell_error: Spread | None
+    open_cells: int
+    worst_kkt_residual: float | None
+    published: StepFigures | None
+
+
+def spread(values: Array) -> Spread | None:
+    """Mean, standard deviation, median and 95th percentile of the finite values, any shape; None if there is none."""
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        sd = float(np.std(values, ddof=1)) if values.size > 1 else None
+        return Spread(float(np.mean(values)), sd, float(np.median(values)), float(np.percentile(values, 95)))
+
+
+def relative_error(values: Array, reference: Array) -> Array:
+    """100·|values − reference|/reference, any shape, in percent."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return 100 * np.abs(values - reference) / reference
+
+
+def compare_files(paths: Sequence[str | Path]) -> list[Row]:
+    """The rows of several results files, file by file. Raises InputError where one cannot be read."""
+    return [row for path in paths for row in compare(read_results(path), str(path))]
+
+
+def compare(results: Results, source: str = "") -> list[Row]:
+    """The rows of one results file: one for each case, two where its first frame was solved with the baseline."""
+    return [row for case in results.cases for row in _rows(case, results.published.get(case.estimator), source)]
+
+
+def _rows(case: CaseResult, published: PublishedFigures | None, source: str) -> list[Row]:
+    first: Chosen = np.arange(len(case.time)) == 0
+    if not case.joint_start:
+        return [_row(case, "all", first | ~first, published, source)]
+    parts: list[tuple[Steps, Chosen]] = [("initial", first), ("following", ~first)]
+    return [_row(case, steps, chosen, published, source) for steps, chosen in parts if np.any(chosen)]
+
+
+def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFigures | None, source: str) -> Row:
+    good = chosen & case.solved
+    residual = spread(case.kkt_residual[good])
+    return Row(
+        source,
+        case.recording,
+        case.estimator,
+        steps,
+        frames=int(np.sum(chosen)),
+        solved=int(np.sum(good)),
+        solve_time=spread(case.solve_time[good]),
+        data_error=spread(relative_error(case.two_point_model[good], case.measured[good])),
+        cell_error=None if case.truth is None else spread(relative_error(case.cell_resistance[good], case.truth[good])),
+        open_cells=int(np.sum(case.open_cell[good] != 0)),
+        worst_kkt_residual=None if residual is None else float(np.nanmax(case.kkt_residual[good])),
+        published=_figures(published, steps),
+    )
+
+
+def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures | None:
+    """The figures of these steps; where all and following steps are not told apart, one stands for the other."""
+    if published is None:
+        return None
+    if steps == "initial":
+        return published.initial
+    return (published.all or published.following) if steps == "all" else (published.following or published.all)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Headers with units and rows of text, ready to be drawn."""
+
+    headers: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+
+
+def screen_table(rows: Sequence[Row]) -> Table:
+    """The rows as short texts, mean ± standard deviation; a column in which no row has anything is left out."""
+    several = len({row.source for row in rows}) > 1
+    columns: list[tuple[str, Callable[[Row], str]]] = [
+        ("results", lambda row: row.source if several else ""),
+        ("recording", lambda row: row.recording),
+        ("estimator", lambda row: row.estimator),
+        ("steps", lambda row: row.steps),
+        ("solved", lambda row: f"{row.solved}/{row.frames}"),
+        ("time [s]", lambda row: _plus_minus(row.solve_time)),
+        ("data error [%]", lambda row: _plus_minus(row.data_error)),
+        ("cell error [%] median / mean / 95th", lambda row: _three(row.cell_error)),
+        ("open cells", lambda row: str(row.open_cells)),
+        ("worst KKT", lambda row: "" if row.worst_kkt_residual is None else f"{row.worst_kkt_residual:.0e}"),
+        ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
+        ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
+    ]
+    filled = [(header, [text(row) for row in rows]) for header, text in columns]
+    filled = [(header, texts) for header, texts in filled if any(texts)]
+    return Table(tuple(header for header, _ in filled), tuple(zip(*(texts for _, texts in filled), strict=True)))
+
+
+def _plus_minus(values: Spread | None) -> str:
+    if values is None:
+        return ""
+    form = _format(values.mean)
+    return form.format(values.mean) + ("" if values.sd is None else f" ± {form.format(values.sd)}")
+
+
+def _three(values: Spread | None) -> str:
+    if values is None:
+        return ""
+    return " / ".join(_format(value).format(value) for value in (values.median, values.mean, values.percentile_95))
+
+
+def _published(figures: StepFigures | None, mean: str, sd: str) -> str:
+    if figures is None or getattr(figures, mean) is None:
+        return ""
+    deviation = getattr(figures, sd)
+    return f"{getattr(figures, mean):g}" + ("" if deviation is None else f" ± {deviation:g}")
+
+
+def _format(value: float) -> str:
+    """A format with three significant digits of `value`, without an exponent wherever that is short."""
+    if not 1e-4 <= abs(value) < 1e5:
+        return "{:.2e}" if value else "{:g}"
+    return f"{{:.{max(0, 2 - int(np.floor(np.log10(abs(value)))))}f}}"
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """All figures of the rows as CSV with units in the headers, full precision, empty where there is none."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(
+        ["results", "recording", "estimator", "steps", "frames", "frames solved"]
+        + ["solve time mean [s]", "solve time sd [s]", "data error mean [%]", "data error sd [%]"]
+        + ["cell error median [%]", "cell error mean [%]", "cell error 95th percentile [%]"]
+        + ["open cells", "worst KKT residual"]
+        + [f"published {name}" for name in ("time [s]", "time sd [s]", "data error [%]", "data error sd [%]")]
+    )
+    for row in rows:
+        time, data, cell, figures = row.solve_time, row.data_error, row.cell_error, row.published
+        writer.writerow(
+            [row.source, row.recording, row.estimator, row.steps, row.frames, row.solved]
+            + ([time.mean, time.sd] if time else [None, None])
+            + ([data.mean, data.sd] if data else [None, None])
+            + ([cell.median, cell.mean, cell.percentile_95] if cell else [None, None, None])
+            + [row.open_cells, row.worst_kkt_residual]
+            + (
+                [figures.time_s, figures.time_sd_s, figures.error_percent, figures.error_sd_percent]
+                if figures
+                else [None] * 4
+            )
+        )
+    return stream.getvalue()
+
+
+def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
+    """Write the rows as CSV, whole or not at all. Raises InputError where the place cannot be written."""
+    write_text(Path(path), csv_text(rows))

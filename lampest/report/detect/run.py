@@ -1,0 +1,120 @@
+"""Results → detections: every estimate of every recording, and the readings themselves."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.loads.pressure import water_pressure
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.frame import Direct, Frame, TwoStep, counting
+from lampest.loads.recognition.settings import Settings
+from lampest.loads.recognition.verdict import Verdict
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Water
+from lampest.report.detect.detection import Detection
+from lampest.runs.case import SHARED
+from lampest.runs.results import CaseResult, Results, read_results
+
+AS_PUBLISHED = Settings()
+
+
+def detect_file(
+    path: str | Path, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[Results, tuple[Detection, ...]]:
+    """A results file and its detections. Raises InputError where it cannot be read or does not tell the noise."""
+    results = read_results(path)
+    if not results.cases:
+        raise InputError(f"{path}: holds no results to look at")
+    try:
+        return results, detect(results, settings, on_case)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def detect(
+    results: Results, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[Detection, ...]:
+    """For every recording what its readings show (source SHARED), then what each estimate of it shows.
+
+    Raises InputError where results do not hold the noise of the readings and the settings do not give it.
+    """
+    found: list[Detection] = []
+    total = len(results.recordings()) + len(results.cases)
+    for recording in results.recordings():
+        cases = results.of(recording)
+        scene = Given.of(cases[0], settings)
+        for source in (None, *cases):
+            found.append(detected(scene, source))
+            on_case(len(found), total)
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A recording as the recognition is given it.
+
+    case : any of its estimates. panel, patch_mm, water : (rows, columns) kPa. sigma : (frames, rows, columns) ohm.
+    baseline : the unloaded panel.
+    """
+
+    case: CaseResult
+    panel: Panel
+    patch_mm: float
+    water: Array
+    sigma: Array
+    baseline: Baseline
+
+    @classmethod
+    def of(cls, case: CaseResult, settings: Settings) -> "Given":
+        """From one case of the recording. Raises InputError where the noise is unknown."""
+        _, rows, columns = case.measured.shape
+        panel = Panel(rows, columns, case.pitch_mm)
+        depth = case.top_row_depth_mm if settings.top_row_depth_mm is None else settings.top_row_depth_mm
+        water = water_pressure(panel, None if depth is None else Water(depth))
+        sigma = _noise(case, case.sigma, case.measured, settings)
+        resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
+        baseline = Baseline.of(case.measured_baseline, resting, case.series_resistance_ohm, settings.doubts)
+        return cls(case, panel, settings.patch_of(panel), water, sigma, baseline)
+
+    def frames(self) -> Iterator[Direct]:
+        """All frames; the baseline ended one period before the first."""
+        time = self.case.time
+        period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        for place, measured in enumerate(self.case.measured):
+            seconds = float(time[place] - time[0]) + period
+            yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds)
+
+
+def detected(given: Given, source: CaseResult | None) -> Detection:
+    """What an estimate shows, or the readings themselves for None; frames that failed are left out."""
+    detector: Detector | None = None
+    verdicts: list[Verdict | None] = []
+    for place, frame in enumerate(given.frames()):
+        if detector is None:
+            detector = Detector.of(given.panel, given.patch_mm, frame)
+        if source is not None and not source.solved[place]:
+            verdicts.append(None)
+            continue
+        detector, verdict = detector.push(frame if source is None else _compared(frame, source.cell_resistance[place]))
+        verdicts.append(verdict)
+    name = SHARED if source is None else source.estimator
+    return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts))
+
+
+def _compared(frame: Direct, estimate: Array) -> Frame:
+    return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
+
+
+def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: Settings) -> Array:
+    if sigma is None and settings.noise_percent is None:
+        raise InputError(
+            f"{case.recording}: the noise of the readings is unknown, and without it nothing can be told from noise; "
+            "add a readout to the scene or sigma to the recording and run again, or give the noise in percent"
+        )
+    if sigma is None:
+        return np.asarray(measured * (settings.noise_percent or 0.0) / 100)
+    return counting(sigma, measured)

@@ -1,0 +1,136 @@
+"""What a recording or a results file holds, in a few lines of text with a small map of its first frame."""
+
+from pathlib import Path
+
+import numpy as np
+
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.runs.results import FORMAT, Results, read_results
+
+MOST_ROWS, MOST_COLUMNS = 24, 12
+
+
+def describe(path: str | Path) -> list[str]:
+    """Lines on a file: format, frames, panel, scene, times, roles, range of resistance, and the first frame as a map.
+
+    Raises InputError where the file is neither a recording nor results, or is damaged.
+    """
+    path = Path(path)
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+        form = form if isinstance(form, str) else None
+        if form is None and not hdf5.has(file, "/entry/two_point/resistance"):
+            raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
+    if form == FORMAT:
+        return [f"{path}: {form}", *_results_lines(read_results(path))]
+    return [f"{path}: {form or 'a recording without lampest_format'}", *_recording_lines(Recording.load(path))]
+
+
+def _recording_lines(recording: Recording) -> list[str]:
+    role, time, resistance = recording.role, recording.time, recording.resistance
+    unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
+    extras = [
+        ("σ", recording.sigma),
+        ("true cell resistance", recording.truth_cell_resistance),
+        ("true pressure", recording.truth_pressure),
+        ("sums of ADC codes", recording.raw_sums),
+    ]
+    held = ", ".join(name for name, values in extras if values is not None)
+    first = "unloaded" if role[0] == UNLOADED else "measured"
+    return [
+        f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
+        *_scene_lines(recording.scene),
+        f"R         {resistance.min():.4g} to {resistance.max():.4g} ohm (two-point, series resistance included)",
+        f"besides   {held or 'nothing'}",
+        f"two-point resistance of frame 0 ({first}) in ohm:",
+        *text_map(resistance[0]),
+    ]
+
+
+def _scene_lines(scene: Scene) -> list[str]:
+    panel, readout = scene.panel, scene.readout
+    lines = [f"panel     {panel.rows} rows × {panel.columns} columns, pitch {panel.pitch_mm:g} mm"]
+    if readout is None:
+        lines.append("readout   unknown, resistances alone")
+    else:
+        lines.append(
+            f"readout   two-point, {readout.supply_volt:g} V, reference {readout.reference_ohm:g} ohm, measured across "
+            f"the {readout.measured_across}, {readout.adc_bits} bits, {readout.readings} readings, "
+            f"noise {readout.noise_lsb:g} LSB"
+        )
+    lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
+    if scene.systematic is not None:
+        off = scene.systematic
+        lines.append(
+            f"together  off by up to {100 * off.reference_tolerance:g} %, channels by {off.channel_spread_ohm:g} ohm"
+        )
+    if scene.water is not None:
+        lines.append(f"water     {scene.water.top_row_depth_mm:g} mm above the top row")
+    if scene.temperature is not None:
+        film = scene.temperature
+        lines.append(
+            f"film      {100 * film.coefficient_per_kelvin:g} % per kelvin, {film.baseline_celsius:g} °C unloaded, "
+            f"{film.measured_celsius:g} °C measured"
+        )
+    if scene.faults is not None:
+        known = ", ".join(
+            f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(scene.faults).items() if value
+        )
+        lines.append(f"faults    {known or 'none'}")
+    return lines
+
+
+def _results_lines(results: Results) -> list[str]:
+    lines = []
+    for recording in results.recordings():
+        cases = results.of(recording)
+        first = cases[0]
+        frames, rows, columns = first.measured.shape
+        truth = "not in" if first.truth is None else "in"
+        lines += [
+            f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
+            f"{rows} rows × {columns} columns, pitch {first.pitch_mm:g} mm, truth {truth} the file",
+            f"R         {first.measured.min():.4g} to {first.measured.max():.4g} ohm "
+            f"(two-point, series resistance of {first.series_resistance_ohm:g} ohm taken off)",
+        ]
+        width = max(len(case.estimator) for case in cases)
+        for case in cases:
+            lines.append(
+                f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}  "
+                f"r {_range(case.cell_resistance)}  case {case.case_id}"
+            )
+    if results.published:
+        lines.append(f"published figures of {', '.join(results.published)}")
+    if results.cases:
+        case = results.cases[0]
+        lines.append(f"cell resistance of {case.recording} × {case.estimator}, frame {case.frame[0]}, in ohm:")
+        lines += text_map(case.cell_resistance[0])
+    return lines
+
+
+def _range(values: Array) -> str:
+    known = values[np.isfinite(values)]
+    return f"{known.min():.4g} to {known.max():.4g} ohm" if known.size else "unknown"
+
+
+def text_map(values: Array) -> list[str]:
+    """A matrix (rows, columns) as text, row 0 on top and columns to the right; what is cropped is said below."""
+    rows, columns = values.shape
+    shown = values[:MOST_ROWS, :MOST_COLUMNS]
+    texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in shown]
+    width = max(len(text) for row in texts for text in row)
+    width = max(width, len(str(shown.shape[1] - 1))) + 2
+    labels = ["column", *(f"row {row}" for row in range(len(texts)))]
+    heads = [str(column) for column in range(shown.shape[1])]
+    left = max(len(label) for label in labels)
+    lines = [
+        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line)
+        for label, line in zip(labels, [heads, *texts], strict=True)
+    ]
+    if shown.shape != values.shape:
+        lines.append(f"(the first {shown.shape[0]} of {rows} rows and {shown.shape[1]} of {columns} columns)")
+    return lines

@@ -1,0 +1,98 @@
+"""Frames for the engine: from a board as they come, or from a recording at any speed."""
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from lampest.estimate.sequence import frame_period
+from lampest.panel.divider import resistance_from_voltage, sigma_resistance, voltage_from_code
+from lampest.panel.scene import Scene
+from lampest.recording.board.record import Progress, Recorded, record
+from lampest.recording.board.stream import Sample, scene_of, stream
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.report.live.engine import Engine, Reading, Source, mean_reading
+
+
+def from_board(engine: Engine, url: str, scene: Scene | None, period: float | None, frames: int | None) -> None:
+    """Every frame of a board, until `frames` have come or for ever.
+
+    Raises InputError as `lampest.recording.board.stream.stream`.
+    """
+    engine.say(f"waiting for the board at {url}")
+    with closing(stream(url, scene, period, engine.say)) as samples:
+        came = 0
+        for sample in samples:
+            if sample is not None:
+                take_sample(engine, sample, scene)
+                came += 1
+            if came == frames:
+                return
+
+
+def recorded_from_board(
+    engine: Engine,
+    url: str,
+    out: Path,
+    scene: Scene | None,
+    baseline: int,
+    period: float | None,
+    frames: int | None,
+) -> Recorded:
+    """The same while every frame goes into the recording `out` first. Raises InputError as `record`."""
+    engine.say(f"waiting for the board at {url}")
+
+    def on_progress(progress: Progress) -> None:
+        if progress.sample is not None:
+            take_sample(engine, progress.sample, scene)
+        elif progress.state:
+            engine.say(progress.state)
+
+    return record(url, out, frames=frames, scene=scene, baseline=baseline, period=period, on_progress=on_progress)
+
+
+def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
+    """Hand a board's frame on, as resistance."""
+    agreed = scene_of(sample.hello, scene)
+    assert agreed.readout is not None
+    mean_code = sample.frame.sums / sample.frame.readings
+    resistance = resistance_from_voltage(agreed.readout, voltage_from_code(agreed.readout, mean_code))
+    engine.take(
+        Source(agreed.panel, sample.hello.period_us * 1e-6, "receiving"),
+        Reading(
+            resistance - agreed.series_resistance_ohm,
+            sigma_resistance(agreed.readout, resistance),
+            sample.time,
+            sample.host_time,
+            sample.lost,
+        ),
+    )
+
+
+def from_recording(
+    engine: Engine, recording: Recording, speed: float, frames: int | None, wait: Callable[[float], None] = time.sleep
+) -> None:
+    """A recording's measured frames, `speed` times as fast as they were taken; its unloaded frames are the baseline."""
+    source = Source(recording.scene.panel, frame_period(recording) / speed, f"replaying at {speed:g} times its speed")
+    unloaded = [reading_of(recording, int(place)) for place in np.flatnonzero(recording.role == UNLOADED)]
+    if unloaded:
+        engine.begin(source, *mean_reading(unloaded))
+    measured = recording.measured_frames()[:frames]
+    began = time.monotonic() - recording.time[measured[0]] / speed
+    for place in measured:
+        wait(max(0.0, began + recording.time[place] / speed - time.monotonic()))
+        engine.take(source, reading_of(recording, int(place)))
+
+
+def reading_of(recording: Recording, place: int) -> Reading:
+    """One frame of a recording, as if it arrived now."""
+    sigma, origin = recording.sigma_or_none(), recording.acquisition
+    return Reading(
+        recording.resistance[place] - recording.scene.series_resistance_ohm,
+        None if sigma is None else sigma[place],
+        float(recording.time[place]),
+        time.time(),
+        0 if origin is None else int(origin.lost[place]),
+    )

@@ -1,0 +1,118 @@
+"""`lampest live`: a source of frames, an engine and a server, put together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from lampest.cost.terms.cell_resistance import CellResistance
+from lampest.cost.terms.gradient import Gradient
+from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.relative_change import RelativeChange
+from lampest.estimate.estimator import Estimator
+from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
+from lampest.panel.scene import Scene
+from lampest.recording.board.port import only_port
+from lampest.recording.board.record import Recorded
+from lampest.recording.recording import Recording
+from lampest.report.live.engine import Engine
+from lampest.report.live.feed import from_board, from_recording, recorded_from_board
+from lampest.report.live.server import address, serving
+from lampest.runs.config import RunFile, resolve
+
+METHODS = {
+    "LSR-gCR": Estimator((Misfit(), Gradient(weight=1e-3)), "reduced"),
+    "LSM": Estimator((Misfit(),), "reduced"),
+    "LSR-CR": Estimator((Misfit(), CellResistance(weight=1e-3)), "reduced"),
+    "LSR-dCR": Estimator((Misfit(), RelativeChange(weight=10)), "reduced"),
+    "LSR-gdCR": Estimator((Misfit(), GradientOfRelativeChange(weight=10)), "reduced"),
+}
+
+
+@dataclass(frozen=True)
+class Board:
+    """Live from a board.
+
+    port : its port or a pyserial URL; None for the only one that looks like an Arduino. scene : what it must fit.
+    baseline : the first so many frames are unloaded. period : s between frames. out : a recording to make as well.
+    """
+
+    port: str | None = None
+    scene: Scene | None = None
+    baseline: int = 3
+    period: float | None = None
+    out: Path | None = None
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Live from a recording: `speed` times as fast as it was taken; `baseline` as above where no frame is unloaded."""
+
+    path: Path
+    speed: float = 1.0
+    baseline: int = 3
+
+
+def live(
+    source: Board | Replay,
+    method: str | None = None,
+    config: Path | None = None,
+    http: str = "127.0.0.1:8137",
+    frames: int | None = None,
+    on_url: Callable[[str], None] = lambda url: None,
+) -> Recorded | None:
+    """Reconstruct each frame as it comes and show it in the browser, until `frames` have come or Ctrl-C.
+
+    Parameters
+    ----------
+    source : a board or a recording.
+    method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
+    http : HOST:PORT to listen at; port 0 for any that is free.
+    on_url : told the page's address once it can be opened.
+
+    Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
+    """
+    name, estimator = chosen(method, config)
+    recording = Recording.load(source.path) if isinstance(source, Replay) else None
+    port = source.port or only_port() if isinstance(source, Board) else ""
+    with (
+        Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
+        serving(*address(http), engine.shown) as server,
+    ):
+        on_url(server.url)
+        try:
+            done = None
+            if isinstance(source, Replay):
+                assert recording is not None
+                from_recording(engine, recording, source.speed, frames)
+            elif source.out is None:
+                from_board(engine, port, source.scene, source.period, frames)
+            else:
+                done = recorded_from_board(
+                    engine, port, source.out, source.scene, source.baseline, source.period, frames
+                )
+            engine.finish()
+        except InputError as error:
+            engine.say(f"stopped: {error}")
+            raise
+        if isinstance(source, Replay) and frames is None:
+            engine.say("the recording has ended")
+            Event().wait()
+        engine.say("lampest has ended")
+        return done
+
+
+def chosen(name: str | None, config: Path | None) -> tuple[str, Estimator]:
+    """An estimator and its name; the first where none is named. Raises InputError where there is none of that name."""
+    if config is None:
+        known, where = tuple(METHODS), "there are"
+    else:
+        document = read_document(config)
+        run: RunFile = validated(document, RunFile)
+        known, where = tuple(run.estimators), f"{config} has"
+    name = name or known[0]
+    if name not in known:
+        raise InputError(f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}")
+    return name, METHODS[name] if config is None else resolve(document, run, name)

@@ -1,0 +1,168 @@
+"""The page and its stream of views over HTTP: GET of two paths, nothing else; server-sent events."""
+
+import ipaddress
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from threading import BoundedSemaphore, Thread
+
+from lampest.files.errors import InputError
+from lampest.report.live.newest import Newest
+from lampest.report.live.view import View, view_text
+
+MOST_STREAMS = 16
+HEARTBEAT_SECONDS = 2.0
+FAREWELL_SECONDS = 1.0
+# Scripts and styles stand in the page; nothing is loaded from elsewhere.
+POLICY = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+
+
+class PageServer(ThreadingHTTPServer):
+    """Shows the views of `shown` to whoever comes; its only other state is how many are looking."""
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 64
+    # On Windows it would share the port with another server.
+    allow_reuse_address = os.name == "posix"
+
+    def __init__(self, host: str, port: int, shown: Newest[View]) -> None:
+        self.shown = shown
+        self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
+        self.seats = BoundedSemaphore(MOST_STREAMS)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        super().__init__((host, port), PageHandler)
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser on this computer."""
+        host, port = self.server_address[:2]
+        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(str(host), str(host))
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
+
+    @property
+    def local(self) -> bool:
+        """Whether only this computer can reach it."""
+        return ipaddress.ip_address(str(self.server_address[0])).is_loopback
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A client that went away is none of our business."""
+
+
+class PageHandler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: PageServer
+    timeout = 10.0
+    disable_nagle_algorithm = True
+    server_version, sys_version = "lampest", ""
+
+    def parse_request(self) -> bool:
+        """Refuse all methods but GET, and, on the loopback, names that a foreign page may have given this address."""
+        if not super().parse_request():
+            return False
+        if self.command != "GET":
+            self.send_response(HTTPStatus.METHOD_NOT_ALLOWED)
+            self.send_header("Allow", "GET")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return False
+        if self.server.local and not is_local_name(self.headers.get("Host", "")):
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return False
+        return True
+
+    def do_GET(self) -> None:
+        """The page at /, the views at /views; all else is not there."""
+        if self.path == "/":
+            self._start("text/html; charset=utf-8", len(self.server.page))
+            self.wfile.write(self.server.page)
+        elif self.path != "/views":
+            self.send_error(HTTPStatus.NOT_FOUND)
+        elif not self.server.seats.acquire(blocking=False):
+            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
+        else:
+            try:
+                self._start("text/event-stream")
+                self._stream()
+            finally:
+                self.server.seats.release()
+
+    def _start(self, kind: str, length: int | None = None) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        if length is not None:
+            self.send_header("Content-Length", str(length))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+
+    def _stream(self) -> None:
+        """The newest view whenever there is one that this client has not seen; a client that is slow skips views."""
+        shown = self.server.shown
+        seen, known = -1, 0
+        while True:
+            news = shown.after(seen, HEARTBEAT_SECONDS)
+            if news is not None:
+                seen, view = news
+                self.wfile.write(f"data: {view_text(view, time.time(), known)}\n\n".encode())
+                known = view.picture.number if view.picture else 0
+            elif shown.closed:
+                return
+            else:
+                self.wfile.write(b": still here\n\n")
+
+    def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002
+        """Requests are nothing to report."""
+
+
+def is_local_name(host: str) -> bool:
+    """Whether a Host header names this computer itself: localhost or a loopback address, with or without a port."""
+    name = host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host
+    name = name.removeprefix("[").removesuffix("]")
+    if name == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False
+
+
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError where it is something else."""
+    host, separator, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    try:
+        ipaddress.ip_address(host := "127.0.0.1" if host == "localhost" else host)
+        if separator and port.isascii() and port.isdigit() and int(port) < 65536:
+            return host, int(port)
+    except ValueError:
+        pass
+    raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
+
+
+@contextmanager
+def serving(host: str, port: int, shown: Newest[View]) -> Iterator[PageServer]:
+    """A server that runs beside; at the end everybody gets the last view. Raises InputError where it cannot listen."""
+    try:
+        server = PageServer(host, port, shown)
+    except OSError as error:
+        raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
+    with server:
+        thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, name="lampest-http", daemon=True)
+        thread.start()
+        try:
+            yield server
+        finally:
+            shown.close()
+            server.shutdown()
+            thread.join()
+            until = time.monotonic() + FAREWELL_SECONDS
+            for _ in range(MOST_STREAMS):
+                server.seats.acquire(timeout=max(0.0, until - time.monotonic()))

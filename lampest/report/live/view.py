@@ -1,0 +1,106 @@
+"""What the page shows, at one moment, and the text that carries it to the browser."""
+
+import json
+from bisect import bisect_right
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array, Panel
+
+POINTS = 1800
+
+
+class Point(NamedTuple):
+    """One frame in the history: its number, its time in s, and the total pressure in newton, NaN where it failed."""
+
+    number: int
+    time: float
+    total: float
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One reconstructed frame.
+
+    number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
+    measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
+    open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton, NaN where it failed.
+    status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
+    """
+
+    number: int
+    time: float
+    arrived: float
+    measured_change: Array
+    relative_change: Array
+    open_cell: NDArray[np.bool_]
+    total: float
+    status: str
+    seconds: float
+    skipped: int
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that the page shows.
+
+    source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
+    frames, lost, skipped : frames that arrived, were lost on the way here, and were not reconstructed.
+    """
+
+    source: str
+    method: str
+    state: str
+    panel: Panel | None = None
+    frames: int = 0
+    lost: int = 0
+    skipped: int = 0
+    picture: Picture | None = None
+    history: tuple[Point, ...] = ()
+
+
+def view_text(view: View, sent_at: float, known: int = 0) -> str:
+    """One line of JSON: the view, its picture and its history as far as they are newer than frame `known`.
+
+    What is no number is null, never a number. `sent_at` : s since 1970-01-01 UTC.
+    """
+    panel = view.panel
+    picture = view.picture if view.picture and view.picture.number > known else None
+    first = bisect_right(view.history, known, key=lambda point: point.number)
+    content: dict[str, Any] = {
+        "source": view.source,
+        "method": view.method,
+        "state": view.state,
+        "sent": sent_at,
+        "panel": panel and {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm},
+        "frames": view.frames,
+        "lost": view.lost,
+        "skipped": view.skipped,
+        "picture": picture and _picture(picture),
+        "history": [[point.time, _number(point.total, 4)] for point in view.history[first:]],
+    }
+    return json.dumps(content, allow_nan=False, separators=(",", ":"))
+
+
+def _picture(picture: Picture) -> dict[str, Any]:
+    return {
+        "number": picture.number,
+        "time": picture.time,
+        "arrived": picture.arrived,
+        "measured": [_number(value, 2) for value in picture.measured_change.ravel().tolist()],
+        "cells": [_number(value, 2) for value in picture.relative_change.ravel().tolist()],
+        "open": np.flatnonzero(picture.open_cell).tolist(),
+        "total": _number(picture.total, 4),
+        "status": picture.status,
+        "solved": isfinite(picture.total),
+        "seconds": picture.seconds,
+        "skipped": picture.skipped,
+    }
+
+
+def _number(value: float, digits: int) -> float | None:
+    return round(value, digits) if isfinite(value) else None

@@ -1,0 +1,1 @@
+"""One page about a batch: what each estimator made of each recording, which to take, and how sure that is."""

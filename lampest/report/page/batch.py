@@ -1,0 +1,142 @@
+"""Results files put together: every recording with all that was made of it, and who can be compared on what."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.report.page.words import listed
+from lampest.runs.results import CaseResult, Results, read_results
+
+GIVEN = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
+LEAST_SOLVED = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A recording's name on the page, and its cases."""
+
+    name: str
+    cases: tuple[CaseResult, ...]
+
+    @property
+    def frames(self) -> int:
+        return len(self.cases[0].time)
+
+    def of(self, estimator: str) -> CaseResult | None:
+        return next((case for case in self.cases if case.estimator == estimator), None)
+
+    def results(self) -> Results:
+        return Results(self.cases)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """sources : the files as they were named."""
+
+    sources: tuple[str, ...]
+    subjects: tuple[Subject, ...]
+
+    @property
+    def estimators(self) -> tuple[str, ...]:
+        """All names in order, each once."""
+        return tuple(dict.fromkeys(case.estimator for subject in self.subjects for case in subject.cases))
+
+    @property
+    def frames(self) -> int:
+        return sum(subject.frames for subject in self.subjects)
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Estimators that can be compared: the same frames of the same recordings, solved by all of them.
+
+    chosen : for each recording (frames) which of its frames. left_out : sentences on those that cannot.
+    """
+
+    estimators: tuple[str, ...]
+    subjects: tuple[Subject, ...]
+    chosen: tuple[NDArray[np.bool_], ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def frames(self) -> int:
+        return int(sum(np.sum(frames) for frames in self.chosen))
+
+    def cases(self, estimator: str) -> list[CaseResult]:
+        """The estimator's case of each recording."""
+        return [case for subject in self.subjects for case in subject.cases if case.estimator == estimator]
+
+
+def read_batch(paths: Sequence[Path]) -> Batch:
+    """The cases of all files; those of one recording stand together wherever they were made.
+
+    Where two files hold the same name for different things, the name gets the file's number: 'LSM [2]'. Raises
+    InputError where a file cannot be read, is named twice, or all are empty.
+    """
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise InputError("a results file is named twice")
+    cases: list[CaseResult] = []
+    for number, path in enumerate(paths, 1):
+        cases += [_renamed(case, cases, number) for case in read_results(path).cases]
+    if not cases:
+        raise InputError(f"{', '.join(map(str, paths))}: no results to report")
+    names = dict.fromkeys(case.recording for case in cases)
+    subjects = (Subject(name, tuple(case for case in cases if case.recording == name)) for name in names)
+    return Batch(tuple(map(str, paths)), tuple(subjects))
+
+
+def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
+    """The case under names that those before do not have."""
+    same = [other for other in before if other.recording == case.recording]
+    if same and not _given_the_same(case, same[0]):
+        return replace(case, recording=f"{case.recording} [{number}]")
+    if any(other.estimator == case.estimator for other in same):
+        return replace(case, estimator=f"{case.estimator} [{number}]")
+    return case
+
+
+def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
+    pairs = ((getattr(one, name), getattr(other, name)) for name in GIVEN)
+    return all((a is None) == (b is None) and (a is None or np.array_equal(a, b)) for a, b in pairs)
+
+
+def matched(subjects: Sequence[Subject]) -> Matched:
+    """Who can be compared on what: as many estimators on as many recordings as possible, each on all of them.
+
+    One that failed in more than a twentieth of the frames is left out, so that it does not profit from having skipped
+    what is hard; of the others, the frames count that all of them solved.
+    """
+    names, common = _shared(subjects)
+    every = dict.fromkeys(case.estimator for subject in subjects for case in subject.cases)
+    fewer = [name for name in every if name not in names]
+    left_out = [f"{listed(fewer)}, for want of results of the same recordings"] if fewer else []
+    if len(common) < len(subjects):
+        left_out.append(f"{len(subjects) - len(common)} of {len(subjects)} recordings lack some of the estimators")
+    for name in tuple(names) if common else ():
+        solved = np.concatenate([case.solved for subject in common for case in subject.cases if case.estimator == name])
+        if np.mean(solved) < LEAST_SOLVED:
+            names.remove(name)
+            left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
+    chosen = []
+    for subject in common:
+        cases = [case for case in subject.cases if case.estimator in names]
+        chosen.append(np.all([case.solved for case in cases], axis=0) if cases else np.zeros(subject.frames, bool))
+    kept = [index for index, frames in enumerate(chosen) if np.any(frames)]
+    return Matched(
+        tuple(names), tuple(common[index] for index in kept), tuple(chosen[index] for index in kept), tuple(left_out)
+    )
+
+
+def _shared(subjects: Sequence[Subject]) -> tuple[list[str], list[Subject]]:
+    """Estimators and the recordings that all of them have: those with the most differences that can be paired."""
+    often = Counter(case.estimator for subject in subjects for case in subject.cases)
+    options = []
+    for least in sorted(set(often.values()), reverse=True):
+        names = [name for name, count in often.items() if count >= least]
+        options.append((names, [subject for subject in subjects if all(subject.of(name) for name in names)]))
+    return max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))

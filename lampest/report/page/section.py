@@ -1,0 +1,209 @@
+"""One recording on the page: its table, its figures with captions, and what went wrong."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.panel.panel import Array, Panel
+from lampest.report.page.batch import Subject
+from lampest.report.page.differences import Disagreement, disagreements
+from lampest.report.page.measures import Measures, weighted_residual
+from lampest.report.page.tables import Sheet, failures, recording_sheet
+from lampest.report.page.words import counted, digits
+from lampest.report.plots.contours import contours, percent_change, strongest_frame
+from lampest.report.plots.profiles import histogram_figure, profile_figure
+from lampest.report.plots.report import Scale, Tile, data_uri, maps_figure, positive_scale, share_scale, signed_scale
+from lampest.runs.case import CaseResult
+
+MOST_PAIRS, MOST_SHARP = 9, 1500
+LEAST_SIGMAS, LEAST_PERCENT = 3.0, 0.1  # that a signed scale reaches
+POINTS = (1.0, 100.0)  # that a scale of percentage points reaches, at least and at most
+
+UNCERTAIN = "How uncertain each cell is: one posterior standard deviation, logarithmic colours."
+RESOLVED = (
+    "Diagonal of the averaging kernel: how much of a cell's own change its estimate follows. Where it is 0 the penalty "
+    "decides alone."
+)
+UNEXPLAINED = (
+    "What the model leaves unexplained. A pattern means an effect that the model lacks, or too strong a penalty."
+)
+WEIGHTED = (
+    "Residuals of all frames. Estimates that follow their noise have narrower ones than the line; wider ones do not "
+    "explain the readings. What is beyond the axis stands in the last bins."
+)
+PLAIN = "Residuals of all frames; the noise of the readings is unknown, so there is nothing to hold them against."
+DIFFERENT = (
+    "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
+    "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
+)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image as text, what it shows in words, its caption; wide : over the whole page."""
+
+    uri: str
+    alternative: str
+    caption: str
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """A recording. anchor : its place on the page. brief, about : a few words on its estimators, and on what it is.
+
+    notes, failed : sentences.
+    """
+
+    name: str
+    anchor: str
+    brief: str
+    about: str
+    sheet: Sheet
+    pictures: tuple[Picture, ...]
+    notes: tuple[str, ...]
+    failed: tuple[str, ...]
+
+
+def section(
+    subject: Subject, number: int, found: Mapping[str, Measures], drawn: Collection[str], whole: bool
+) -> Section:
+    """Table and contours of one recording; every other figure too where it is shown whole.
+
+    found : estimator → what is said of it. drawn : the estimators that figures show, of those that the recording has.
+    """
+    kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
+    subject = Subject(subject.name, kept)
+    first, place = subject.cases[0], strongest_frame(subject.cases)
+    panel = Panel(first.measured.shape[1], first.measured.shape[2], first.pitch_mm)
+    about = (
+        f"{panel.rows} × {panel.columns} cells, pitch {first.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
+        f"{digits(float(np.ptp(first.time)))} s; maps show frame {first.frame[place]} at {first.time[place]:g} s."
+    )
+    pictures = [_contours(subject)]
+    notes: list[str] = []
+    if whole:
+        pictures += [*_certainty(subject, place, panel), *_residuals(subject, place, panel)]
+        differing, notes = _differences(subject, place, panel)
+        pictures += differing
+    return Section(
+        name=subject.name,
+        anchor=f"recording-{number}",
+        brief=_brief(found),
+        about=about,
+        sheet=recording_sheet(found),
+        pictures=tuple(pictures),
+        notes=tuple(notes),
+        failed=failures(found),
+    )
+
+
+def _brief(found: Mapping[str, Measures]) -> str:
+    """The range of the cell errors, and failures."""
+    errors = {name: own.cell_error.value for name, own in found.items() if own.cell_error is not None}
+    failed = sum(own.frames - own.solved for own in found.values())
+    parts = [f"{counted(failed, 'frame')} failed"] if failed else []
+    if errors:
+        low, high = min(errors, key=lambda name: errors[name]), max(errors, key=lambda name: errors[name])
+        parts.insert(0, f"median cell error {digits(errors[low])} % ({low}) to {digits(errors[high])} % ({high})")
+    return ", ".join(parts)
+
+
+def _contours(subject: Subject) -> Picture:
+    figure = contours(subject.results(), subject.cases[0].recording)
+    words = f"Maps of relative change of {subject.name}: measured, by every estimator, and true where that is known"
+    return Picture(data_uri(figure, "png"), words, "Relative change of resistance against the unloaded panel.", True)
+
+
+def _certainty(subject: Subject, place: int, panel: Panel) -> list[Picture]:
+    """Standard deviation, resolution, and a row with its intervals, as far as the results know them."""
+    pictures = []
+    tiles = [
+        Tile(case.estimator, _at(case, place, 100 * case.cell_resistance_errors / case.cell_resistance))
+        for case in subject.cases
+        if case.cell_resistance_errors is not None
+    ]
+    if tiles:
+        scale = positive_scale(_drawn(tiles), "posterior standard deviation [% of the cell]")
+        pictures.append(Picture(_maps(tiles, panel, scale), "Maps of the standard deviation", UNCERTAIN))
+    tiles = [
+        Tile(case.estimator, _at(case, place, case.resolution)) for case in subject.cases if case.resolution is not None
+    ]
+    if tiles:
+        maps = _maps(tiles, panel, share_scale("resolution [1]"))
+        pictures.append(Picture(maps, "Maps of the resolution", RESOLVED))
+    row = _strongest_row(subject, place)
+    bars = any(case.relative_change_lower is not None for case in subject.cases)
+    about = (
+        "bars: 95 % intervals, cut where they leave the axes; triangles: beyond them"
+        if bars
+        else "these results hold no intervals"
+    )
+    caption = f"The row with the strongest change; {about}. Logarithmic in the ratio of resistances."
+    figure = profile_figure(subject.cases, place, row)
+    return [*pictures, Picture(data_uri(figure), f"Relative change along row {row}", caption)]
+
+
+def _residuals(subject: Subject, place: int, panel: Panel) -> list[Picture]:
+    """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
+    weighted = all(case.sigma is not None for case in subject.cases)
+    values = [_residual(case, weighted) for case in subject.cases]
+    tiles = [Tile(case.estimator, _at(case, place, own)) for case, own in zip(subject.cases, values, strict=True)]
+    label = "(model − measured)/σ [1]" if weighted else "(model − measured)/measured [%]"
+    scale = signed_scale(_drawn(tiles), label, LEAST_SIGMAS if weighted else LEAST_PERCENT)
+    parts = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(subject.cases, values, strict=True)]
+    caption = WEIGHTED if weighted else PLAIN
+    return [
+        Picture(_maps(tiles, panel, scale), "Maps of the residuals", UNEXPLAINED),
+        Picture(data_uri(histogram_figure(parts, weighted)), "Histograms of the residuals", caption),
+    ]
+
+
+def _differences(subject: Subject, place: int, panel: Panel) -> tuple[list[Picture], list[str]]:
+    """Maps of the pairs that disagree most; or a sentence that says why there are none."""
+    if len(subject.cases) < 2:
+        return [], []
+    found = disagreements(subject.cases)
+    if not found:
+        return [], ["Where the estimators differ significantly cannot be told: fewer than two of them have error bars."]
+    tiles = [_difference_tile(pair, place) for pair in found[:MOST_PAIRS]]
+    scale = signed_scale(_drawn(tiles), "difference of relative change [percentage points]", *POINTS)
+    most = f" The {MOST_PAIRS} of {len(found)} pairs that differ most." if len(found) > MOST_PAIRS else ""
+    return [Picture(_maps(tiles, panel, scale), "Maps of significant differences", DIFFERENT + most)], []
+
+
+def _maps(tiles: list[Tile], panel: Panel, scale: Scale) -> str:
+    """Lines that stay sharp at any size; points where so many cells would make them heavy."""
+    return data_uri(maps_figure(tiles, panel, scale), "svg" if panel.cells * len(tiles) <= MOST_SHARP else "png")
+
+
+def _difference_tile(pair: Disagreement, place: int) -> Tile:
+    values = None
+    if not np.all(np.isnan(pair.difference[place])):
+        values = np.where(pair.significant[place], pair.difference[place], np.nan)
+    return Tile(f"{pair.first} − {pair.second}", values, f"{digits(pair.share, 2)} %")
+
+
+def _residual(case: CaseResult, weighted: bool) -> Array:
+    """(frames, rows, columns)."""
+    own = weighted_residual(case) if weighted else None
+    return percent_change(case.two_point_model, case.measured) if own is None else own
+
+
+def _at(case: CaseResult, place: int, values: Array | None) -> Array | None:
+    return values[place] if values is not None and case.solved[place] else None
+
+
+def _drawn(tiles: list[Tile]) -> list[Array]:
+    return [tile.values for tile in tiles if tile.values is not None]
+
+
+def _strongest_row(subject: Subject, place: int) -> int:
+    """The row of the cell that changed most: in truth where it is known, else as measured."""
+    first = subject.cases[0]
+    if first.truth is not None and first.truth_baseline is not None:
+        change = percent_change(first.truth[place], first.truth_baseline)
+    else:
+        change = percent_change(first.measured[place], first.measured_baseline)
+    return int(np.argmax(np.abs(change)) // change.shape[1])

@@ -1,0 +1,99 @@
+"""Figures as a reader wants them: three significant digits, intervals, weights, frame numbers."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.report.page.interval import Interval
+
+NONE = "–"
+HARD = "\N{NO-BREAK SPACE}"
+
+
+def digits(value: float, count: int = 3) -> str:
+    """A number with so many significant digits, without an exponent wherever that is short: '0.0012', '3,050'."""
+    if not np.isfinite(value):
+        return "not a number" if np.isnan(value) else ("−∞" if value < 0 else "∞")
+    if value and not 1e-4 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{count - 1}e}".split("e")
+        return f"{mantissa}e{int(exponent)}".replace("-", "−")
+    places = max(0, count - 1 - int(np.floor(np.log10(abs(value))))) if value else 0
+    return f"{value:,.{places}f}".replace("-", "−")
+
+
+def between(interval: Interval, unit: str = "") -> str:
+    """'2.13 (1.95 to 2.36) %'; all three with the decimals that the interval's length deserves."""
+    return f"{together(interval.value, interval)} ({_kept(ends(interval))}){unit and HARD + unit}"
+
+
+def ends(interval: Interval) -> str:
+    """'1.95 to 2.36'."""
+    return f"{together(interval.lower, interval)} to {together(interval.upper, interval)}"
+
+
+def together(value: float, interval: Interval, sign: bool = False) -> str:
+    """A number with the decimals that an interval's length deserves: two digits of it, three of the figure."""
+    sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
+    if not np.isfinite(value) or not sizes or not 1e-6 < min(sizes) < 1e6:
+        return digits(value)
+    places = min(
+        max(0, 1 - int(np.floor(np.log10(sizes[0])))), max(0, 2 - int(np.floor(np.log10(max(sizes[-1], sizes[0])))))
+    )
+    return f"{value:{'+' if sign else ''},.{places}f}".replace("-", "−")
+
+
+def signed(interval: Interval, unit: str = "") -> str:
+    """'+1.3 (+0.9 to +1.7) %'."""
+    value, lower, upper = (together(part, interval, True) for part in (interval.value, interval.lower, interval.upper))
+    return f"{value} ({_kept(f'{lower} to {upper}')}){unit and HARD + unit}"
+
+
+def _kept(text: str) -> str:
+    """The text with blanks at which no line is broken."""
+    return text.replace(" ", HARD)
+
+
+def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
+    """'gradient λ = 0.001' of the penalties used; median and range where they differ; empty where nothing is known."""
+    found: dict[str, list[Array]] = {}
+    for weights in cases:
+        for term, values in weights.items():
+            found.setdefault(term, []).append(values)
+    parts = [
+        f"{term.replace('_', ' ')} λ = {_weight(np.concatenate(values))}"
+        for term, values in found.items()
+        if term != "misfit"
+    ]
+    return ", ".join(parts) or ("no penalty" if found else "")
+
+
+def _weight(values: Array) -> str:
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return NONE
+    low, middle, high = (f"{value:.3g}" for value in (values.min(), np.median(values), values.max()))
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+def frames_text(frames: Sequence[int]) -> str:
+    """'3, 5 to 7'."""
+    runs: list[list[int]] = []
+    for frame in frames:
+        if runs and frame == runs[-1][-1] + 1:
+            runs[-1].append(frame)
+        else:
+            runs.append([frame])
+    return ", ".join(
+        str(run[0]) if len(run) == 1 else f"{run[0]}{', ' if len(run) == 2 else ' to '}{run[-1]}" for run in runs
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """'A', 'A and B', 'A, B and C'."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def counted(number: int, noun: str) -> str:
+    """'1 recording', '30 recordings', '1,200 frames'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,183 @@
+"""What was attached, over time: probabilities, diameter, pressures and place; and the strongest frame with circles."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
+
+from lampest.loads.recognition.verdict import KINDS
+from lampest.panel.panel import Array, Panel
+from lampest.report.detect.detection import Detection
+from lampest.report.detect.events import events
+from lampest.report.plots.contours import (
+    COLOURS,
+    SMALL_POINT,
+    TEXT_POINT,
+    WIDTH_INCH,
+    percent_change,
+    save,
+    strongest_frame,
+)
+from lampest.runs.case import SHARED
+from lampest.runs.results import CaseResult, Results
+
+HEIGHT_INCH = 4.6
+NEAR = 0.14  # of the width: the names of events that are closer stand one above the other
+KIND_COLOURS = ("0.93", "0.75", "#56B4E9", "#0072B2", "#E69F00", "#D55E00")  # in the order of KINDS
+LINE, OTHER = "#222222", "#CC79A7"
+X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
+BANDS_PERCENT = np.array([-100, -80, -60, -40, -20, -5, 5, 20, 40, 60, 80, 100])
+
+
+def plot_timelines(results: Results, detections: Sequence[Detection], folder: str | Path) -> list[Path]:
+    """Draw every recording into timeline_<recording>.png in a folder; returns the files.
+
+    Raises InputError where the folder cannot be written.
+    """
+    written = []
+    for detection in detections:
+        if detection.source == SHARED:
+            file = Path(folder) / f"timeline_{detection.recording}.png"
+            save(timeline(detection, results.of(detection.recording)), file)
+            written.append(file)
+    return written
+
+
+def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
+    """Five panels of one recording: probabilities of the loads, diameter, pressures, place; and a map with the circles.
+
+    Bands are one standard deviation. The map is the first estimate's relative change in the frame that
+    `strongest_frame` chooses; vertical lines are the events.
+    """
+    figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
+    FigureCanvasAgg(figure)
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
+    left, right = halves
+    panels = left.subplots(5, 1, sharex=True, height_ratios=(1.1, 1, 1, 1, 1))
+    _probabilities(panels[0], detection)
+    _line(panels[1], detection, ((DIAMETER, LINE, "over the rim"),), "diameter\n[mm]")
+    _line(panels[2], detection, ((INSIDE, LINE, "inside"),), "inside\n[kPa]")
+    _line(panels[3], detection, ((RIM, LINE, "rim"),), "rim\n[kPa]")
+    _line(panels[4], detection, ((X, LINE, "x"), (Y, OTHER, "y")), "centre\n[mm]")
+    panels[4].legend(fontsize=SMALL_POINT, frameon=False, ncols=2, loc="best", handlelength=1.2)
+    panels[4].set_xlabel("time [s]", fontsize=TEXT_POINT)
+    _events(panels, detection)
+    left.align_ylabels(panels)
+    place = strongest_frame(cases)
+    _map(right, cases[0], detection, place)
+    title = f"{detection.recording}: what is attached, from the two-point resistances"
+    figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)
+    return figure
+
+
+def _probabilities(axes: Axes, detection: Detection) -> None:
+    """A column for every frame, shared among the kinds; white where a frame was not solved."""
+    edges = _edges(detection.time)
+    below = np.zeros(len(detection.time))
+    for kind, colour, part in zip(KINDS, KIND_COLOURS, np.nan_to_num(detection.probabilities).T, strict=True):
+        axes.bar(edges[:-1], part, np.diff(edges), bottom=below, align="edge", color=colour, linewidth=0, label=kind)
+        below = below + part
+    axes.set_ylim(0, 1)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_ylabel("probability\n[1]", fontsize=TEXT_POINT)
+    axes.tick_params(labelsize=SMALL_POINT)
+    look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "handlelength": 1.0, "columnspacing": 1.0}
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.3), ncols=len(KINDS), **look)
+
+
+def _edges(time: Array) -> Array:
+    """Half-way between the frames, (frames + 1) s."""
+    if len(time) == 1:
+        return np.array([time[0] - 0.5, time[0] + 0.5])
+    middle = (time[1:] + time[:-1]) / 2
+    return np.concatenate([[2 * time[0] - middle[0]], middle, [2 * time[-1] - middle[-1]]])
+
+
+def _line(axes: Axes, detection: Detection, lines: Sequence[tuple[int, str, str]], label: str) -> None:
+    for quantity, colour, name in lines:
+        value, error = detection.values[:, quantity], detection.errors[:, quantity]
+        axes.fill_between(detection.time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(detection.time, value, ".-", color=colour, ms=3, lw=0.9, label=name)
+    known = np.isfinite(detection.values[:, [line[0] for line in lines]])
+    if not known.any():
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
+        axes.set_yticks([])
+    else:
+        _limits(axes, detection, [line[0] for line in lines])
+    axes.set_ylabel(label, fontsize=TEXT_POINT)
+    axes.tick_params(labelsize=SMALL_POINT)
+    axes.grid(True, color="0.9", linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def _limits(axes: Axes, detection: Detection, quantities: list[int]) -> None:
+    """What nine tenths of the frames need with their errors; a few wild ones must not hide the rest."""
+    value, error = detection.values[:, quantities], detection.errors[:, quantities]
+    good = np.isfinite(value) & np.isfinite(error)
+    low, high = np.percentile((value - error)[good], 5), np.percentile((value + error)[good], 95)
+    room = max(0.15 * (high - low), 0.5)
+    axes.set_ylim(low - room, high + room)
+
+
+def _events(panels: Sequence[Axes], detection: Detection) -> None:
+    edges = _edges(detection.time)
+    last, level = -np.inf, 0
+    for event in events(detection):
+        edge = edges[event.place]
+        level = 1 - level if edge - last < NEAR * (edges[-1] - edges[0]) else 0
+        last = edge
+        for axes in panels:
+            axes.axvline(edge, color="black", lw=0.7, ls=(0, (3, 2)))
+        place = (edge, 1.02 + 0.16 * level)
+        look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "transform": panels[0].get_xaxis_transform()}
+        mark = panels[0].text(*place, f" {event.kind}", **look)
+        mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
+
+
+def _map(figure: Any, case: CaseResult, detection: Detection, place: int) -> None:
+    """Relative change of the cells, and the circles of what was found there."""
+    axes = figure.subplots()
+    rows, columns = case.baseline_resistance.shape
+    panel = Panel(rows, columns, case.pitch_mm)
+    x, y = panel.centres_mm()
+    change = case.relative_change[place]
+    name = case.estimator
+    if not case.solved[place]:
+        change, name = percent_change(case.measured[place], case.measured_baseline), "two-point resistance"
+    norm = BoundaryNorm(BANDS_PERCENT, colormaps[COLOURS].N, extend="both")
+    half = case.pitch_mm / 2
+    edges = (np.append(centres - half, centres[-1] + half) for centres in (x, y))
+    image = axes.pcolormesh(*edges, change, cmap=COLOURS, norm=norm)
+    values, errors = detection.values[place], detection.errors[place]
+    if np.isfinite(values[DIAMETER]):
+        radii = [values[DIAMETER] / 2]
+        if np.isfinite(values[WIDTH]):
+            radii.append(values[DIAMETER] / 2 - values[WIDTH])
+        for radius in radii:
+            circle = Circle((values[X], values[Y]), radius, fill=False, color="black", lw=1.1)
+            circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
+            axes.add_patch(circle)
+        axes.plot(values[X], values[Y], "+", color="black", ms=5, mew=0.9)
+    axes.set_xlim(x[0] - half, x[-1] + half)
+    axes.set_ylim(y[-1] + half, y[0] - half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=SMALL_POINT)
+    axes.set_xlabel("position across the columns [mm]", fontsize=TEXT_POINT)
+    axes.set_ylabel("position across the rows [mm]", fontsize=TEXT_POINT)
+    lines = [f"frame {case.frame[place]} at {case.time[place]:g} s: {detection.labels[place]}"]
+    if np.isfinite(values[DIAMETER]):
+        lines.append(f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm")
+    axes.set_title("\n".join(lines), fontsize=TEXT_POINT, linespacing=1.3)
+    bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, aspect=28, pad=0.02, extendfrac=0.04)
+    bar.set_ticks(BANDS_PERCENT[[0, 2, 4, 7, 9, 11]].tolist())
+    bar.set_label(f"relative change of resistance [%], {name}".replace("$", r"\$"), fontsize=TEXT_POINT)
+    bar.ax.tick_params(labelsize=SMALL_POINT)
+    bar.ax.minorticks_off()

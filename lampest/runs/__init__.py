@@ -1,0 +1,1 @@
+"""Batches: a run's file as cases, their results, and where they are solved."""

@@ -1,0 +1,260 @@
+"""A run's YAML file → cases: every recording with every estimator, at every point of the sweep."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field, make_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from lampest.cost.terms import term_types
+from lampest.cost.terms.term import Term
+from lampest.estimate.efforts import AnyEffort, Word, named
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator, FormulationName, Unknowns
+from lampest.files import sweep
+from lampest.files.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
+from lampest.files.errors import InputError
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.runs.executors import AnyExecutor, Executor
+from lampest.runs.results import PublishedFigures, check_name
+from lampest.solvers.solution import Settings
+
+FORBID: dict[str, Any] = {"extra": "forbid"}
+Terms = make_dataclass(
+    "Terms",
+    [(kind, term | None, field(default=None)) for kind, term in term_types().items()],
+    frozen=True,
+    namespace={
+        "__pydantic_config__": FORBID,
+        "__module__": __name__,
+        "__doc__": "The cost terms of an estimator, by kind.",
+    },
+)
+
+
+def terms_of(terms: Any) -> tuple[Term, ...]:
+    """The terms that an object of `Terms` names, in order."""
+    return tuple(term for kind in term_types() if (term := getattr(terms, kind)) is not None)
+
+
+@dataclass(frozen=True)
+class EstimatorEntry:
+    """An estimator as a run's file writes it; what it names overrides the run's, solver and bounds key by key."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    terms: Terms  # type: ignore[valid-type]
+    formulation: FormulationName | None = None
+    solver: Settings | None = None
+    bounds: Bounds | None = None
+    effort: Word | AnyEffort | None = None
+    error_bars: Literal["auto"] | bool | None = None
+    auto_weight: AutoWeight | None = None
+    unknowns: Unknowns = "cells"
+
+
+@dataclass(frozen=True)
+class RunFile:
+    """The content of a run's file. Raises ValueError where recordings or estimators are missing."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    recordings: list[str]
+    estimators: dict[str, EstimatorEntry]
+    formulation: FormulationName = "nodal"
+    solver: Settings = Settings()
+    bounds: Bounds = Bounds()
+    effort: Word | AnyEffort = "converged"
+    error_bars: Literal["auto"] | bool = "auto"
+    auto_weight: AutoWeight = AutoWeight()
+    executor: AnyExecutor | None = None
+    published: dict[str, PublishedFigures] | None = None
+    sweep: dict[str, list[Any]] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.recordings:
+            raise ValueError("recordings must name at least one file")
+        if not self.estimators:
+            raise ValueError("estimators must hold at least one")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording with one estimator.
+
+    sha256 : the recording's. resolved : all that decides the result, as YAML text, sha256 included. case_id : the hash
+    of that.
+    """
+
+    path: Path
+    sha256: str
+    recording: str
+    name: str
+    estimator: Estimator
+    resolved: str
+    case_id: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """The cases of a run's file in its order, figures published elsewhere, and where the cases run (None: not said)."""
+
+    cases: tuple[Case, ...]
+    published: dict[str, PublishedFigures]
+    executor: Executor | None = None
+
+
+def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
+    """Cases of a run's file with `PATH=VALUE` settings applied. Raises InputError for any fault, before any solve."""
+    document = read_document(path)
+    for setting in settings:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise InputError(f"'{setting}' is not of the form PATH=VALUE")
+        document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+    recordings: dict[Path, _Source] = {}
+    cases: list[Case] = []
+    published: dict[str, PublishedFigures] = {}
+    executor: Executor | None = None
+    for point in sweep.cases(document, lambda varied: validated(varied, RunFile)):
+        run: RunFile = point.value
+        published |= run.published or {}
+        executor = run.executor
+        _refuse_swept_executor(document, point.assignments)
+        methods = [_Method.read(point, name) for name in _affected(run, point.assignments)]
+        for file in recording_paths(path, run.recordings):
+            source = recordings[file] = recordings.get(file) or _Source.read(file)
+            for method in methods:
+                method.estimator.data(source.readings)
+                cases.append(_case(source, method))
+    return Run(_distinct(cases), published, executor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text."""
+
+    path: Path
+    sha256: str
+    readings: Readings
+    blocks: dict[str, str]
+
+    @classmethod
+    def read(cls, path: Path) -> "_Source":
+        recording = Recording.load(path)
+        recording.measured_frames()
+        sha256 = digest(path)
+        blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
+        return cls(path.absolute(), sha256, Readings.of(recording), blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """An estimator at one point of the sweep; `blocks` as in `_Source`."""
+
+    name: str
+    estimator: Estimator
+    blocks: dict[str, str]
+
+    @classmethod
+    def read(cls, point: sweep.Case[RunFile], name: str) -> "_Method":
+        estimator = resolve(point.document, point.value, name)
+        varied = _varied_name(name, point.assignments)
+        return cls(varied, estimator, _blocks({"estimator": varied, **plain(estimator), "case_format": 1}))
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
+    """The files that the patterns name, relative to the run's file; `*` stands for any part of a name.
+
+    Raises InputError where a pattern matches nothing or two files share a stem.
+    """
+    files: list[Path] = []
+    for pattern in patterns:
+        target = config.parent / pattern
+        try:
+            # Two stars would walk through all folders below.
+            several = "*" in target.name and "**" not in pattern
+            found = sorted(target.parent.glob(target.name)) if several else [target]
+        except (OSError, ValueError):  # a name that is too long
+            found = []
+        if not found or (len(found) == 1 and "*" in found[0].name):
+            raise InputError(f"{config}: recordings: no file matches {pattern}")
+        files += found
+    stems = [file.stem for file in files]
+    for stem in stems:
+        check_name(stem, "recording")
+        if stems.count(stem) > 1:
+            raise InputError(f"{config}: recordings: two files are called {stem}")
+    return files
+
+
+def resolve(document: Document, run: RunFile, name: str) -> Estimator:
+    """An estimator with what the run says where its own entry is silent."""
+    entry = run.estimators[name]
+    own = document.content["estimators"][name]
+    parts = {}
+    for part, kind in (("solver", Settings), ("bounds", Bounds)):
+        merged = (document.content.get(part) or {}) | (own.get(part) or {})
+        try:
+            parts[part] = adapter(kind).validate_python(merged)
+        except ValueError as error:
+            raise document.error(("estimators", name, part), "does not fit the run's") from error
+    terms = terms_of(entry.terms)
+    try:
+        check_name(name, "estimator")
+        formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
+        bars = run.error_bars if entry.error_bars is None else entry.error_bars
+        choice = entry.auto_weight or run.auto_weight
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars, choice, entry.unknowns)
+    except ValueError as error:
+        raise document.error(("estimators", name), str(error)) from error
+
+
+def _affected(run: RunFile, assignments: dict[str, Any]) -> list[str]:
+    """All estimators, or, where the sweep varies single ones, those."""
+    named = {path.split(".")[1] for path in assignments if path.startswith("estimators.")}
+    return [name for name in run.estimators if not named or name in named]
+
+
+def _varied_name(name: str, assignments: dict[str, Any]) -> str:
+    """The estimator's name with what the sweep set: LSR-gCR@gradient.weight=0.001."""
+    parts = []
+    for path, value in assignments.items():
+        short = path.removeprefix(f"estimators.{name}.").removeprefix("terms.")
+        text = value if isinstance(value, str) else json.dumps(value)
+        parts.append(f"{short}={text}".replace("/", "|"))
+    return name + ("@" + ",".join(parts) if parts else "")
+
+
+def _blocks(entries: dict[str, Any]) -> dict[str, str]:
+    """The YAML text of every entry: one after the other, in the order of their keys, they are that of the mapping."""
+    return {key: to_yaml({key: value}) for key, value in entries.items() if value is not None}
+
+
+def _case(source: _Source, method: _Method) -> Case:
+    blocks = source.blocks | method.blocks
+    resolved = "".join(blocks[key] for key in sorted(blocks))
+    case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
+    return Case(source.path, source.sha256, source.path.stem, method.name, method.estimator, resolved, case_id)
+
+
+def _refuse_swept_executor(document: Document, assignments: dict[str, Any]) -> None:
+    for path in assignments:
+        if path.split(".")[0] == "executor":
+            raise document.error(("sweep", path), "where cases run changes no result, so it cannot be swept")
+
+
+def _distinct(cases: list[Case]) -> tuple[Case, ...]:
+    """Recordings in order, their estimators together, each case once."""
+    order = {case.recording: None for case in cases}
+    unique = {case.case_id: case for case in cases}
+    return tuple(case for recording in order for case in unique.values() if case.recording == recording)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a run's file, for editors."""
+    return adapter(RunFile).json_schema()

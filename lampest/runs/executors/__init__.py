@@ -1,0 +1,18 @@
+"""Where the cases of a batch run: here, in processes of this machine, or on a Dask cluster."""
+
+from typing import Annotated
+
+from lampest.files.tagged import ByKind
+from lampest.runs.executors.dask import Dask, Slurm
+from lampest.runs.executors.executor import ONE_THREAD, Executor, cores
+from lampest.runs.executors.processes import Processes
+from lampest.runs.executors.serial import Serial
+
+__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "local"]
+AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
+
+
+def local(workers: int | None, tasks: int) -> Executor:
+    """The executor of this machine for that many workers (None: one for each core), no more than there are tasks."""
+    workers = min(workers or cores(), tasks)
+    return Processes(workers) if workers > 1 else Serial()

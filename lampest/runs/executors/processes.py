@@ -1,0 +1,125 @@
+"""Calls in processes of this machine, each told its next task when it has sent its last result."""
+
+import pickle
+import signal
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, ClassVar, Literal
+
+from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
+
+
+@dataclass(frozen=True)
+class Processes:
+    """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
+
+    A process that dies costs the task it was at one more try, and no other task anything.
+    Raises ValueError where the number of workers is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    workers: int | None = None
+    kind: Literal["processes"] = "processes"
+
+    def __post_init__(self) -> None:
+        check_workers(self.workers)
+
+    def ready(self) -> None:
+        """Always."""
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """In the order in which they are finished."""
+        waiting = deque(range(len(arguments)))
+        tries = Counter[int]()
+        idle = [_Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments)))]
+        busy: dict[Connection, tuple[_Worker, int]] = {}
+        try:
+            while waiting or busy:
+                while waiting and idle:
+                    worker, number = idle.pop(), waiting.popleft()
+                    worker.send(arguments[number])
+                    busy[worker.connection] = worker, number
+                ready = wait(list(busy))
+                for connection in [connection for connection in busy if connection in ready]:
+                    worker, number = busy.pop(connection)
+                    try:
+                        outcome = worker.connection.recv()
+                    except (EOFError, OSError):
+                        worker.stop()
+                        idle.append(_Worker.start(function))
+                        tries[number] += 1
+                        if tries[number] < MOST_TRIES:
+                            waiting.appendleft(number)
+                        else:
+                            yield arguments[number], RuntimeError(DIED)
+                        continue
+                    idle.append(worker)
+                    yield arguments[number], outcome
+        finally:
+            for worker in (*idle, *(worker for worker, _ in busy.values())):
+                worker.stop()
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    """A process and this end of the pipe to it."""
+
+    process: SpawnProcess
+    connection: Connection
+
+    @classmethod
+    def start(cls, function: Function) -> "_Worker":
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(function, theirs))
+        with one_thread(), without_interrupts():
+            process.start()
+        theirs.close()
+        return cls(process, ours)
+
+    def send(self, argument: Any) -> None:
+        """Hand over a task; a process that is dead already shows when its result is awaited."""
+        with suppress(BrokenPipeError):
+            self.connection.send(argument)
+
+    def stop(self) -> None:
+        """Wait until the process has ended what it is at."""
+        self.connection.close()
+        self.process.join()
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Processes started here never see Ctrl-C, not even while they import; here it comes a moment later."""
+    # Starting the tracker unblocks the signal again, so it must be running before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _work(function: Function, connection: Connection) -> None:
+    """The life of a worker: until nobody is at the other end."""
+    with suppress(EOFError, OSError):
+        while True:
+            connection.send_bytes(_answer(function, connection.recv()))
+
+
+def _answer(function: Function, argument: Any) -> bytes:
+    """The pickled result, or the pickled exception; where that cannot travel, its text."""
+    try:
+        return pickle.dumps(function(argument))
+    except Exception as error:
+        try:
+            text = pickle.dumps(error)
+            pickle.loads(text)
+        except Exception:
+            text = pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
+        return text

@@ -1,6 +1,0 @@
-"""Simulated recordings: loads on a panel, their course, the electronics, and what the estimator is not told."""
-
-from lampest.simulate.files import read_simulations, run
-from lampest.simulate.simulation import Simulation, simulate
-
-__all__ = ["Simulation", "read_simulations", "run", "simulate"]

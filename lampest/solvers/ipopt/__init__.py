@@ -1,0 +1,1 @@
+"""IPOPT on formulations that keep node voltages as decision variables."""

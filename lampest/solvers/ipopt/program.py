@@ -1,0 +1,111 @@
+"""A cost in a formulation as a nonlinear program with exact, sparse derivatives.
+
+Unknowns are conductances s/r (s: geometric mean of the measured resistances), potentials in units of s, and parts
+p, q ≥ 0 of every residual x whose loss has no second derivative: |x| = p + q with p − q = x, and Huber's loss is the
+least of (x − p + q)² + 2·corner·(p + q). The cost is divided by its size. Everything is of order one.
+"""
+
+from dataclasses import dataclass
+
+import casadi
+
+from lampest.cost.cost import Cost, huber_residuals, smooth_and_rough
+from lampest.cost.losses import Huber
+from lampest.solvers.ipopt.formulations import Formulation
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
+
+    split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
+
+    parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous and baseline
+    (cells, 1) ohm, the standard deviation of the former's logarithm, side and seen if readings have them, the terms'
+    weights, s in ohm, the size of the cost, the size of the absolute residuals.
+    """
+
+    conductance: casadi.SX
+    potentials: casadi.SX
+    split: casadi.SX
+    balance: casadi.SX
+    split_balance: casadi.SX
+    objective: casadi.SX
+    parameters: casadi.SX
+
+    @property
+    def unknown(self) -> casadi.SX:
+        """x."""
+        return casadi.vertcat(self.conductance, self.potentials, self.split)
+
+    @property
+    def nlp(self) -> dict[str, casadi.SX]:
+        """The program as CasADi's solvers take it."""
+        constraints = casadi.vertcat(self.balance, self.split_balance)
+        return {"x": self.unknown, "p": self.parameters, "f": self.objective, "g": constraints}
+
+    @classmethod
+    def build(cls, cost: Cost, formulation: Formulation) -> "Program":
+        """Write the program down with whole matrices."""
+        _, _, measured, sigma, *known = cost.symbols()
+        rows, columns = cost.panel.shape
+        tie = casadi.SX.sym("tie", rows + columns, cost.frames)
+        scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
+        conductance = casadi.SX.sym("conductance", cost.panel.cells, cost.frames)
+        networks = [
+            formulation.network(
+                cost.panel, casadi.reshape(conductance[:, frame], columns, rows).T, tie[:, frame], f"frame{frame}_"
+            )
+            for frame in range(cost.frames)
+        ]
+        two_point = scale * casadi.horzcat(*(network.two_point_resistance for network in networks))
+        pairs = cost.residuals(scale / conductance, two_point, measured, sigma, *known)
+        weights = casadi.SX.sym("weights", len(cost.terms))
+        others = [pair for pair in pairs if not isinstance(cost.terms[pair[0]].loss, Huber)]
+        smooth, rough, slope = smooth_and_rough(cost, others, weights)
+        positive, negative = (casadi.SX.sym(name, rough.shape[0]) for name in ("positive", "negative"))
+        objective = smooth + split_scale * casadi.dot(slope, positive + negative)
+        split = [positive, negative]
+        for number, corner, residual in huber_residuals(cost, pairs):
+            above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
+            inside = residual - split_scale * (above - below)
+            outside = 2 * corner * split_scale * casadi.sum1(above + below)
+            objective += weights[number] * (casadi.sumsqr(inside) + outside)
+            split += [above, below]
+        given = (measured, sigma, tie, *known, weights, scale, cost_scale, split_scale)
+        return cls(
+            casadi.vec(conductance),
+            casadi.vertcat(*(network.potentials for network in networks)),
+            casadi.vertcat(*split),
+            casadi.vertcat(*(network.balance for network in networks)),
+            rough / split_scale - positive + negative,
+            objective / cost_scale,
+            casadi.vertcat(*(casadi.vec(part) for part in given)),
+        )
+
+    def hessian(self) -> casadi.Function:
+        """∇²(σf + λᵀg), upper triangle, (x, x) sparse.
+
+        Kirchhoff's law is bilinear in conductances and potentials: its curvature is one block between the two, taken as
+        the Jacobian of a gradient. Colouring the whole matrix instead took 19 of 22 s at 32 × 32.
+        """
+        weight = casadi.SX.sym("weight")
+        network_multiplier = casadi.SX.sym("network_multiplier", self.balance.shape[0])
+        split_multiplier = casadi.SX.sym("split_multiplier", self.split_balance.shape[0])
+        rest = weight * self.objective + casadi.dot(split_multiplier, self.split_balance)
+        full = casadi.jacobian(casadi.gradient(rest, self.unknown), self.unknown, {"symmetric": True})
+        slope = casadi.gradient(casadi.dot(network_multiplier, self.balance), self.potentials)
+        block = casadi.jacobian(slope, self.conductance)
+        potentials, conductances = block.shape
+        splits = self.split.shape[0]
+        upper = casadi.blockcat(
+            [
+                [casadi.SX(conductances, conductances), block.T, casadi.SX(conductances, splits)],
+                [casadi.SX(potentials, conductances), casadi.SX(potentials, potentials + splits)],
+                [casadi.SX(splits, conductances + potentials + splits)],
+            ]
+        )
+        multiplier = casadi.vertcat(network_multiplier, split_multiplier)
+        arguments = [self.unknown, self.parameters, weight, multiplier]
+        names = ["x", "p", "lam_f", "lam_g"]
+        return casadi.Function("nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"])

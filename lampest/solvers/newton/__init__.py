@@ -1,0 +1,1 @@
+"""Projected, damped Newton in log r with potentials eliminated."""

@@ -1,0 +1,117 @@
+"""Newton directions: (∇²φ + μ·diag) s = −∇φ on the free cells, by Cholesky or by conjugate gradients."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import lapack
+from scipy.sparse.linalg import splu
+
+from lampest.panel.panel import Array
+from lampest.solvers.newton.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.reach import within_reach
+from lampest.solvers.newton.stencil import Stencil
+
+LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
+REACH, TINY = 2.5, 0.1  # changes of log r
+
+
+def direction(
+    curvature: Curvature, free: NDArray[np.bool_], known: Array, damping: float, accuracy: float
+) -> tuple[Array, float]:
+    """(step, damping): `known` at cells that are not free, a Newton step at the others given that.
+
+    The damping is raised where the matrix is not positive definite, unless that leaves no step worth the name.
+    accuracy : relative residual at which conjugate gradients stop.
+    """
+    slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
+    chosen = np.flatnonzero(free)
+    if len(chosen) == 0:
+        return known, damping
+    if len(free) <= DENSE_UNKNOWNS:
+        found, damping = _by_factorisation(curvature, chosen, slope[chosen], damping)
+    else:
+        found, damping = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy)
+    step = known.copy()
+    step[chosen] = found
+    return step, damping
+
+
+def _by_factorisation(
+    curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float
+) -> tuple[Array, float]:
+    matrix = curvature.matrix if len(free) == len(curvature.gradient) else curvature.matrix[np.ix_(free, free)]
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(slope))):
+        return np.zeros_like(slope), damping
+    size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
+    failed, used = 1, damping
+    while failed:
+        shifted = matrix + np.diag(used * size) if used else matrix
+        _, step, failed = lapack.dposv(shifted.T, -slope)
+        used = raised(used) if failed else used
+    # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
+    if used > damping and np.abs(step).max() < TINY:
+        return within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping
+    return step, used
+
+
+def _by_conjugate_gradients(
+    curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float
+) -> tuple[Array, float]:
+    """Where the curvature turns negative the step is extended along that direction to a change of one in log r."""
+    size = _at_least(np.abs(curvature.local.diagonal()), 1e-6)
+    whole = np.zeros(len(curvature.gradient))
+
+    def product(search: Array) -> Array:
+        whole[free] = search
+        return curvature.product(whole)[free] + damping * size[free] * search
+
+    if curvature.only_misfit:
+        precondition = misfit_inverse(curvature, free)
+    else:
+        precondition = local_inverse(curvature.local, damping * size, free)
+    step, downhill = conjugate_gradients(product, precondition, -slope, accuracy)
+    if downhill is None:
+        return step, damping
+    reach = max(1 / (1 + damping) - np.abs(step).max(), 0)
+    return step + downhill * reach / np.abs(downhill).max(initial=1e-300), raised(damping)
+
+
+def raised(damping: float) -> float:
+    """The next larger damping."""
+    return max(4 * damping, LEAST_DAMPING)
+
+
+def misfit_inverse(curvature: Curvature, free: NDArray[np.intp]) -> Linear:
+    """(Jᵀ W J)⁻¹ with the stencil in place of D∘D, on the free cells of one frame."""
+    resistance = curvature.at.cell_resistance[0]
+    weight = _at_least(curvature.terms.diagonal()[resistance.size :], 1e-6)
+    moving = np.zeros(resistance.size, dtype=bool)
+    moving[free] = True
+    model = curvature.at.two_point_resistance[0]
+    stencil = Stencil.of(1 / resistance, model, moving.reshape(resistance.shape))
+
+    def solve(values: Array) -> Array:
+        whole = np.zeros(resistance.size)
+        whole[free] = values
+        half = stencil.solve(whole.reshape(resistance.shape) * resistance)
+        solved: Array = stencil.solve(half / weight.reshape(resistance.shape)) * resistance
+        return solved.ravel()[free]
+
+    return solve
+
+
+def local_inverse(local: sparse.csr_array, damping: Array, free: NDArray[np.intp]) -> Linear:
+    """The inverse of what the terms and each cell's own reading say, on the free cells; sparse LU, symmetric order."""
+    matrix = sparse.csr_array(local + sparse.diags_array(damping))[free][:, free]
+    least = 1e-9 * np.abs(matrix.diagonal()).max(initial=1e-300)
+    matrix = sparse.csc_array(matrix + sparse.diags_array(np.full(len(free), least)))
+    options = {"SymmetricMode": True}
+    solve: Linear = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+    return solve
+
+
+def _at_least(values: Array, share: float) -> Array:
+    """The values, none below that share of the largest."""
+    floor: Array = np.maximum(values, share * values.max(initial=1e-300))
+    return floor

@@ -1,0 +1,63 @@
+"""Absolute losses for a Newton method: Σ √(x² + β²) in place of Σ |x|, with the duals as unknowns of their own.
+
+Source: Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (primal-dual method for total variation).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from lampest.cost.problem import Evaluation
+from lampest.panel.panel import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothing:
+    """width : β in the unit of the residuals. dual : z, |z| ≤ 1, which stand in for x/√(x² + β²) in second derivatives.
+
+    Without absolute losses all arrays are empty and nothing is smoothed.
+    """
+
+    width: float
+    dual: Array
+
+    def slope(self, residual: Array) -> Array:
+        """x/√(x² + β²): the derivative of the smoothed loss."""
+        slope: Array = residual / np.sqrt(residual**2 + self.width**2)
+        return slope
+
+    def stiffness(self, residual: Array) -> Array:
+        """(1 − z·x/√(x² + β²))/√(x² + β²): its second derivative with z free."""
+        size = np.sqrt(residual**2 + self.width**2)
+        stiffness: Array = (1 - self.dual * residual / size) / size
+        return stiffness
+
+    def objective(self, at: Evaluation) -> float:
+        """φ with smoothed losses."""
+        excess = np.sqrt(at.rough**2 + self.width**2) - np.abs(at.rough)
+        return at.objective + float(np.sum(at.cost.slope * excess))
+
+    def jacobian(self, at: Evaluation) -> sparse.csr_array:
+        """∂x/∂(r; R), sparse."""
+        function = at.cost.functions.rough_jacobian
+        shape = (len(at.rough), 2 * at.cell_resistance.size)
+        return sparse.csr_array((at.call(function, self.dual), function.pattern), shape=shape)
+
+    @classmethod
+    def start(cls, at: Evaluation) -> "Smoothing":
+        """A tenth of the largest residual wide, duals to match."""
+        width = 0.1 * float(np.abs(at.rough).max(initial=0)) or 1.0
+        return cls(width, at.rough / np.sqrt(at.rough**2 + width**2))
+
+    def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
+        """The duals after a step, by the linear part of their equation, held to |z| ≤ 1."""
+        if not len(self.dual):
+            return self
+        moves = [
+            after.cell_resistance - before.cell_resistance,
+            after.two_point_resistance - before.two_point_resistance,
+        ]
+        change = self.jacobian(before) @ np.concatenate([move.ravel() for move in moves])
+        dual = self.slope(before.rough) + self.stiffness(before.rough) * change
+        return Smoothing(self.width, np.clip(dual, -1, 1))

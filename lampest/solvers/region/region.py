@@ -1,0 +1,284 @@
+"""Only what changed is unknown: blocks of cells are estimated, all others keep their baseline value."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.term import Term
+from lampest.panel.network import Network
+from lampest.panel.panel import Array, Panel
+from lampest.solvers.convex import convex_start
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.region.blocks import Block, area, changed, fitted, grown, widened
+from lampest.solvers.search import best_solution
+from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
+
+EXACT = 1e-6
+HALO = 2  # cells round a block that a gradient inside it reads
+DRIFT = 0.02
+SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
+MOST_GROWTHS, SWEEPS = 6, 2
+LARGEST_SHARE, MOST_CELLS = 0.5, 600
+MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
+MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
+SHARPEST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RegionSolver:
+    """cost : of one frame of the whole panel. baseline : the cost at the solved baseline, given its readings.
+
+    significance : in units of the noise, what a reading must stand out by to count as changed.
+    """
+
+    cost: Cost
+    baseline: Evaluation
+    significance: float
+    settings: Settings
+
+    def solve(self, data: Data, previous: Array) -> Solution:
+        """The estimate of a frame after the last one, (rows, columns) ohm; the whole panel where most of it changed.
+
+        Blocks are the rectangles round readings whose change stands out from that of their row and column. They grow
+        until the change that cells fitted to the readings leave unexplained does not stand out; the cost is minimised
+        there once they are known.
+        """
+        network = self._exact
+        change, noise = np.log(data.measured[0] / self.baseline.data.measured[0]), self._noise(data)
+        plain = np.ones(change.shape, dtype=bool)
+        for marks in (data.marks, self.baseline.data.marks):
+            plain &= True if marks is None else (marks[0][0] == 0) & (marks[1][0] > 0)
+        blocks: tuple[Block, ...] = ()
+        for _ in range(MOST_GROWTHS):
+            left = change - np.log(network.two_point_resistance() / self._exact.two_point_resistance())
+            found = grown(self._outstanding(left, noise) & plain, blocks)
+            large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
+            if large or (found == blocks and self._moved(left, noise)):
+                return best_solution(Newton(self.cost, self.settings), data, previous[None])
+            if found == blocks:
+                break
+            blocks = found
+            for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
+                network = fitted(network, data, block, plain)
+        return self._minimised(data, previous, network, blocks)
+
+    @cached_property
+    def _exact(self) -> Network:
+        """A network that reproduces the baseline's readings, which a baseline with penalties does not."""
+        resting, data = self.baseline.networks[0], self.baseline.data
+        if all(isinstance(term, Misfit) for term in self.cost.terms):
+            return resting
+        cells = convex_start(data.measured[0], data.upper[0], tolerance=EXACT)
+        found = data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
+        return found
+
+    def _minimised(self, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
+        """The cost's minimum over the cells of each block in turn, all others as they are."""
+        network, steps = self.baseline.networks[0], 0
+        for block in blocks:
+            network = changed(network, block, fit.conductance[block])
+        for block in blocks:
+            inside = Inside.of(self.cost, data, network, block)
+            starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
+            network, taken = minimised(inside, min(starts, key=lambda point: point.objective))
+            steps += taken
+        cells = self.baseline.cell_resistance.copy()
+        for block in blocks:
+            cells[0][block] = 1 / network.conductance[block]
+        return self._solution(data, replace(network, conductance=1 / cells[0]), cells, steps)
+
+    def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
+        """What `approximation` gives, without solving the network once more."""
+        at = Evaluation(self.cost, data, cells, network.two_point_resistance()[None], (network,))
+        residual = at.kkt_residual(np.zeros(len(self.cost.slope)))
+        low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        found = (at.costs, at.objective, residual, low, open_cell, Status.APPROXIMATE, steps)
+        return Solution(cells, at.two_point_resistance, *found)
+
+    def _noise(self, data: Data) -> Array:
+        """Standard deviation of a reading's logarithmic change."""
+        before = self.baseline.data
+        noise: Array = np.hypot(data.sigma[0] / data.measured[0], before.sigma[0] / before.measured[0])
+        return noise
+
+    def _moved(self, change: Array, noise: Array) -> bool:
+        """Whether cells outside have changed by more than a drift that may be ignored: where all do none stands out.
+
+        Cells that change at random by x change their readings by about 2x/(M + N − 1); by the same x, by x.
+        """
+        common = np.median(change)
+        spread = MAD * np.median(np.abs(change - common))
+        tolerated = DRIFT * np.array([1.0, 2 / (sum(change.shape) - 1)])
+        return bool(
+            np.any(np.array([abs(common), spread]) > np.maximum(tolerated, self.significance * np.median(noise)))
+        )
+
+    def _outstanding(self, change: Array, noise: Array) -> NDArray[np.bool_]:
+        """Where a change differs from those of its row and column by more than the noise explains.
+
+        Only the strongest count: they spread along rows and columns, and hide what is weaker.
+        """
+        rest = change - np.median(change, axis=1, keepdims=True)
+        rest -= np.median(rest, axis=0, keepdims=True)
+        rest = np.abs(rest)
+        spread = MAD * float(np.median(rest))
+        excess = np.where(rest > self.significance * np.maximum(noise, spread), rest, 0.0)
+        outstanding: NDArray[np.bool_] = excess > SHARE * excess.max()
+        return outstanding
+
+
+@dataclass(frozen=True, eq=False)
+class Inside:
+    """φ as a function of one block's cells.
+
+    Readings count that share a line with the block, and penalties that read its cells: all that the block can move.
+
+    resting : the network whose other cells stay. block, around : the cells that move, and with those that penalties
+    read. reads : (readings) flat numbers on the panel. misfit, penalty : the terms on those readings, taken as a panel
+    of one row, and on `around`; None without such terms. readings, cells : what they are given.
+    """
+
+    resting: Network
+    block: Block
+    around: Block
+    reads: NDArray[np.intp]
+    lower: Array
+    upper: Array
+    misfit: Cost | None
+    penalty: Cost | None
+    readings: Data
+    cells: Data
+
+    @classmethod
+    def of(cls, cost: Cost, data: Data, network: Network, block: Block) -> "Inside":
+        """Of a block of the panel that `cost` and `data` are for."""
+        shape = network.conductance.shape
+        cross = np.zeros(shape, dtype=bool)
+        cross[block[0]] = cross[:, block[1]] = True
+        around = widened(block, HALO, shape)
+        reads = np.flatnonzero(cross)
+        misfit = tuple(term for term in cost.terms if isinstance(term, Misfit))
+        penalty = tuple(term for term in cost.terms if not isinstance(term, Misfit))
+        high, wide = data.measured[0][around].shape
+        return cls(
+            network,
+            block,
+            around,
+            reads,
+            np.log(data.lower[0][block]).ravel(),
+            np.log(data.upper[0][block]).ravel(),
+            _part(cost, misfit, (1, len(reads)), ()) if misfit else None,
+            _part(cost, penalty, (high, wide), _within(cost, around)) if penalty else None,
+            _chosen(data, lambda part: part.reshape(-1)[reads][None]),
+            _chosen(data, lambda part: np.ascontiguousarray(part[around])),
+        )
+
+    def at(self, position: Array) -> "Place":
+        """The point u = log r of the block's cells, held to their bounds."""
+        position = np.clip(position, self.lower, self.upper)
+        conductance = np.exp(-position).reshape(self.resting.conductance[self.block].shape)
+        network = changed(self.resting, self.block, conductance)
+        cells, model = 1 / network.conductance, network.two_point_resistance()
+        parts = []
+        if self.misfit is not None:
+            own, read = (np.atleast_2d(whole.reshape(-1)[self.reads])[None] for whole in (cells, model))
+            parts.append(Evaluation(self.misfit, self.readings, own, read, ()))
+        if self.penalty is not None:
+            own, read = (np.ascontiguousarray(whole[self.around])[None] for whole in (cells, model))
+            parts.append(Evaluation(self.penalty, self.cells, own, read, ()))
+        return Place(position, network, tuple(parts), sum(part.objective for part in parts))
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A point of a block: u, the whole panel's network, the misfit and the penalty there (those that exist), and φ."""
+
+    position: Array
+    network: Network
+    parts: tuple[Evaluation, ...]
+    objective: float
+
+
+def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
+    """(network, steps) of damped, projected Gauss-Newton steps in u = log r that lower φ until they are small."""
+    damping = 0.0
+    for count in range(MOST_STEPS):
+        slope, matrix = _model(inside, here, min(count, SHARPEST))
+        low, high = inside.lower, inside.upper
+        free = (low < high) & ~(((here.position <= low) & (slope > 0)) | ((here.position >= high) & (slope < 0)))
+        size = np.diag(matrix) + 1e-12 * np.abs(np.diag(matrix)).max(initial=1e-300)
+        while True:
+            step = np.zeros(len(slope))
+            system = matrix[np.ix_(free, free)] + np.diag((damping + 1e-12) * size[free])
+            step[free] = np.clip(np.linalg.solve(system, -slope[free]), -LONGEST_STEP, LONGEST_STEP)
+            there = inside.at(here.position + step)
+            if there.objective < here.objective:
+                break
+            damping = max(10 * damping, 1e-3)
+            if damping > LARGEST_DAMPING or np.abs(step).max(initial=0) < SMALL_STEP:
+                return here.network, count
+        moved, here = np.abs(there.position - here.position).max(initial=0), there
+        damping = damping / 10 if damping > 1e-3 else 0.0
+        # A step by a hundredth of the standard deviation lowers φ by 1e-4 of a reading's share of it.
+        if moved < SMALL_STEP or -float(slope @ step) < UNSEEN * here.objective / len(inside.reads):
+            return here.network, count + 1
+    return here.network, MOST_STEPS
+
+
+def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
+    """(∇φ, its curvature without that of R) in u over the block's cells; absolute losses smoothed more or less."""
+    rows, columns = here.network.conductance.shape
+    block = np.zeros((rows, columns), dtype=bool)
+    block[inside.block] = True
+    own = np.flatnonzero(block)
+    cells = np.exp(here.position)
+    slope, matrix = np.zeros(len(own)), np.zeros((len(own), len(own)))
+    for part in here.parts:
+        smoothing = Smoothing.start(part)
+        smoothing = replace(smoothing, width=smoothing.width / 10**sharpness)
+        smoothing = replace(smoothing, dual=smoothing.slope(part.rough))
+        direct, through = (side.ravel() for side in part.partials(smoothing.dual))
+        terms, count = Curvature(part, smoothing).terms, part.cell_resistance.size
+        if part.cost is inside.misfit:
+            impedance = here.network.impedance
+            from_own = impedance[:, own // columns] - impedance[:, rows + own % columns]
+            transfer = from_own[inside.reads // columns] - from_own[rows + inside.reads % columns]
+            jacobian = transfer**2 / cells
+            slope += jacobian.T @ through
+            matrix += jacobian.T @ (terms[count:, count:] @ jacobian)
+        else:
+            place = np.flatnonzero(block[inside.around])
+            bend = np.maximum(direct[place] * cells, 0)
+            slope += direct[place] * cells
+            matrix += terms[place][:, place].toarray() * np.outer(cells, cells) + np.diag(bend)
+    return slope, matrix
+
+
+def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:
+    """The data of some of a panel's readings or cells; pick : (rows, columns) → their own shape."""
+    given = (data.measured, data.sigma, data.lower, data.upper, *(data.marks or ()))
+    measured, sigma, lower, upper, *marks = (pick(part[0])[None] for part in given)
+    parts = (data.previous, data.baseline, data.previous_deviation)
+    previous, *known = (None if part is None else pick(part) for part in parts)
+    return Data(measured, sigma, lower, upper, previous, (marks[0], marks[1]) if marks else None, *known)
+
+
+@lru_cache(maxsize=64)
+def _part(cost: Cost, terms: tuple[Term, ...], shape: tuple[int, int], faulty: tuple[int, ...]) -> Cost:
+    """Some of the terms on another panel; one object for a shape, so that it is compiled once."""
+    return replace(cost, panel=Panel(*shape), terms=terms, faulty=faulty)
+
+
+def _within(cost: Cost, block: Block) -> tuple[int, ...]:
+    """The numbers that faulty cells have within a block."""
+    broken = np.zeros(cost.panel.cells, dtype=bool)
+    broken[list(cost.faulty)] = True
+    return tuple(int(cell) for cell in np.flatnonzero(broken.reshape(cost.panel.shape)[block]))

@@ -1,0 +1,104 @@
+"""Where solves start, and which of several minima is taken."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms.misfit import Misfit
+from lampest.panel.network import uniform_factor
+from lampest.panel.panel import Array
+from lampest.solvers.convex import convex_start
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+
+POLISHED = 0.1 * VERIFIED
+LAST_STEPS = Settings(max_iterations=20)
+EASY = 6
+FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
+BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
+
+
+def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
+    """The solution from the cheapest start; where the cost has several minima and the solve is hard, of all starts.
+
+    The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
+    the convex one. A solve is hard that has no previous frame, fails or takes many iterations; it is then begun from
+    all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others.
+    Costs that compare with a previous frame have several minima; for them the reduced solver searches, and any other
+    solver goes on from what it found, so that all formulations stand in the same minimum. Where these terms are convex
+    in log r and the previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
+    Arithmetic that breaks down costs its start; where it does at every start, the status says so.
+    """
+    with np.errstate(all="ignore"):
+        return _best(solver, data, previous)
+
+
+def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
+    comparing = [term for term in solver.cost.terms if term.needs_previous]
+    relative, patience = bool(comparing), float("inf") if all(term.convex_in_log for term in comparing) else EASY
+    if relative and not isinstance(solver, Newton):
+        scout = _best(Newton(solver.cost, solver.settings), data, previous)
+        return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
+    plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
+    uniform = data.measured / uniform_factor(*data.measured.shape[1:])
+    starts = [uniform, convex(data, None)] if previous is None else [previous]
+    starts += [convex(data, previous)] if previous is not None and plain else []
+    points = sorted(_evaluable(solver.cost, data, starts), key=lambda point: point.objective)
+    if not points:
+        return _broken(solver.cost, data)
+    found = solved(solver, points[0])
+    if found.solved and not (relative and (previous is None or found.iterations > patience)):
+        return found
+    more = [] if previous is None else [uniform, convex(data, None)]
+    more += [data.measured * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
+    others = [solved(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
+    return min((other for other in (found, *others) if other.solved), key=lambda one: one.objective, default=found)
+
+
+def convex(data: Data, near: Array | None) -> Array:
+    """The convex start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one."""
+    places = [None] * len(data.measured) if near is None else list(near)
+    with suppress(*BROKEN):
+        return np.stack([convex_start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
+    return data.measured / uniform_factor(*data.measured.shape[1:])
+
+
+def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
+    """The cost at a start that is put within the bounds."""
+    return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
+
+
+def solved(solver: Solver, start: Evaluation) -> Solution:
+    """Solve from one start, and, where an interior-point method stopped short of its bounds, take the last steps."""
+    with suppress(*BROKEN):
+        return _solved(solver, start)
+    return _broken(solver.cost, start.data)
+
+
+def _solved(solver: Solver, start: Evaluation) -> Solution:
+    outcome = solver.solve(start.data, start)
+    solution = check(start, outcome)
+    if solution.kkt_residual <= POLISHED or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
+        return solution
+    near = evaluated(solver.cost, start.data, outcome.cell_resistance)
+    finished = Newton(solver.cost, LAST_STEPS).solve(start.data, near)
+    polished = check(start, replace(finished, iterations=outcome.iterations))
+    return polished if polished.solved else solution
+
+
+def _evaluable(cost: Cost, data: Data, starts: Iterable[Array]) -> Iterable[Evaluation]:
+    """The cost at those starts where it is a number."""
+    for start in starts:
+        with suppress(*BROKEN):
+            point = evaluated(cost, data, start)
+            if np.isfinite(point.objective):
+                yield point
+
+
+def _broken(cost: Cost, data: Data) -> Solution:
+    outcome = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
+    return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)

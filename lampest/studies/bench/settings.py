@@ -1,0 +1,156 @@
+"""A benchmark's YAML file, and the scene that it makes for every size."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal, cast
+
+from lampest.cost.losses import Squared
+from lampest.cost.terms.cell_resistance import CellResistance
+from lampest.cost.terms.gradient import Gradient
+from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.relative_change import RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Estimator, FormulationName
+from lampest.files.document import read_document, validated
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.runs.config import FORBID, Terms, terms_of
+from lampest.solvers.solution import Settings
+
+LARGEST_SIDE = 1000
+SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference")
+BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
+PAPER: dict[str, tuple[Term, ...]] = {
+    "LSM": (Misfit(),),
+    "LSR-CR": (Misfit(), CellResistance()),
+    "LSR-dCR": (Misfit(), RelativeChange()),
+    "LSR-gCR": (Misfit(), Gradient()),
+    "LSR-gdCR": (Misfit(), GradientOfRelativeChange()),
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """The terms of one method. Raises ValueError without a term, or for a loss that is no least-squares problem."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    terms: Terms  # type: ignore[valid-type]
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError("a method needs at least one term")
+        if not all(isinstance(term.loss, Squared) for term in self.parts):
+            raise ValueError("only squared losses can be compared with a least-squares solver")
+
+    @property
+    def parts(self) -> tuple[Term, ...]:
+        """The terms, in order."""
+        return terms_of(self.terms)
+
+
+def paper_methods() -> dict[str, Method]:
+    """The five methods of the paper with its weights."""
+    return {name: Method(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
+
+    scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
+    joint : no solver, but the first pair of relative methods: on larger panels their first frame starts from a baseline
+    that was solved alone.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    reduced: int = LARGEST_SIDE
+    nodal: int = 16
+    scipy_exact: int = 16
+    scipy_difference: int = 10
+    joint: int = 10
+
+
+@dataclass(frozen=True)
+class BenchFile:
+    """What is compared.
+
+    Parameters
+    ----------
+    sizes : sides of square panels, or [rows, columns].
+    estimators : methods by name, their terms as in a run's file; the paper's five by default.
+    frames, repeats : frames after the first, solved in sequence, and how often each is solved by every solver.
+    seed, readout, unmodelled : of the simulated recordings, as in a simulation's file.
+    solver : tolerance and iterations, the same for all.
+    limits : the largest side for each solver.
+    memory : sides of panels on which the peak memory of a fresh process is measured.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    sizes: tuple[int | tuple[int, int], ...]
+    estimators: dict[str, Method] = field(default_factory=paper_methods)
+    frames: int = 4
+    repeats: int = 3
+    seed: int = 1
+    readout: TwoPointReadout = TwoPointReadout()
+    unmodelled: Unmodelled = field(default_factory=Unmodelled)
+    solver: Settings = Settings()
+    limits: Limits = Limits()
+    memory: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.sizes or not self.estimators:
+            raise ValueError("sizes and estimators must hold at least one")
+        for side in (*self.memory, *(side for shape in self.shapes for side in shape)):
+            if not 2 <= side <= LARGEST_SIDE:
+                raise ValueError(f"a panel's side must lie between 2 and {LARGEST_SIDE}")
+        if len(set(self.shapes)) < len(self.shapes):
+            raise ValueError("sizes names a panel twice")
+        if not 1 <= self.frames <= 1000 or not 1 <= self.repeats <= 1000:
+            raise ValueError("frames and repeats must lie between 1 and 1000")
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """(rows, columns) of every panel."""
+        return tuple((size, size) if isinstance(size, int) else size for size in self.sizes)
+
+    def solvers(self, shape: tuple[int, int]) -> tuple[str, ...]:
+        """The names of the solvers that run on a panel."""
+        return tuple(name for name in SOLVERS if max(shape) <= getattr(self.limits, name))
+
+    def estimator(self, name: str, formulation: FormulationName) -> Estimator:
+        """A method in a formulation."""
+        return Estimator(self.estimators[name].parts, formulation, self.solver)
+
+    def recording(self, shape: tuple[int, int]) -> Recording:
+        """An oral disc over a third of the panel's shorter side, read as the shipped scenes are; 3 unloaded frames."""
+        rows, columns = shape
+        diameter = 0.35 * 10 * min(shape)
+        disc = OralDisc(
+            kind="oral_disc",
+            centre_mm=(4.9 * (columns - 1), 5.1 * (rows - 1)),
+            diameter_mm=diameter,
+            rim_width_mm=diameter * 6 / 35,
+            pressure_kpa=-12,
+            rim_kpa=90,
+            tilt=0.25,
+            tilt_direction_deg=60,
+        )
+        scene = Scene(Panel(rows, columns), self.readout, 140)
+        simulation = Simulation(
+            1, self.seed, scene, frames=self.frames + 1, loads=(disc,), course=BREATHING, unmodelled=self.unmodelled
+        )
+        return simulate(simulation, f"{rows}x{columns}")
+
+
+def read_bench(path: Path) -> BenchFile:
+    """A benchmark's file. Raises InputError with line and column."""
+    return cast(BenchFile, validated(read_document(path), BenchFile))

@@ -1,0 +1,46 @@
+"""Optimality tested a second time, by differences of the exact forward map: no inverse, none of its derivatives."""
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.panel.panel import Array
+from lampest.panel.starmesh import exact_two_point_resistance
+
+STEP = 1e-4
+
+
+def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:
+    """φ(r) with f(r) by elimination that never subtracts; cells (frames, rows, columns) ohm."""
+    two_point = exact_two_point_resistance(cells) if two_point is None else two_point
+    nothing = np.zeros(0)
+    return float(cost.functions.costs(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing).sum())
+
+
+def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
+    """The size against which a cost or a gradient is small: φ at f(r) = 0 per cell + φ(r)."""
+    blank = exact_cost(cost, data, cells, np.zeros_like(cells))
+    return (blank / cells.size + exact_cost(cost, data, cells)) or 1.0
+
+
+def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
+    """max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`, with ∂R/∂u by central differences in u = log r.
+
+    Of the package's derivatives only those of the terms themselves are used; only
+    for costs without an absolute loss.
+    """
+    two_point, nothing = exact_two_point_resistance(cells), np.zeros(0)
+    partials = cost.functions.gradient(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing)
+    direct, through = (part.reshape(cells.shape) for part in np.split(partials, 2))
+    slope = direct * cells
+    for frame, row, column in np.ndindex(cells.shape):
+        sides = []
+        for factor in (np.exp(STEP), np.exp(-STEP)):
+            moved = cells[frame].copy()
+            moved[row, column] *= factor
+            sides.append(exact_two_point_resistance(moved))
+        slope[frame, row, column] += np.sum(through[frame] * (sides[0] - sides[1])) / (2 * STEP)
+    position = np.log(cells)
+    return float(
+        np.max(np.abs(position - np.clip(position - slope / exact_scale(cost, data, cells), *data.log_bounds)))
+    )

@@ -1,0 +1,207 @@
+"""The measurement: every scene by every method, and of each solve what it says and what is true of it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.cost.problem import Data
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.sequence import first_stream, frame_period
+from lampest.estimate.stream import Step, Stream
+from lampest.files.errors import InputError
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Array
+from lampest.panel.starmesh import exact_two_point_resistance
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.runs.executors import local
+from lampest.solvers.solution import VERIFIED
+from lampest.studies.extremes.audit import exact_cost, exact_residual, exact_scale
+from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
+from lampest.studies.extremes.scenes import Made, Sample, recording_of
+from lampest.studies.extremes.settings import AtlasFile, Task
+
+NAN = float("nan")
+CRASHED, REFUSED = "crashed: ", "refused: "
+DOUBTFUL = 10 * VERIFIED  # of a residual by differences
+
+
+@dataclass(frozen=True)
+class Solve:
+    """One solve of the atlas.
+
+    Parameters
+    ----------
+    sample, method, formulation : what was solved. part : baseline, frame, or the pair of both.
+    solved : whether there is an estimate. status : how the solve ended, in words. iterations : of the solver.
+    residual : the KKT residual that the estimate was accepted with. audited : the same by differences of the exact
+    forward map; NaN where there is no estimate or the panel is large.
+    excess : (φ(estimate) − φ(truth within the bounds))/s; above zero where the truth is the better estimate.
+    forward_digits : LRE of the forward map at the scene's cells. model_digits : of the estimate's two-point
+    resistances. estimate_digits : of an estimate without penalties from attainable readings, against the convex one;
+    in a scaled scene of any, against the scaled estimate of the original.
+    """
+
+    sample: Sample
+    method: str
+    formulation: str
+    part: str
+    solved: bool
+    status: str
+    iterations: int
+    residual: float = NAN
+    audited: float = NAN
+    excess: float = NAN
+    forward_digits: float = NAN
+    model_digits: float = NAN
+    estimate_digits: float = NAN
+
+    @property
+    def doubtful(self) -> bool:
+        """An estimate that the second test of optimality does not confirm."""
+        return self.solved and self.audited > DOUBTFUL
+
+    @property
+    def verified(self) -> bool:
+        """An estimate, and nothing speaks against it."""
+        return self.solved and not self.doubtful
+
+    @property
+    def crashed(self) -> bool:
+        """No estimate, and no sentence that says why."""
+        return self.status.startswith(CRASHED)
+
+
+def run_atlas(atlas: AtlasFile, on_step: Callable[[int, int], None] = lambda done, total: None) -> tuple[Solve, ...]:
+    """Measure everything, in the order of the atlas. on_step is told how many of how many scenes are done.
+
+    Raises InputError where mpmath is not installed.
+    """
+    fifty_digits(np.ones((1, 1)))
+    tasks = atlas.tasks
+    executor = atlas.executor or local(None, len(tasks))
+    executor.ready()
+    found: dict[Sample, tuple[Solve, ...]] = {}
+    for task, result in executor.results(measured, tasks):
+        lost = not isinstance(result, tuple)
+        found[task.sample] = (_lost(task.sample, "", "", "", result),) if lost else result
+        on_step(len(found), len(tasks))
+    return tuple(solve for task in tasks for solve in found[task.sample])
+
+
+def measured(task: Task) -> tuple[Solve, ...]:
+    """All solves of one scene."""
+    sample, atlas = task.sample, task.atlas
+    recording, scene = recording_of(sample)
+    forward = [correct_digits(two_point_resistance(cells), fifty_digits(cells)) for cells in scene.cells]
+    solves: list[Solve] = []
+    for formulation in task.formulations:
+        for name, method in atlas.estimators.items():
+            terms = method.parts
+            if scene.weight is not None:
+                terms = tuple(
+                    term if isinstance(term, Misfit) else replace(term, weight=scene.weight) for term in terms
+                )
+            estimator = Estimator(terms, formulation, atlas.solver)
+            try:
+                solves += _solves(task, name, estimator, recording, scene)
+            except InputError as error:
+                solves.append(_refused(sample, name, formulation, "frame", error))
+            except Exception as error:  # whatever it is, the atlas shows it
+                solves.append(_lost(sample, name, formulation, "frame", error))
+    return tuple(replace(solve, forward_digits=min(forward)) for solve in solves)
+
+
+def _refused(sample: Sample, method: str, formulation: str, part: str, error: Exception) -> Solve:
+    return Solve(sample, method, formulation, part, False, f"{REFUSED}{error}", 0)
+
+
+def _lost(sample: Sample, method: str, formulation: str, part: str, error: object) -> Solve:
+    return Solve(sample, method, formulation, part, False, f"{CRASHED}{type(error).__name__}: {error}", 0)
+
+
+def _solves(task: Task, method: str, estimator: Estimator, recording: Recording, scene: Made) -> Iterator[Solve]:
+    """The baseline and the frame, or the pair of both; where the scene is a scaled one, against the original."""
+    originals: Sequence[_Part | None] = (None, None)
+    if scene.scale != 1:
+        originals = list(_parts(estimator, _divided(recording, scene.scale)))
+        # Of all residuals only relative changes do not grow with the unit.
+        estimator = replace(estimator, terms=tuple(_unitless(term, scene.scale) for term in estimator.terms))
+    for part, original in zip(_parts(estimator, recording), originals, strict=False):
+        solve = _judged(task, method, estimator, part, scene, recording)
+        if original is not None and solve.solved and original.step.solution.solved:
+            alike = scene.scale * original.step.solution.cell_resistance
+            solve = replace(solve, estimate_digits=correct_digits(part.step.solution.cell_resistance, alike))
+        yield solve
+
+
+def _divided(recording: Recording, scale: float) -> Recording:
+    sigma = None if recording.sigma is None else recording.sigma / scale
+    return replace(recording, resistance=recording.resistance / scale, sigma=sigma)
+
+
+def _unitless(term: Term, scale: float) -> Term:
+    return replace(term, weight=float(term.weight) * scale**2) if term.needs_previous else term
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One solve of a sequence with its data; frames : which of the scene's it is about."""
+
+    name: str
+    frames: slice
+    data: Data
+    step: Step
+
+
+def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
+    readings = Readings.of(recording)
+    blank = Stream(estimator, recording.scene.panel, frame_period(recording), readings[0], recording.scene.faults)
+    stream = first_stream(recording, readings, estimator)
+    if stream.baseline is not None:
+        yield _Part("baseline", slice(0, 1), blank.given(blank.resting)[0], stream.baseline)
+    data, _ = stream.given(readings[1])
+    _, step = stream.push(readings[1])
+    joint = len(data.measured) == 2
+    yield _Part("pair" if joint else "frame", slice(0 if joint else 1, 2), data, step)
+
+
+def _judged(task: Task, method: str, estimator: Estimator, part: _Part, scene: Made, recording: Recording) -> Solve:
+    solution, data = part.step.solution, part.data
+    panel, faults = recording.scene.panel, recording.scene.faults
+    cost = estimator.cost(panel, len(data.measured), Doubts.of(panel, faults, data))
+    solve = Solve(
+        task.sample,
+        method,
+        estimator.formulation,
+        part.name,
+        solution.solved,
+        solution.status.value,
+        solution.iterations,
+        solution.kkt_residual,
+    )
+    if not solution.solved:
+        return solve
+    cells = solution.cell_resistance
+    truth = np.clip(scene.cells[part.frames], data.lower, data.upper)
+    audit = cells[0].size <= task.atlas.audit_cells
+    return replace(
+        solve,
+        audited=exact_residual(cost, data, cells) if audit else NAN,
+        excess=(exact_cost(cost, data, cells) - exact_cost(cost, data, truth)) / exact_scale(cost, data, cells),
+        model_digits=correct_digits(solution.two_point_resistance, exact_two_point_resistance(cells)),
+        estimate_digits=_against_convex(estimator, data, cells),
+    )
+
+
+def _against_convex(estimator: Estimator, data: Data, cells: Array) -> float:
+    """LRE against the convex solution where that is the answer: no penalties, no marks, no bound in the way."""
+    if not all(isinstance(term, Misfit) for term in estimator.terms) or data.marks is not None:
+        return NAN
+    certified = convex_estimate(data.measured[0])
+    if certified is None or np.any(certified < data.lower[0]) or np.any(certified > data.upper[0]):
+        return NAN
+    return correct_digits(cells[0], certified)

@@ -1,0 +1,91 @@
+"""How often the sequence's own start reaches the best known minimum: the same solves from random starts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.sequence import first_stream
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.runs.config import Case
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.search import evaluated, solved
+
+SAME = 1e-6
+FARTHEST = 60.0
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Of one case: frames solved, frames at the best known objective, the worst excess, and distinct minima in a frame.
+
+    A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in units of φ plus the
+    cost of a cell without a model.
+    """
+
+    recording: str
+    estimator: str
+    frames: int
+    best: int
+    worst_excess: float
+    most_minima: int
+    random_solved: int
+    random: int
+
+
+def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
+    """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60))."""
+    recording = Recording.load(case.path)
+    readings = Readings.of(recording)
+    stream = first_stream(recording, readings, case.estimator)
+    generator = np.random.default_rng(seed)
+    excess, minima, ended = [], [], 0
+    for frame in recording.measured_frames():
+        data, _ = stream.given(readings[frame])
+        stream, step = stream.push(readings[frame])
+        others = _objectives(case.estimator, recording, data, random_starts, generator)
+        ended += len(others)
+        found = step.solution.objective if step.solution.solved else float("inf")
+        least = min([found, *others])
+        size = least + _size(case.estimator, recording, data)
+        excess.append((found - least) / size)
+        minima.append(_distinct(np.array([found, *others]) / size))
+        on_frame()
+    at_best = sum(value <= SAME for value in excess)
+    tried = random_starts * len(excess)
+    return Tally(case.recording, case.name, len(excess), at_best, max(excess), max(minima), ended, tried)
+
+
+def _objectives(
+    estimator: Estimator, recording: Recording, data: Data, count: int, generator: np.random.Generator
+) -> list[float]:
+    cost = _cost(estimator, recording, data)
+    found = []
+    for _ in range(count):
+        start: Array = data.measured * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
+        solution = solved(Newton(cost, estimator.solver), evaluated(cost, data, start))
+        if solution.solved:
+            found.append(solution.objective)
+    return found
+
+
+def _cost(estimator: Estimator, recording: Recording, data: Data) -> Cost:
+    panel, faults = recording.scene.panel, recording.scene.faults
+    return estimator.cost(panel, len(data.measured), Doubts.of(panel, faults, data))
+
+
+def _size(estimator: Estimator, recording: Recording, data: Data) -> float:
+    """The cost of a cell if f(r) were zero, at the least cells that the bounds allow."""
+    at = evaluated(_cost(estimator, recording, data), data, data.lower)
+    return at.cost_scale - at.objective
+
+
+def _distinct(objectives: Array) -> int:
+    """Number of objectives that differ by more than 1e-6."""
+    ordered = np.sort(objectives[np.isfinite(objectives)])
+    return int(1 + np.sum(np.diff(ordered) > SAME)) if len(ordered) else 0

@@ -1,0 +1,228 @@
+"""A trade-off's figures: by rung over everything on a panel, and one by one; as a table, as CSV and as HDF5."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lampest.files import hdf5
+from lampest.panel.panel import Array
+from lampest.report.compare import Table
+from lampest.studies.study import samples_file, write_rows
+from lampest.studies.tradeoff.run import Measured, Tradeoff
+
+ALL = "all"
+REACHED = 1e-6
+FRAME = ("frame",)
+SAMPLES = ("frame", "repeat")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One rung on panels of one size; `all` where methods, recordings, scenes or noise are taken together.
+
+    Parameters
+    ----------
+    rows, columns, recording, scene, noise, method, effort : what was measured.
+    first_ms : median time until the first estimate, baseline included. frame_ms : median of the frames after it.
+    cell_error, changed_error : median over the frames of a frame's median error in percent, of all cells and of those
+        that have changed; None without a truth.
+    gap, worst_gap : median and largest `Measured.gap`; a failed frame's is infinite.
+    reached : share of the frames whose gap is at most 1e-6.
+    frames, failed : number of frames; those without an estimate.
+    memory_mb : peak of a fresh process, libraries included; None where it was not measured.
+    """
+
+    rows: int
+    columns: int
+    recording: str
+    scene: str
+    noise: str
+    method: str
+    effort: str
+    first_ms: float
+    frame_ms: float
+    cell_error: float | None
+    changed_error: float | None
+    gap: float
+    worst_gap: float
+    reached: float
+    frames: int
+    failed: int
+    memory_mb: float | None
+
+
+def detailed_rows(found: Tradeoff) -> list[Row]:
+    """One row for each rung with each method on each recording."""
+    return [_row(found, [one]) for one in found.measured]
+
+
+def summary_rows(found: Tradeoff) -> list[Row]:
+    """By panel size and rung, all methods and recordings together."""
+    return list(_grouped(found, found.measured))
+
+
+def method_rows(found: Tradeoff) -> list[Row]:
+    """By panel size, method and rung, all recordings together."""
+    methods = dict.fromkeys(one.method for one in found.measured)
+    return [row for method in methods for row in _grouped(found, [o for o in found.measured if o.method == method])]
+
+
+def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[Row]:
+    for shape in dict.fromkeys(one.shape for one in chosen):
+        here = [one for one in chosen if one.shape == shape]
+        for effort in dict.fromkeys(one.effort for one in here):
+            yield _row(found, [one for one in here if one.effort == effort])
+
+
+def _row(found: Tradeoff, parts: Sequence[Measured]) -> Row:
+    gap = np.nan_to_num(np.concatenate([part.gap for part in parts]), nan=np.inf)
+    solved = np.concatenate([part.solved for part in parts])
+    shape, effort = parts[0].shape, parts[0].effort
+    return Row(
+        *shape,
+        _one(part.subject.recording.name for part in parts),
+        _one(part.subject.scene for part in parts),
+        _one(part.subject.noise for part in parts),
+        _one(part.method for part in parts),
+        effort,
+        first_ms=1e3 * float(np.median([part.baseline_s + part.times()[0] for part in parts])),
+        frame_ms=1e3 * float(np.median(np.concatenate([part.times()[1:] for part in parts]))),
+        cell_error=_median([part.cell_error for part in parts]),
+        changed_error=_median([part.changed_error for part in parts]),
+        gap=float(np.median(gap)),
+        worst_gap=float(np.max(gap)),
+        reached=float(np.mean(gap <= REACHED)),
+        frames=len(gap),
+        failed=int(np.sum(~solved)),
+        memory_mb=found.memory_mb.get((shape, effort)),
+    )
+
+
+def _one(names: Iterable[str]) -> str:
+    different = list(dict.fromkeys(names))
+    return different[0] if len(different) == 1 else ALL
+
+
+def _median(parts: Sequence[Array]) -> float | None:
+    values = np.concatenate(parts)
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if len(values) else None
+
+
+def front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the points that no other beats in both coordinates, smaller being better, by the first one."""
+    order = sorted(range(len(points)), key=lambda index: points[index])
+    best, kept = float("inf"), []
+    for index in order:
+        if points[index][1] < best:
+            best = points[index][1]
+            kept.append(index)
+    return kept
+
+
+def on_front(rows: Sequence[Row]) -> list[str]:
+    """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
+    kept = set(front([(row.frame_ms, row.gap) for row in rows]))
+    measured = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
+    return [rows[index].effort for index in sorted(kept | set(front(measured)))]
+
+
+def first_method(found: Tradeoff) -> list[Row]:
+    """The rows of the file's first method, by panel size and rung, all recordings together."""
+    name = found.measured[0].method
+    return [row for row in method_rows(found) if row.method == name]
+
+
+def summary_table(found: Tradeoff) -> Table:
+    """The first method's rows as short texts."""
+    headers = (
+        "panel",
+        "method",
+        "effort",
+        "first [ms]",
+        "frame [ms]",
+        "cell error [%]",
+        "of changed cells [%]",
+        "gap median / worst",
+        "reached [%]",
+        "failed",
+        "memory [MB]",
+        "front",
+    )
+    rows = first_method(found)
+    cells = []
+    for row in rows:
+        here = [other for other in rows if (other.rows, other.columns) == (row.rows, row.columns)]
+        cells.append(
+            (
+                f"{row.rows} × {row.columns}",
+                row.method,
+                row.effort,
+                f"{row.first_ms:.3g}",
+                f"{row.frame_ms:.3g}",
+                _text(row.cell_error),
+                _text(row.changed_error),
+                f"{row.gap:.0e} / {row.worst_gap:.0e}",
+                f"{100 * row.reached:.0f}",
+                f"{row.failed}/{row.frames}",
+                "" if row.memory_mb is None else f"{row.memory_mb:.0f}",
+                "*" if row.effort in on_front(here) else "",
+            )
+        )
+    return Table(headers, tuple(cells))
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def write_tradeoff(folder: Path, found: Tradeoff) -> tuple[Path, Path]:
+    """Write tradeoff.csv, summary first and then every row, and tradeoff.h5 with every sample; returns their paths.
+
+    Raises InputError where the folder cannot be written.
+    """
+    table, samples = folder / "tradeoff.csv", folder / "tradeoff.h5"
+    write_rows(table, Row, (*summary_rows(found), *method_rows(found), *detailed_rows(found)))
+    write_samples(samples, found)
+    return table, samples
+
+
+def write_samples(path: Path, found: Tradeoff) -> None:
+    """/entry/<recording>/<method>/<effort>: times, errors, objectives and gaps of every frame; memory beside them."""
+    with samples_file(path, "tradeoff/1") as entry:
+        for one in found.measured:
+            recording = entry.require_group(one.subject.recording.name)
+            rows, columns = one.shape
+            hdf5.set_attributes(recording, NX_class="NXsubentry", rows=rows, columns=columns)
+            hdf5.set_attributes(recording, scene=one.subject.scene, noise=one.subject.noise)
+            method = recording.require_group(one.method)
+            hdf5.set_attributes(method, NX_class="NXcollection")
+            group = method.create_group(one.effort.replace(" ", "_"))
+            _write_measured(group, one)
+            memory = found.memory_mb.get((one.shape, one.effort))
+            if memory is not None:
+                hdf5.set_attributes(group, peak_memory_mb=memory)
+
+
+def _write_measured(group: Any, one: Measured) -> None:
+    hdf5.set_attributes(group, NX_class="NXdata", signal="wall_time", axes=list(SAMPLES), effort=one.effort)
+    hdf5.set_attributes(group, baseline_s=one.baseline_s)
+    frames, repeats = one.wall.shape
+    hdf5.write_scale(group, "frame", np.arange(frames), "1", "frame in sequence")
+    hdf5.write_scale(group, "repeat", np.arange(repeats), "1", "turn of the alternation")
+    columns: Sequence[tuple[str, Any, str, str, tuple[str, ...]]] = (
+        ("wall_time", one.wall, "s", "wall time of the estimate", SAMPLES),
+        ("cpu_time", one.cpu, "s", "processor time from the frame before to this one", SAMPLES),
+        ("cell_error", one.cell_error, "percent", "median error of the cells against the truth", FRAME),
+        ("changed_error", one.changed_error, "percent", "median error of the cells that have changed", FRAME),
+        ("objective", one.objective, "1", "cost with the reference's previous frame", FRAME),
+        ("gap", one.gap, "1", "objective above the best of all rungs, against it and the noise", FRAME),
+        ("iterations", one.iterations, "1", "iterations of the solver", FRAME),
+        ("solved", one.solved.astype(np.uint8), "1", "1: solved, 0: failed", FRAME),
+        ("status", hdf5.ascii_array(one.status), "1", "how the solve ended", FRAME),
+    )
+    for name, values, units, long_name, scales in columns:
+        hdf5.write_dataset(group, name, values, units, long_name, scales)

@@ -1,0 +1,237 @@
+"""The measurement: every rung goes through every recording in turn, A B C A B C, in one process.
+
+Time and cell error are those of the rung's own sequence: what a user gets. Objectives of relative methods depend on the
+previous estimate, so each estimate is judged by the same cost: with the previous frame of the reference, `reduced`, and
+against the best that any rung found for it. A joint first pair is judged by its second frame, given the reference's
+baseline, which it minimises, too.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter, process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms.misfit import Misfit
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.sequence import Reconstruction, first_stream, reconstruct
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.report.compare import relative_error
+from lampest.runs.executors import Processes
+from lampest.studies.bench.memory import peak_mb
+from lampest.studies.tradeoff.settings import REFERENCE, Plan, Subject, TradeoffFile, first_frames
+
+CHANGED = 0.05
+MEMORY_FRAMES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One rung with one method on one recording.
+
+    Parameters
+    ----------
+    subject, method, effort : what was measured.
+    shape : (rows, columns).
+    wall, cpu : (frames, repeats) s, of the solve, and of the processor from one frame to the next; the first frame of
+        relative methods may hold the baseline as well.
+    baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
+    cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
+        the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
+    objective : (frames) as the module says. gap : (frames) (φ − φ_best)/(φ_best + what missing every reading by its
+        noise costs): a gap far below 1 cannot be seen in the readings.
+    iterations, solved, status : (frames).
+    """
+
+    subject: Subject
+    method: str
+    effort: str
+    shape: tuple[int, int]
+    wall: Array
+    cpu: Array
+    baseline_s: float
+    cell_error: Array
+    changed_error: Array
+    objective: Array
+    gap: Array
+    iterations: NDArray[np.int64]
+    solved: NDArray[np.bool_]
+    status: tuple[str, ...]
+
+    def times(self) -> Array:
+        """(frames) s: the least of the repeats; the processor's time where something else has held the solve up."""
+        return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One passage through a recording; cpu : (frames) s."""
+
+    found: Reconstruction
+    cpu: Array
+
+    @classmethod
+    def of(cls, recording: Recording, estimator: Estimator) -> "_Run":
+        """Solve the frames in sequence."""
+        clock = [process_time()]
+        found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
+        return cls(found, np.diff(clock))
+
+
+@dataclass(frozen=True, eq=False)
+class Tradeoff:
+    """measured : of every rung. memory_mb : by (shape, effort): peak of a fresh process, libraries included."""
+
+    measured: tuple[Measured, ...]
+    memory_mb: dict[tuple[tuple[int, int], str], float]
+
+
+def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, total: None) -> Tradeoff:
+    """Measure everything. on_step is told how many of how many parts are done."""
+    settings = plan.settings
+    fresh = list(_memory_tasks(plan))
+    chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
+    total = len(chosen) + len(fresh)
+    measured: list[Measured] = []
+    done = 0
+    for subject, method in chosen:
+        measured += measure(settings, subject, method)
+        done += 1
+        on_step(done, total)
+    memory = {}
+    for shape, name, task in fresh:
+        memory[shape, name] = _in_fresh_process(task)
+        done += 1
+        on_step(done, total)
+    return Tradeoff(tuple(measured), memory)
+
+
+def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[Measured]:
+    """All rungs with one method on one recording."""
+    recording = subject.recording
+    rungs = settings.rungs(subject.shape)
+    runs: dict[str, list[_Run]] = {name: [] for name in rungs}
+    begin = perf_counter()
+    for turn in range(settings.repeats):
+        if turn and perf_counter() - begin > settings.patience_s:
+            break
+        for name, effort in rungs.items():
+            runs[name].append(_Run.of(recording, settings.estimator(method, effort)))
+    objective, noise = _judged({name: run[0].found for name, run in runs.items()})
+    least = np.nanmin(np.stack(list(objective.values())), axis=0)
+    for name, run in runs.items():
+        gap = (objective[name] - least) / (least + noise)
+        yield _measured(subject, method, name, run, objective[name], gap)
+
+
+def _measured(subject: Subject, method: str, name: str, runs: list[_Run], objective: Array, gap: Array) -> Measured:
+    first = runs[0].found
+    cell, changed = errors(first)
+    solutions = [step.solution for step in first.steps]
+    return Measured(
+        subject,
+        method,
+        name,
+        subject.shape,
+        np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
+        np.stack([run.cpu for run in runs], axis=1),
+        0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
+        cell,
+        changed,
+        objective,
+        gap,
+        np.array([solution.iterations for solution in solutions], dtype=np.int64),
+        np.array([solution.solved for solution in solutions]),
+        tuple(solution.status.value for solution in solutions),
+    )
+
+
+def errors(found: Reconstruction) -> tuple[Array, Array]:
+    """(frames) median error of all cells and of the changed ones, percent; NaN where there is nothing to compare."""
+    recording, frames = found.recording, len(found.frame)
+    truth = recording.truth_cell_resistance
+    if truth is None:
+        return np.full(frames, np.nan), np.full(frames, np.nan)
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
+    error = relative_error(found.cell_resistance, truth[found.frame])
+    changed = np.abs(truth[found.frame] / resting - 1) > CHANGED
+    inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
+    return np.median(error, axis=(1, 2)), np.array(inside)
+
+
+def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
+    """(objective of every rung's estimates, what noise costs), each (frames), all with the reference's previous."""
+    costs = list(_costs(runs[REFERENCE]))
+    objective = {
+        name: np.array([_objective(*cost, cells) for cost, cells in zip(costs, found.cell_resistance, strict=True)])
+        for name, found in runs.items()
+    }
+    return objective, np.array([_noise_cost(*cost) for cost in costs])
+
+
+def _costs(reference: Reconstruction) -> Iterator[tuple[Cost, Data]]:
+    """Every frame's cost and data, with the reference's estimate of the frame before."""
+    recording, estimator = reference.recording, reference.estimator
+    panel, readings = recording.scene.panel, Readings.of(recording)
+    stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
+    before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
+    for frame, previous in zip(reference.frame, before, strict=True):
+        data, _ = replace(stream, previous=previous).given(readings[frame])
+        yield estimator.cost(panel, len(data.measured), Doubts.of(panel, recording.scene.faults, data)), data
+
+
+def _objective(cost: Cost, data: Data, cells: Array) -> float:
+    if not np.all(np.isfinite(cells)):
+        return float("nan")
+    # What a rung with other data (the joint pair) puts a hair outside the bounds must not look better for it.
+    return Evaluation.at(cost, data, np.clip(cells, data.lower[0], data.upper[0])[None]).objective
+
+
+def _noise_cost(cost: Cost, data: Data) -> float:
+    """The misfit terms where every reading is missed by its standard deviation."""
+    missed = (data.measured + data.sigma).ravel()
+    nothing = np.zeros(len(cost.slope))
+    costs = cost.functions.costs(data.measured.ravel(), missed, *data.parameters, cost.weights, nothing)
+    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if isinstance(term, Misfit)))
+
+
+Task = tuple[Estimator, Recording]
+
+
+def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
+    """Every rung on every size of panel, with the first of its recordings."""
+    settings = plan.settings
+    if settings.memory is None:
+        return
+    seen = set()
+    for subject in plan.subjects:
+        shape = subject.shape
+        if shape in seen:
+            continue
+        seen.add(shape)
+        short = first_frames(subject.recording, MEMORY_FRAMES)
+        for name, effort in settings.rungs(shape).items():
+            yield shape, name, (settings.estimator(settings.memory, effort), short)
+
+
+def _in_fresh_process(task: Task) -> float:
+    """Peak memory, megabytes; NaN where the process died.
+
+    The process's largest resident size, not what Python has allocated: the compiled costs and IPOPT's factors lie
+    outside what tracemalloc sees.
+    """
+    ((_, megabytes),) = Processes(1).results(solving, [task])
+    return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
+
+
+def solving(task: Task) -> float:
+    """Solve a recording here; the peak of this process in megabytes."""
+    estimator, recording = task
+    reconstruct(recording, estimator)
+    return peak_mb()

@@ -1,0 +1,292 @@
+"""A trade-off's YAML file: which rungs of the ladder are measured with which methods on which recordings."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal, cast
+
+import numpy as np
+
+from lampest.cost.terms.term import Term
+from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint, Word, named
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.runs.case import check_name
+from lampest.runs.config import FORBID, Terms, recording_paths, terms_of
+from lampest.solvers.solution import Settings
+from lampest.studies.bench.settings import BREATHING, LARGEST_SIDE, PAPER
+
+REFERENCE = "reduced"
+LADDER: tuple[AnyEffort, ...] = (
+    TwoPoint(),
+    Scaled(),
+    Linearised(),
+    Truncated(steps=1),
+    Truncated(steps=2),
+    Truncated(steps=4),
+    Region(),
+    Converged("reduced"),
+    Converged("nodal"),
+    Converged("per_pixel"),
+)
+LEAST_SIDE = 8
+
+
+@dataclass(frozen=True)
+class Method:
+    """The terms and bounds of one method. Raises ValueError without a term."""
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    terms: Terms  # type: ignore[valid-type]
+    bounds: Bounds = Bounds()
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError("a method needs at least one term")
+
+    @property
+    def parts(self) -> tuple[Term, ...]:
+        """The terms, in order."""
+        return terms_of(self.terms)
+
+
+def paper_methods() -> dict[str, Method]:
+    """The five methods of the paper with its weights."""
+    return {name: Method(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
+
+    joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    two_point: int = LARGEST_SIDE
+    scaled: int = LARGEST_SIDE
+    linearised: int = LARGEST_SIDE
+    truncated: int = LARGEST_SIDE
+    region: int = LARGEST_SIDE
+    nodal: int = 16
+    per_pixel: int = 10
+    joint: int = 16
+
+    def allow(self, effort: AnyEffort, shape: tuple[int, int]) -> bool:
+        """Whether a rung runs on a panel."""
+        return max(shape) <= getattr(self, effort.kind, LARGEST_SIDE)
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
+
+    Parameters
+    ----------
+    sizes : sides of square panels, or [rows, columns].
+    noise : readouts by name. scenes : what the estimator is not told, by name.
+    diameter_mm : of the mouth. seed : of all random numbers.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    sizes: tuple[int | tuple[int, int], ...]
+    noise: dict[str, TwoPointReadout] = field(default_factory=lambda: {"10bit": TwoPointReadout()})
+    scenes: dict[str, Unmodelled] = field(default_factory=lambda: {"clean": Unmodelled()})
+    diameter_mm: float = 35.0
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.sizes or not self.noise or not self.scenes:
+            raise ValueError("sizes, noise and scenes must hold at least one")
+        if not all(LEAST_SIDE <= side <= LARGEST_SIDE for shape in self.shapes for side in shape):
+            raise ValueError(f"a panel's side must lie between {LEAST_SIDE} and {LARGEST_SIDE}")
+        if len(set(self.shapes)) < len(self.shapes):
+            raise ValueError("sizes names a panel twice")
+        for name in (*self.noise, *self.scenes):
+            check_name(name, "noise or scene")
+        if not 0 < self.diameter_mm < float("inf"):
+            raise ValueError("diameter_mm must be positive and finite")
+        if not 0 <= self.seed < 2**64:
+            raise ValueError("seed must lie between 0 and 2^64")
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """(rows, columns) of every panel."""
+        return tuple((size, size) if isinstance(size, int) else size for size in self.sizes)
+
+    def subjects(self, frames: int) -> Iterator["Subject"]:
+        """Every combination, in order of size; frames measured frames after three unloaded ones."""
+        for shape in self.shapes:
+            for noise, readout in self.noise.items():
+                for scene, unmodelled in self.scenes.items():
+                    recording = self._recording(shape, readout, unmodelled, frames)
+                    yield Subject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
+
+    def _recording(
+        self, shape: tuple[int, int], readout: TwoPointReadout, unmodelled: Unmodelled, frames: int
+    ) -> Recording:
+        rows, columns = shape
+        disc = OralDisc(
+            kind="oral_disc",
+            centre_mm=(10 * (columns // 2) - 6, 10 * (rows // 2) - 4),
+            diameter_mm=self.diameter_mm,
+            rim_width_mm=self.diameter_mm * 6 / 35,
+            pressure_kpa=-12,
+            rim_kpa=90,
+            tilt=0.25,
+            tilt_direction_deg=60,
+        )
+        scene = Scene(Panel(rows, columns), readout, 140)
+        simulation = Simulation(
+            1, self.seed, scene, frames=frames, loads=(disc,), course=BREATHING, unmodelled=unmodelled
+        )
+        return simulate(simulation, f"{rows}x{columns}")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A recording that is measured; scene and noise are '-' for one from a file."""
+
+    recording: Recording
+    scene: str
+    noise: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.recording.scene.panel.shape
+
+
+@dataclass(frozen=True)
+class TradeoffFile:
+    """What is measured.
+
+    Parameters
+    ----------
+    recordings : files, relative to this one. simulated : recordings made for the purpose.
+    estimators : methods by name; the paper's five by default.
+    efforts : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
+    frames : of each recording at most so many measured frames, in sequence, from the first.
+    repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
+    memory : the method with which the peak memory of a fresh process is measured; None: it is not.
+    solver : tolerance and iterations, the same for all.
+    limits : the largest side for each rung.
+
+    Raises ValueError where something is missing or a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    recordings: list[str] = field(default_factory=list)
+    simulated: Simulated | None = None
+    estimators: dict[str, Method] = field(default_factory=paper_methods)
+    efforts: tuple[Word | AnyEffort, ...] = LADDER
+    frames: int = 5
+    repeats: int = 3
+    patience_s: float = 3.0
+    memory: str | None = None
+    solver: Settings = Settings()
+    limits: Limits = Limits()
+
+    def __post_init__(self) -> None:
+        if not self.recordings and self.simulated is None:
+            raise ValueError("name recordings, or say what is simulated")
+        if not self.estimators:
+            raise ValueError("estimators must hold at least one")
+        for name in self.estimators:
+            check_name(name, "estimator")
+        labels = [label(effort) for effort in self.ladder]
+        if REFERENCE not in labels:
+            raise ValueError(f"efforts must hold {REFERENCE}, which the others are compared with")
+        if len(set(labels)) < len(labels):
+            raise ValueError("efforts names a rung twice")
+        if "converged" in labels:
+            raise ValueError("efforts: converged is no rung of its own; name reduced, nodal or per_pixel")
+        if not 2 <= self.frames <= 1000 or not 1 <= self.repeats <= 1000:
+            raise ValueError("frames must lie between 2 and 1000, repeats between 1 and 1000")
+        if not 0 <= self.patience_s < float("inf"):
+            raise ValueError("patience_s must be zero or positive, and finite")
+        if self.memory is not None and self.memory not in self.estimators:
+            raise ValueError(f"memory: {self.memory} is none of the estimators")
+
+    @property
+    def ladder(self) -> tuple[AnyEffort, ...]:
+        """The efforts; words as what they stand for."""
+        return tuple(named(effort) for effort in self.efforts)
+
+    def rungs(self, shape: tuple[int, int]) -> dict[str, AnyEffort]:
+        """The rungs that are measured on a panel, by label."""
+        return {label(effort): effort for effort in self.ladder if self.limits.allow(effort, shape)}
+
+    def methods(self, shape: tuple[int, int]) -> tuple[str, ...]:
+        """The methods that are measured on a panel."""
+        small = max(shape) <= self.limits.joint
+        chosen = self.estimators.items()
+        return tuple(name for name, method in chosen if small or not any(term.needs_previous for term in method.parts))
+
+    def estimator(self, method: str, effort: AnyEffort) -> Estimator:
+        """A method with an effort; what is no effort of its own follows the reduced formulation."""
+        chosen = self.estimators[method]
+        return Estimator(chosen.parts, "reduced", self.solver, chosen.bounds, effort)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trade-off's file with its recordings at hand, cut to their first frames."""
+
+    settings: TradeoffFile
+    subjects: tuple[Subject, ...]
+
+
+def label(effort: AnyEffort) -> str:
+    """The rung's name in tables and figures: its word, with the number of steps where there is one."""
+    return f"{effort.kind} {effort.steps}" if isinstance(effort, Truncated) else effort.kind
+
+
+def read_plan(path: Path) -> Plan:
+    """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
+    settings = cast(TradeoffFile, validated(read_document(path), TradeoffFile))
+    subjects = []
+    for file in recording_paths(path, settings.recordings):
+        recording = Recording.load(file)
+        subjects.append(Subject(first_frames(recording, settings.frames), "-", "-"))
+    if settings.simulated is not None:
+        try:
+            subjects += settings.simulated.subjects(settings.frames)
+        except ValueError as error:
+            raise InputError(f"{path}: simulated: {error}") from error
+    names = [subject.recording.name for subject in subjects]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: two recordings are called {name}")
+    return Plan(settings, tuple(subjects))
+
+
+def first_frames(recording: Recording, count: int) -> Recording:
+    """The unloaded frames and the first measured ones. Raises InputError where fewer than two are measured."""
+    measured = recording.measured_frames()[:count]
+    if len(measured) < 2:
+        raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
+    chosen = np.sort(np.concatenate([np.flatnonzero(recording.role == UNLOADED), measured]))
+
+    def cut(values: Any) -> Any:
+        return None if values is None else values[chosen]
+
+    return Recording(
+        scene=recording.scene,
+        resistance=recording.resistance[chosen],
+        time=recording.time[chosen],
+        role=recording.role[chosen],
+        sigma=recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else cut(recording.sigma),
+        truth_cell_resistance=cut(recording.truth_cell_resistance),
+        name=recording.name,
+    )

@@ -1,0 +1,174 @@
+"""The true curves: at every weight of a grid the problem is solved, and all is evaluated at its own estimate."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfcx
+
+from lampest.panel.panel import Array
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.spectrum import Spectrum
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.search import BROKEN, best_solution, evaluated
+from lampest.studies.tune.subject import Subject
+
+POINTS, FARTHEST, ROUNDS, FLAT = 33, 1e4, 2, 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """What there is at one weight λ; NaN where it was not solved or is unknown.
+
+    Parameters
+    ----------
+    weight : λ. solved : 1, or 0 where there is no estimate.
+    misfit : ρ/s², which is as large as the number of data where they are missed by their noise; ρ without a known σ.
+    penalty : η.
+    evidence : −2·log of the Laplace evidence, up to a constant. risk : the estimate of Σ (log r̂ − log r)² over the
+        cells that no bound holds, unknown where that is less than half of them. Both need σ. press : Σ (e/(1 − h))².
+    error : root of the mean of (log r̂ − log r)² over the frame's cells.
+    open_cells : cells of the frame at their upper bound. bound_cells : at any bound, of all frames of the solve.
+    cells : r̂ (frames, rows, columns) ohm, or None.
+    """
+
+    weight: float
+    solved: int = 0
+    misfit: float = np.nan
+    penalty: float = np.nan
+    evidence: float = np.nan
+    risk: float = np.nan
+    press: float = np.nan
+    error: float = np.nan
+    open_cells: float = np.nan
+    bound_cells: float = np.nan
+    cells: Array | None = None
+
+
+def solve_at(subject: Subject, weight: float, start: Array | None) -> Point:
+    """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
+    found = best_solution(Newton(subject.with_weight(weight), subject.estimator.solver), subject.data, start)
+    if found.at is None or found.dual is None:
+        return Point(weight)
+    model = LinearModel(found.at, found.dual)
+    misfit = float(model.data_curvature @ model.residual**2) / (model.scale if subject.noisy else 1.0)
+    evidence = risk = press = np.nan
+    with suppress(*BROKEN):  # where bounds decide every cell, these three are unknown
+        spectrum = Spectrum.of(model)
+        press = spectrum.press(weight)
+        if subject.noisy:
+            evidence = spectrum.evidence(weight) + held(model)
+            risk = spectrum.risk(weight) if 2 * len(model.free) >= found.cell_resistance.size else np.nan
+    return Point(
+        weight,
+        1,
+        misfit,
+        float(model.penalty @ model.penalty),
+        evidence,
+        risk,
+        press,
+        error(subject, found.cell_resistance),
+        float(found.open_cell[-1].sum()),
+        float(np.sum(model.at_lower | model.at_upper)),
+        found.cell_resistance,
+    )
+
+
+def error(subject: Subject, cells: Array) -> float:
+    """√ mean (log r̂ − log r)² over the measured frame of (frames, rows, columns) ohm; NaN without a truth."""
+    if subject.truth is None:
+        return float("nan")
+    return float(np.sqrt(np.nanmean((np.log(cells[-1]) - subject.truth) ** 2)))
+
+
+def held(model: LinearModel) -> float:
+    """Σ −2·log ∫₀^∞ exp(−(g t + a t²)/2) dt + log 2π over cells at a bound, one by one, t the way from it.
+
+    g and a : slope and curvature of cost/s². What a Gaussian over the other cells leaves out, so that evidences can be
+    compared where cells come to a bound and leave it.
+    """
+    bound = np.flatnonzero(model.at_lower | model.at_upper)
+    weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
+    penalties = model.penalty_jacobian[:, bound].power(2)
+    bend = (weighted.sum(axis=0) + penalties.T @ model.penalty_curvature) / model.scale
+    slope = np.abs(model.gradient[bound]) / model.scale
+    bend = np.maximum(bend, FLAT * slope**2)
+    width = np.sqrt(np.pi / (2 * bend)) * erfcx(slope / np.sqrt(8 * bend))
+    return float(np.sum(np.log(2 * np.pi) - 2 * np.log(width)))
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """points : in the order of their weights. even : the weights of the grid that is even in log λ."""
+
+    subject: Subject
+    points: tuple[Point, ...]
+    even: tuple[float, ...]
+
+    def values(self, name: str) -> Array:
+        """One of a point's figures, at all points."""
+        return np.array([getattr(point, name) for point in self.points], dtype=float)
+
+    def on_grid(self) -> tuple[Point, ...]:
+        """The solved points of the even grid."""
+        return tuple(point for point in self.points if point.solved and point.weight in self.even)
+
+    def at(self, weight: float) -> Point:
+        """The point at a weight that is on the curves."""
+        return next(point for point in self.points if point.weight == weight)
+
+    def extended(self, weights: Iterable[float]) -> "Curves":
+        """With further weights, each solved from its nearest neighbour."""
+        points = {point.weight: point for point in self.points}
+        solved = [point for point in self.points if point.solved]
+        for weight in sorted(set(weights) - set(points)):
+            near = min(solved, key=lambda point: abs(np.log(point.weight / weight)), default=None)
+            points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
+        return Curves(self.subject, tuple(points[weight] for weight in sorted(points)), self.even)
+
+    def best(self) -> Point | None:
+        """The point with the least true error."""
+        known = [point for point in self.points if np.isfinite(point.error)]
+        return min(known, key=lambda point: point.error, default=None)
+
+    def finer(self) -> "Curves":
+        """With points round the least true error, half as far apart in log λ, and again."""
+        curves = self
+        for _ in range(ROUNDS):
+            best = curves.best()
+            if best is None:
+                break
+            weights = [point.weight for point in curves.points]
+            middle = weights.index(best.weight)
+            near = weights[max(middle - 1, 0) : middle + 2]
+            curves = curves.extended(np.sqrt(np.multiply(near[1:], near[:-1])).tolist())
+        return curves
+
+
+def trace(subject: Subject, marks: list[float], first: Array) -> Curves:
+    """Curves over the weights that matter, at most four decades beyond the marks, solved from the first mark outwards.
+
+    first : an estimate to start from (frames, rows, columns) ohm.
+    """
+    weights = grid(subject, marks, first)
+    middle = int(np.argmin([abs(np.log(weight / marks[0])) for weight in weights]))
+    points: dict[float, Point] = {}
+    for side in (weights[middle:], weights[:middle][::-1]):
+        start = points[weights[middle]].cells if points else None
+        for weight in side:
+            points[weight] = solve_at(subject, weight, start)
+            start = start if points[weight].cells is None else points[weight].cells
+    return Curves(subject, tuple(points[weight] for weight in weights), tuple(weights))
+
+
+def grid(subject: Subject, marks: list[float], at: Array) -> list[float]:
+    """Even in log λ: over all weights that make a difference, where they are within four decades of the marks."""
+    low, high = min(marks) / FARTHEST, max(marks) * FARTHEST
+    with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
+        model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, at), np.zeros(0))
+        least, largest = np.exp(Spectrum.of(model).extent)
+        low, high = max(least, low), min(largest, high)
+    even = np.geomspace(min(low, *marks), max(high, *marks), POINTS)
+    return [float(weight) for weight in even]

@@ -1,0 +1,128 @@
+"""What is tuned: the one penalty of an estimator, on the frame of a recording from which its weight is chosen."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Squared
+from lampest.cost.problem import Data
+from lampest.cost.terms import term_kind
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.sequence import deciding_data, resting_readings, strongest_frame
+from lampest.estimate.weights import Search
+from lampest.panel.panel import Array
+from lampest.posterior.track import MOST_DENSE
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.runs.config import Case
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One case.
+
+    recording, name : of the recording and of the estimator. frame : index into the recording. noisy : whether σ is
+    known. cost, data : of the solves; the last of their frames is the measured one. truth : log r (rows, columns) of
+    that frame, NaN in cells that are known to be broken; None where it is unknown.
+    """
+
+    recording: str
+    name: str
+    estimator: Estimator
+    frame: int
+    noisy: bool
+    cost: Cost
+    data: Data
+    truth: Array | None
+
+    @classmethod
+    def of(cls, case: Case, recording: Recording) -> "Subject":
+        """The recording's strongest frame; with the baseline where terms compare it with that."""
+        readings, scene = Readings.of(recording), recording.scene
+        resting = resting_readings(recording, readings)
+        frame = strongest_frame(recording, readings, resting)
+        data = deciding_data(case.estimator, resting, readings[frame], scene.faults)
+        doubts = Doubts.of(scene.panel, scene.faults, data)
+        truth = None
+        if recording.truth_cell_resistance is not None:
+            truth = np.log(recording.truth_cell_resistance[frame])
+            truth.flat[[] if doubts is None else list(doubts.faulty)] = np.nan
+        cost = case.estimator.cost(scene.panel, len(data.measured), doubts)
+        return cls(case.recording, case.name, case.estimator, frame, readings.sigma is not None, cost, data, truth)
+
+    @cached_property
+    def penalty(self) -> int:
+        """The penalty's number among the terms."""
+        return next(number for number, term in enumerate(self.cost.terms) if not isinstance(term, Misfit))
+
+    @property
+    def given(self) -> float | None:
+        """The penalty's weight if the estimator has a number for it."""
+        weight = self.cost.terms[self.penalty].weight
+        return None if weight == "auto" else float(weight)
+
+    @property
+    def search(self) -> Search:
+        """What chooses weights for these data."""
+        return Search(self.cost, self.data, self.estimator.solver)
+
+    def with_weight(self, weight: float) -> Cost:
+        """The cost with a weight of the penalty."""
+        return self.search.weighted(
+            [float(term.weight) if isinstance(term, Misfit) else weight for term in self.cost.terms]
+        )
+
+    @property
+    def count(self) -> int:
+        """The number of readings that are values."""
+        if self.data.marks is None:
+            return self.data.measured.size
+        side, seen = self.data.marks
+        return int(np.sum((side == 0) & (seen > 0)))
+
+    @property
+    def misfit_unit(self) -> str:
+        """The unit of the misfit's residuals."""
+        term = self.cost.terms[1 - self.penalty]
+        return "1" if getattr(term, "weighting", "plain") == "noise" else term.unit
+
+    @property
+    def penalty_unit(self) -> str:
+        """The unit of the penalty's residuals."""
+        return self.cost.terms[self.penalty].unit
+
+    @property
+    def kind(self) -> str:
+        """The word that names the penalty."""
+        return term_kind(self.cost.terms[self.penalty])
+
+    @property
+    def weight_unit(self) -> str:
+        """The unit of λ: the misfit's, squared, over the penalty's, squared."""
+        if self.misfit_unit == self.penalty_unit:
+            return "1"
+        return f"{squared(self.misfit_unit)}/{squared(self.penalty_unit)}"
+
+
+def squared(unit: str) -> str:
+    """The square of a unit, in ASCII."""
+    if unit == "1":
+        return "1"
+    return f"({unit})^2" if " " in unit else f"{unit}^2"
+
+
+def why_not(estimator: Estimator, readings: int) -> str | None:
+    """Why an estimator cannot be tuned on so many readings in one solve; None where it can."""
+    terms: tuple[Term, ...] = estimator.terms
+    misfits = sum(isinstance(term, Misfit) for term in terms)
+    if misfits != 1 or len(terms) != 2:
+        return f"it has {len(terms) - misfits} penalty terms, not one"
+    if not all(isinstance(term.loss, Squared) for term in terms):
+        return "a loss is not squared"
+    if readings > MOST_DENSE:
+        return f"one solve has {readings} readings, more than {MOST_DENSE}"
+    return None
