@@ -6,14 +6,15 @@ Weights are parameters of what is compiled: costs that differ in nothing else sh
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms.term import State, Term
+from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array, Panel
 
 
@@ -47,59 +48,40 @@ class Cost:
         """The same cost with weights of one."""
         return replace(self, terms=tuple(replace(term, weight=1.0) for term in self.terms))
 
-    def residuals(self, *symbols: casadi.SX) -> list[tuple[int, casadi.SX]]:
-        """(number of the term, residual) pairs of expressions in the order of `symbols`, frame by frame."""
-        pairs = self._all_residuals(*symbols)
+    @cached_property
+    def symbols(self) -> "Symbols":
+        """What the cost is a function of, beside weights and duals."""
+        return Symbols.of(self.panel.cells, self.frames, self.partial)
+
+    def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
+        """(number of the term, residual) pairs of expressions, frame by frame."""
+        pairs = self._all_residuals(symbols)
         if not self.faulty:
             return pairs
         return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
 
-    def _all_residuals(
-        self,
-        cells: casadi.SX,
-        two_point: casadi.SX,
-        measured: casadi.SX,
-        sigma: casadi.SX,
-        previous: casadi.SX,
-        baseline: casadi.SX,
-        previous_deviation: casadi.SX,
-        *marks: casadi.SX,
-    ) -> list[tuple[int, casadi.SX]]:
+    def _all_residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
         pairs = []
         for frame in range(self.frames):
-            before = cells[:, frame - 1] if frame else (previous if self.needs_previous else None)
-            deviation = casadi.SX.zeros(self.panel.cells) if frame else previous_deviation
-            resting = cells[:, 0] if frame else (baseline if self.needs_previous else None)
-            cell, model, reading, noise = (part[:, frame] for part in (cells, two_point, measured, sigma))
-            side, seen = (mark[:, frame] for mark in marks) if marks else (None, None)
-            state = State(self.panel, cell, model, reading, noise, before, side, seen, resting, deviation)
+            baseline = symbols.cell_resistance[:, 0] if frame else None
+            known = symbols.given.of_frame(frame, baseline, self.needs_previous)
+            cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
+            state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
-                if before is not None or not term.needs_previous:
+                if frame or self.needs_previous or not term.needs_previous:
                     pairs.append((number, term.residual(state)))
         return pairs
 
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
         """Of each residual, the rows that read no faulty cell."""
-        symbols = self.symbols()
         every = [frame * self.panel.cells + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
-        for _, residual in self._all_residuals(*symbols):
-            reads = casadi.jacobian(residual, casadi.vec(symbols[0]))[:, every].sparsity()
+        for _, residual in self._all_residuals(self.symbols):
+            reads = casadi.jacobian(residual, casadi.vec(self.symbols.cell_resistance))[:, every].sparsity()
             touched = set(reads.row())
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
-
-    def symbols(self) -> list[casadi.SX]:
-        """Cells, two-point resistance, measured, σ (cells, frames) ohm; what is known (cells, 1); side, seen.
-
-        Known are the previous cells and the baseline, in ohm, and the standard deviation of the former's logarithm.
-        """
-        shape = (self.panel.cells, self.frames)
-        given = [casadi.SX.sym(name, *shape) for name in ("cells", "two_point", "measured", "sigma")]
-        marks = [casadi.SX.sym(name, *shape) for name in ("side", "seen")] if self.partial else []
-        known = [casadi.SX.sym(name, self.panel.cells) for name in ("previous", "baseline", "previous_deviation")]
-        return [*given, *known, *marks]
 
     @cached_property
     def functions(self) -> "CostFunctions":
@@ -113,38 +95,41 @@ class Cost:
 
 
 @dataclass(frozen=True, eq=False)
-class Compiled:
-    """A CasADi function of flat arrays; returns the nonzeros of its one output. Ten times faster than a plain call."""
+class Symbols:
+    """cell_resistance, reading : the unknowns (cells, frames). given : all else that terms may read."""
 
-    function: casadi.Function
+    cell_resistance: casadi.SX
+    reading: casadi.SX
+    given: Given
 
-    @cached_property
-    def _buffer(self) -> Any:
-        return self.function.buffer()
+    @classmethod
+    def of(cls, cells: int, frames: int, partial: bool) -> "Symbols":
+        """Symbols for that many cells and frames."""
+        unknown = [casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading")]
+        return cls(*unknown, Given.symbols(cells, frames, partial))
 
-    def __call__(self, *arguments: Array) -> Array:
-        buffer, trigger = self._buffer
-        held = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
-        for number, argument in enumerate(held):
-            buffer.set_arg(number, argument.data)
-        result = np.empty(self.function.nnz_out(0))
-        buffer.set_res(0, result.data)
-        trigger()
-        return result
+    @property
+    def unknown(self) -> casadi.SX:
+        """(cells; readings), flat."""
+        return casadi.vertcat(casadi.vec(self.cell_resistance), casadi.vec(self.reading))
 
-    @cached_property
-    def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """(rows, columns) of the nonzeros."""
-        rows, columns = self.function.sparsity_out(0).get_triplet()
-        return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+    def inputs(self) -> dict[str, casadi.SX]:
+        """name → flat symbol: what a compiled function takes."""
+        named = {"cell_resistance": self.cell_resistance, "reading": self.reading} | dict(self.given.named())
+        return {name: casadi.vec(symbol) for name, symbol in named.items()}
+
+    def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
+        """A function of the inputs, by their names, and of what more there is."""
+        inputs = self.inputs() | more
+        return Compiled(casadi.Function(name, [*inputs.values()], [output], [*inputs], ["value"]))
 
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of what `Cost.symbols` lists, flat, of the terms' weights and of the duals.
+    """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
-    two-point resistances). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.
+    readings). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.
     huber : residuals with Huber's loss.
     """
 
@@ -159,15 +144,15 @@ class CostFunctions:
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically; sparse."""
-        symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
-        pairs = cost.residuals(*symbols)
+        symbols, weights = cost.symbols, casadi.SX.sym("weights", len(cost.terms))
+        pairs = cost.residuals(symbols)
         costs = [casadi.SX(0) for _ in cost.terms]
         for number, residual in pairs:
             costs[number] += weights[number] * cost.terms[number].loss.cost(residual)
         smooth, rough, slope = smooth_and_rough(cost, pairs, weights)
         dual = casadi.SX.sym("dual", rough.shape[0])
         lagrangian = smooth + casadi.dot(slope * dual, rough)
-        unknown = casadi.vertcat(casadi.vec(symbols[0]), casadi.vec(symbols[1]))
+        unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
         corners = [residual for *_, residual in huber_residuals(cost, pairs)]
         outputs = {
@@ -178,8 +163,9 @@ class CostFunctions:
             "rough_jacobian": casadi.jacobian(rough, unknown),
             "huber": casadi.densify(casadi.vertcat(casadi.SX(0, 1), *corners)),
         }
-        inputs = [*(casadi.vec(symbol) for symbol in symbols), weights, dual]
-        compiled = {name: Compiled(casadi.Function(name, inputs, [output])) for name, output in outputs.items()}
+        compiled = {
+            name: symbols.compiled(name, output, weights=weights, dual=dual) for name, output in outputs.items()
+        }
         rough_pairs = [pair for pair in pairs if isinstance(cost.terms[pair[0]].loss, Absolute)]
         owners = [number for number, part in rough_pairs for _ in range(part.shape[0])]
         return cls(**compiled, rough_terms=np.array(owners, dtype=np.intp))

@@ -7,38 +7,68 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lampest.cost.cost import Compiled, Cost
-from lampest.panel.network import Network, grounding
+from lampest.cost.cost import Cost
+from lampest.cost.given import Given
+from lampest.panel.compiled import Compiled
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout, TwoPointReadout
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
     """What one solve is given.
 
-    measured : (frames, rows, columns) ohm, series resistance taken off.
-    sigma : same shape, ohm; ones where unknown.
-    lower, upper : same shape, ohm; bounds of the cell resistance.
-    previous : (rows, columns) ohm, the known r0, or None.
-    baseline : (rows, columns) ohm, the known cells of the unloaded panel; None where they are the previous ones.
-    previous_deviation : (rows, columns), standard deviation of log r0; None where no term reads it.
-    marks : side and seen of the readings (frames, rows, columns), as `Readings` has them; None: all are values.
+    given : readings, their noise and what is known from earlier frames, as arrays.
+    lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
+    readout : how readings follow from cells.
     """
 
-    measured: Array
-    sigma: Array
+    given: Given
     lower: Array
     upper: Array
-    previous: Array | None = None
-    marks: tuple[Array, Array] | None = None
-    baseline: Array | None = None
-    previous_deviation: Array | None = None
+    readout: Readout = TwoPointReadout()
+
+    @property
+    def measured(self) -> Array:
+        """(frames, rows, columns) the network's readings."""
+        measured: Array = self.given.measured
+        return measured
+
+    @property
+    def sigma(self) -> Array:
+        """Their standard deviation; ones where unknown."""
+        sigma: Array = self.given.sigma
+        return sigma
+
+    @property
+    def plain(self) -> NDArray[np.bool_]:
+        """(frames, rows, columns) whether a reading is a value, neither a bound nor nothing."""
+        if not self.partial:
+            return np.ones(self.measured.shape, dtype=bool)
+        return np.asarray((self.given.side == 0) & (self.given.seen > 0))
+
+    @property
+    def partial(self) -> bool:
+        """Whether readings may be bounds or say nothing."""
+        return self.given.side is not None
+
+    @cached_property
+    def apparent_resistance(self) -> Array:
+        """(frames, rows, columns) ohm; see `Readout.apparent_resistance`."""
+        return self.readout.apparent_resistance(self.measured)
+
+    @cached_property
+    def uniform_start(self) -> Array:
+        """(frames, rows, columns) ohm; see `Readout.uniform_start`."""
+        return self.readout.uniform_start(self.measured)
 
     @property
     def resistance_scale(self) -> float:
-        """Geometric mean of the measured resistances, ohm."""
-        return float(np.exp(np.mean(np.log(self.measured))))
+        """Geometric mean of the apparent resistances, ohm."""
+        return float(np.exp(np.mean(np.log(self.apparent_resistance))))
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
@@ -47,47 +77,47 @@ class Data:
 
     @cached_property
     def ties(self) -> Array:
-        """(frames, rows + columns) siemens: each frame's tie to ground."""
-        return np.stack([grounding(measured) for measured in self.measured])
+        """(frames, rows + columns) siemens: each frame's ties to ground."""
+        return np.stack([self.readout.ties(measured) for measured in self.measured])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        return Network.solve(1 / cell_resistance, self.ties[frame])
-
-    @cached_property
-    def parameters(self) -> tuple[Array, ...]:
-        """Measured, σ (frames · cells), previous, baseline (cells; ones where unknown) ohm; deviation; marks; flat."""
-        previous = np.ones(self.measured[0].size) if self.previous is None else self.previous.ravel()
-        baseline = previous if self.baseline is None else self.baseline.ravel()
-        deviation = np.zeros_like(previous) if self.previous_deviation is None else self.previous_deviation.ravel()
-        marks = () if self.marks is None else tuple(mark.ravel() for mark in self.marks)
-        return self.measured.ravel(), self.sigma.ravel(), previous, baseline, deviation, *marks
+        return self.readout.network(1 / cell_resistance, self.ties[frame])
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """φ and its derivatives at one point: cell and two-point resistance (frames, rows, columns) ohm."""
+    """φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns)."""
 
     cost: Cost
     data: Data
     cell_resistance: Array
-    two_point_resistance: Array
+    reading: Array
     networks: tuple[Network, ...]
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
         networks = tuple(data.network(frame, cells) for frame, cells in enumerate(cell_resistance))
-        two_point = np.stack([network.two_point_resistance() for network in networks])
-        return cls(cost, data, cell_resistance, two_point, networks)
+        return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
 
     def call(self, function: Compiled, dual: Array) -> Array:
         """One of the cost's functions at this point."""
-        return self._called(function, self.two_point_resistance, dual)
+        return self._called(function, self.reading, dual)
 
-    def _called(self, function: Compiled, two_point_resistance: Array, dual: Array) -> Array:
-        given = (*self.data.parameters, self.cost.weights)
-        return function(self.cell_resistance.ravel(), two_point_resistance.ravel(), *given, dual)
+    def _called(self, function: Compiled, reading: Array, dual: Array) -> Array:
+        here = {
+            "cell_resistance": self.cell_resistance.ravel(),
+            "reading": reading.ravel(),
+            "weights": self.cost.weights,
+            "dual": dual,
+        }
+        given = self.data.given.flat
+        return function(*(here[name] if name in here else given[name] for name in function.names))
+
+    def of_terms(self, function: Compiled) -> Array:
+        """A function of the terms' residuals at this point, which knows neither weights nor duals."""
+        return self._called(function, self.reading, self._no_dual)
 
     @cached_property
     def costs(self) -> Array:
@@ -104,23 +134,23 @@ class Evaluation:
         return np.zeros(len(self.cost.slope))
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
-        """(∂φ/∂r at fixed R, ∂φ/∂R), each (frames, rows, columns)."""
+        """(∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
         direct, through = np.split(self.call(self.cost.functions.gradient, dual), 2)
         shape = self.cell_resistance.shape
         return direct.reshape(shape), through.reshape(shape)
 
     def log_gradient(self, dual: Array) -> Array:
-        """∂φ/∂log r, (frames, rows, columns): r·∂φ/∂r − g·(∂R/∂g)ᵀ ∂φ/∂R, in product form."""
+        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form."""
         direct, through = self.partials(dual)
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
-            gradient[frame] -= network.conductance * network.conductance_product(through[frame])
+            gradient[frame] += network.adjoint(through[frame])
         return gradient
 
     @cached_property
     def cost_scale(self) -> float:
         """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
-        blank = self._called(self.cost.functions.costs, np.zeros(self.cell_resistance.shape), self._no_dual)
+        blank = self._called(self.cost.functions.costs, np.zeros(self.reading.shape), self._no_dual)
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property

@@ -9,15 +9,15 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.efforts import AnyEffort, Converged, Truncated
 from lampest.files.errors import InputError
-from lampest.panel.divider import resolution_limit
-from lampest.panel.network import uniform_factor
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
 from lampest.solvers.ipopt.formulations import Formulation, Nodal, PerPixel
@@ -35,10 +35,11 @@ BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 @dataclass(frozen=True)
 class Bounds:
-    """lower : 'measured' (r ≥ R_m, paper, equation (12)), a resistance in ohm, or 'none' (R_m/1000).
+    """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (R_a/1000).
 
-    upper : 'resolution' (r ≤ R²/σ, beyond which a cell cannot be told from an open one, though never below twice the
-    cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_m, where double precision sees no difference).
+    upper : 'resolution' (beyond which a cell cannot be told from an open one: R²/σ of two-point readings, though never
+    below twice the cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_a, where double precision sees no
+    difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
 
     Raises ValueError where a number is not positive and finite.
     """
@@ -53,13 +54,14 @@ class Bounds:
             if not isinstance(value, str) and not (isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be a word or a positive, finite number of ohm")
 
-    def limits(self, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
+    def limits(self, readout: Readout, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
 
         Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
         """
+        apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
-            lower = measured.copy() if self.lower == "measured" else measured * NEAREST
+            lower = readout.least_cells(measured, sigma) if self.lower == "measured" else apparent * NEAREST
         else:
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution":
@@ -68,10 +70,9 @@ class Bounds:
                     "bounds.upper: resolution needs the noise of the readings; add a readout to the scene or sigma to "
                     "the recording, or set bounds.upper to a number of ohm or to none"
                 )
-            least = 2 * measured / uniform_factor(*measured.shape[-2:])
-            upper = np.maximum(resolution_limit(measured, sigma), least)
+            upper = readout.resolution(measured, sigma)
         elif isinstance(self.upper, str):
-            upper = measured * FARTHEST
+            upper = apparent * FARTHEST
         else:
             upper = np.full_like(measured, self.upper)
         if np.any(upper <= lower):
@@ -185,69 +186,48 @@ class Estimator:
         """Whether a term divides by the readings' standard deviation."""
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
-    def data(
-        self,
-        readings: Readings,
-        previous: Array | None = None,
-        faults: Faults | None = None,
-        baseline: Array | None = None,
-        previous_deviation: Array | None = None,
-    ) -> Data:
+    def data(self, readings: Readings, background: Background) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
-        measured, sigma = readings.resistance, readings.sigma
+        measured, sigma, scene = readings.resistance, readings.sigma, background.scene
         if sigma is None and self.needs_sigma():
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        lower, upper = self.bounds.limits(measured, sigma)
+        lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
+        apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
-            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), measured * NEAREST, lower)
-            upper = np.where((readings.side != 0) | (readings.seen == 0), measured * FARTHEST, upper)
-        if faults is not None:
-            panel = Panel(*measured.shape[-2:])
-            typical = np.exp(np.mean(np.log(measured), axis=(-2, -1), keepdims=True))
-            for broken, factor in ((faults.open_cells(panel), FARTHEST), (faults.shorted_cells(panel), SHORTED)):
+            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), apparent * NEAREST, lower)
+            upper = np.where((readings.side != 0) | (readings.seen == 0), apparent * FARTHEST, upper)
+        if scene.faults is not None:
+            typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
+            faults = (scene.faults.open_cells(scene.panel), FARTHEST), (scene.faults.shorted_cells(scene.panel), SHORTED)
+            for broken, factor in faults:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        noise = np.ones_like(measured) if sigma is None else sigma
-        marks = (readings.side, readings.seen) if readings.partial else None
-        return Data(measured, noise, lower, upper, previous, marks, baseline, previous_deviation)
+        return Data(Given.of(readings, background), lower, upper, scene.circuit)
 
-    def problem(self, panel: Panel, frames: int, period: float, doubts: "Doubts | None" = None) -> Solver:
+    def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.
 
         formulation 'auto' is nodal on panels of up to 144 cells with at most two frames a second, else reduced.
         """
-        small = panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
+        small = scene.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
         named = self.effort.kind if isinstance(self.effort, Converged) else "reduced"
         formulation = self.formulation if named == "converged" else named
         if formulation == "auto":
             formulation = "nodal" if small else "reduced"
-        return _solver(self.cost(panel, frames, doubts), formulation, self.solver)
+        return _solver(self.cost(scene, frames, partial), scene.circuit, formulation, self.solver)
 
-    def cost(self, panel: Panel, frames: int, doubts: "Doubts | None" = None) -> Cost:
-        """The terms over one frame, or over two jointly, of a panel; what is in doubt is left out."""
-        faulty, partial = ((), False) if doubts is None else (doubts.faulty, doubts.partial)
-        return Cost(Panel(*panel.shape), self.terms, frames, faulty, partial)
+    def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
+        """The terms over one frame, or over two jointly; broken cells are left out.
 
-
-@dataclass(frozen=True)
-class Doubts:
-    """What makes a cost differ from that of a sound panel: numbers of broken cells, and whether readings are bounds."""
-
-    faulty: tuple[int, ...]
-    partial: bool
-
-    @classmethod
-    def of(cls, panel: Panel, faults: Faults | None, data: Data) -> "Doubts | None":
-        """None for a sound panel and plain readings."""
-        if faults is None and data.marks is None:
-            return None
-        broken = np.zeros(0) if faults is None else faults.open_cells(panel) | faults.shorted_cells(panel)
-        return cls(tuple(int(cell) for cell in np.flatnonzero(broken)), data.marks is not None)
+        partial : whether readings may be bounds or say nothing.
+        """
+        faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
+        return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
 
 
 @lru_cache(maxsize=32)
-def _solver(cost: Cost, formulation: str, settings: Settings) -> Solver:
+def _solver(cost: Cost, readout: Readout, formulation: str, settings: Settings) -> Solver:
     if formulation in FORMULATIONS:
-        return Ipopt(cost, FORMULATIONS[formulation], settings)
+        return Ipopt(cost, readout, FORMULATIONS[formulation], settings)
     return Newton(cost, settings)

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Step, Stream
 from lampest.estimate.weights import with_chosen_weights
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -89,7 +90,7 @@ def first_stream(recording: Recording, readings: Readings, estimator: Estimator)
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         strongest = readings[strongest_frame(recording, readings, resting)]
-        estimator = with_weights_of_a_recording(estimator, scene.panel, resting, strongest, scene.faults)
+        estimator = with_weights_of_a_recording(estimator, scene, resting, strongest)
     return Stream.begin(estimator, scene, frame_period(recording), resting)
 
 
@@ -107,17 +108,16 @@ def strongest_frame(recording: Recording, readings: Readings, resting: Readings)
 
 
 def with_weights_of_a_recording(
-    estimator: Estimator, panel: Panel, resting: Readings, frame: Readings, faults: Faults | None
+    estimator: Estimator, scene: Scene, resting: Readings, frame: Readings
 ) -> Estimator:
     """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
-    data = deciding_data(estimator, resting, frame, faults)
-    doubts = Doubts.of(panel, faults, data)
-    return with_chosen_weights(estimator, panel, data, doubts, None, frame.sigma is not None)
+    data = deciding_data(estimator, scene, resting, frame)
+    return with_chosen_weights(estimator, scene, data, None, frame.sigma is not None)
 
 
-def deciding_data(estimator: Estimator, resting: Readings, frame: Readings, faults: Faults | None) -> Data:
+def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """What weights are chosen from: one frame, with the baseline where terms compare it with that."""
-    return estimator.data(resting.together(frame) if estimator.relative else frame.alone(), None, faults)
+    return estimator.data(resting.together(frame) if estimator.relative else frame.alone(), Background(scene))
 
 
 def frame_period(recording: Recording) -> float:

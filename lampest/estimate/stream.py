@@ -7,17 +7,16 @@ from time import perf_counter
 import numpy as np
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms.arrival import common_step
 from lampest.estimate.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.oral_disc import OralDisc, disc_solution
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt
 from lampest.loads.recognition.direct import OralDiscFit
-from lampest.panel.network import uniform_factor
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults, Scene
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
@@ -61,8 +60,8 @@ class Stream:
 
     Parameters
     ----------
-    estimator, panel : the method and the panel. period : s between frames.
-    resting : the unloaded readings (rows, columns). faults : what is known to be broken, or None.
+    estimator, scene : the method, and what is measured how. period : s between frames.
+    resting : the unloaded readings (rows, columns).
     baseline : how the baseline was solved; None for a relative method until a frame was.
     previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
     has no error bars.
@@ -72,10 +71,9 @@ class Stream:
     """
 
     estimator: Estimator
-    panel: Panel
+    scene: Scene
     period: float
     resting: Readings
-    faults: Faults | None = None
     baseline: Step | None = None
     previous: Array | None = None
     previous_deviation: Array | None = None
@@ -90,9 +88,9 @@ class Stream:
         Raises InputError where the noise is needed and unknown, or bounds leave no room.
         """
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
-        stream = cls(estimator, scene.panel, period, resting, scene.faults, track=track)
+        stream = cls(estimator, scene, period, resting, track=track)
         if estimator.unknowns == "oral_disc":
-            return stream._with_disc(scene)
+            return stream._with_disc()
         if estimator.joint_start:
             return stream
         if isinstance(estimator.effort, Linearised | Region):
@@ -126,18 +124,23 @@ class Stream:
             track=track,
         ), step
 
-    def _with_disc(self, scene: Scene) -> "Stream":
+    def _with_disc(self) -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        disc = OralDisc.of(scene, self.period, self.resting)
+        disc = OralDisc.of(self.scene, self.period, self.resting)
         data, cost = self._judged(self.resting)
         step = Step(disc.resting(cost, data), perf_counter() - begin, tuple(map(float, cost.weights)))
         return replace(self, baseline=step, disc=disc)
 
     def _judged(self, readings: Readings) -> tuple[Data, Cost]:
         """What cells that were found in another way than by solving are judged by."""
-        data = self.estimator.data(readings.alone(), None, self.faults)
-        return data, self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
+        data = self.estimator.data(readings.alone(), self.background)
+        return data, self.estimator.cost(self.scene, 1, data.partial)
+
+    @property
+    def background(self) -> Background:
+        """What stands behind a frame of which nothing earlier is known."""
+        return Background(self.scene, self.period)
 
     def _push_disc(self, disc: OralDisc, readings: Readings) -> tuple["Stream", Step]:
         begin = perf_counter()
@@ -168,16 +171,18 @@ class Stream:
         The joint pair: paper, equations (15) and (21).
         """
         if self.estimator.joint_start and (self.baseline is None or not self.baseline.solution.solved):
-            return self.estimator.data(self.resting.together(readings), None, self.faults), None
+            return self.estimator.data(self.resting.together(readings), self.background), None
         known = resting = None
         if self.estimator.relative:
             known = self._guess(readings.resistance) if self.previous is None else self.previous
             resting = None if self.baseline is None else _estimate(self.baseline, 0)
-        data = self.estimator.data(readings.alone(), known, self.faults, resting, self._known_deviation())
+        behind = replace(
+            self.background, previous=known, baseline=resting, previous_deviation=self._known_deviation()
+        )
+        data = self.estimator.data(readings.alone(), behind)
         if self.estimator.weighs_previous and known is not None:
-            values = (readings.side == 0) & (readings.seen > 0)
-            expected = data.network(0, known).two_point_resistance()
-            data = replace(data, previous=known * common_step(readings.resistance[values], expected[values]))
+            step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
+            data = self.estimator.data(readings.alone(), replace(behind, previous=known * step))
         return data, None if self.previous is None else self.previous[None]
 
     def _known_deviation(self) -> Array | None:
@@ -185,25 +190,24 @@ class Stream:
         if not self.estimator.weighs_previous:
             return None
         if self.previous is None or self.previous_deviation is None:
-            return np.full(self.panel.shape, UNKNOWN)
+            return np.full(self.scene.panel.shape, UNKNOWN)
         return np.fmin(self.previous_deviation, UNKNOWN)
 
     @property
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline is not solved."""
         found = None if self.baseline is None else _estimate(self.baseline, 0)
-        return np.full(self.panel.shape, np.nan) if found is None else found
+        return np.full(self.scene.panel.shape, np.nan) if found is None else found
 
     def _solve(self, data: Data, previous: Array | None) -> Step:
         with delayed_interrupt():
-            doubts = Doubts.of(self.panel, self.faults, data)
             begin = perf_counter()
             estimator = self.estimator
             if estimator.automatic:
                 noisy = self.resting.sigma is not None
-                estimator = with_chosen_weights(estimator, self.panel, data, doubts, previous, noisy)
+                estimator = with_chosen_weights(estimator, self.scene, data, previous, noisy)
             choice = perf_counter() - begin
-            solver = estimator.problem(self.panel, len(data.measured), self.period, doubts)
+            solver = estimator.problem(self.scene, len(data.measured), self.period, data.partial)
             solver.prepare()
             begin = perf_counter()
             solution = self._solution(solver, data, previous)
@@ -222,9 +226,10 @@ class Stream:
 
     def _guess(self, measured: Array) -> Array:
         """What an estimate would be without solving: R_m, or the cell of a uniform panel; same shape, ohm."""
+        readout = self.scene.circuit
         if isinstance(self.estimator.effort, TwoPoint):
-            return measured
-        return measured / uniform_factor(*self.panel.shape)
+            return readout.apparent_resistance(measured)
+        return readout.uniform_start(measured)
 
     def _absolute(self) -> "Stream":
         """The stream without the terms that compare with an earlier frame."""
@@ -239,8 +244,9 @@ class Stream:
         stream = replace(self, baseline=baseline, previous=found)
         if found is None:
             return stream
-        data = self.estimator.data(self.resting.alone(), found if self.estimator.relative else None, self.faults)
-        cost = self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
+        behind = replace(self.background, previous=found if self.estimator.relative else None)
+        data = self.estimator.data(self.resting.alone(), behind)
+        cost = self.estimator.cost(self.scene, 1, data.partial)
         here = evaluated(cost, data, found[None])
         settings = self.estimator.solver
         if isinstance(effort, Linearised):
@@ -261,6 +267,6 @@ def _read_off(data: Data, cells: Array) -> Outcome:
 
 
 def _truncated(cost: Cost, data: Data, previous: Array | None, steps: int) -> Solution:
-    start = data.measured / uniform_factor(*data.measured.shape[1:]) if previous is None else previous
+    start = data.uniform_start if previous is None else previous
     outcome = Newton(cost, Settings(max_iterations=steps)).solve(data, evaluated(cost, data, start))
     return approximation(cost, data, outcome)

@@ -15,9 +15,10 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
@@ -30,7 +31,7 @@ MOST_SOLVES, SETTLED = 4, 0.2
 
 
 def with_chosen_weights(
-    estimator: Estimator, panel: Panel, data: Data, doubts: Doubts | None, near: Array | None, noisy: bool
+    estimator: Estimator, scene: Scene, data: Data, near: Array | None, noisy: bool
 ) -> Estimator:
     """The estimator with numbers for the weights that it leaves open, from one solve's data.
 
@@ -38,7 +39,7 @@ def with_chosen_weights(
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
-    search = Search(estimator.cost(panel, len(data.measured), doubts), data, estimator.solver)
+    search = Search(estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver)
     penalties = [number for number, term in enumerate(estimator.terms) if not isinstance(term, Misfit)]
     single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
     first = convex(data, near) if near is None else near

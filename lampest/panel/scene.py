@@ -2,50 +2,13 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Panel
-
-
-@dataclass(frozen=True)
-class TwoPointReadout:
-    """One row and one column are selected, all other lines float; an ADC reads a divider with a reference resistor.
-
-    Parameters
-    ----------
-    supply_volt : divider supply and ADC reference in volt.
-    reference_ohm : reference resistor in ohm.
-    measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
-    adc_bits : resolution of the converter.
-    readings : conversions that are averaged for one cell.
-    noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
-
-    Raises ValueError where a number is out of range.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    kind: Literal["two_point"] = "two_point"
-    supply_volt: float = 5.0
-    reference_ohm: float = 1000.0
-    measured_across: Literal["reference", "sensor"] = "reference"
-    adc_bits: int = 10
-    readings: int = 20
-    noise_lsb: float = 0.7
-
-    def __post_init__(self) -> None:
-        for name in ("supply_volt", "reference_ohm"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive and finite")
-        if not 1 <= self.adc_bits <= 32:
-            raise ValueError("adc_bits must lie between 1 and 32")
-        if not 1 <= self.readings <= 65535:
-            raise ValueError("readings must lie between 1 and 65535")
-        if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
-            raise ValueError("noise_lsb must be zero or positive, and finite")
+from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 
 
 @dataclass(frozen=True)
@@ -79,6 +42,10 @@ class Faults:
         for row, column in self.shorted:
             cells[row, column] = True
         return cells
+
+    def numbers(self, panel: Panel) -> tuple[int, ...]:
+        """The numbers of all cells that are open or shorted."""
+        return tuple(int(cell) for cell in np.flatnonzero(self.open_cells(panel) | self.shorted_cells(panel)))
 
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
         """(rows, columns) where a reading says nothing."""
@@ -200,7 +167,7 @@ class Scene:
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     panel: Panel
-    readout: TwoPointReadout | None = None
+    readout: AnyReadout | None = None
     series_resistance_ohm: float = 0.0
     faults: Faults | None = None
     water: Water | None = None
@@ -212,3 +179,9 @@ class Scene:
             raise ValueError("series_resistance_ohm must be zero or positive, and finite")
         if self.faults is not None:
             self.faults.check(self.panel)
+        self.circuit.check(self.panel)
+
+    @property
+    def circuit(self) -> Readout:
+        """How readings follow from cells: the readout's circuit, or two-point resistances where it names none."""
+        return TwoPointReadout() if self.readout is None else self.readout

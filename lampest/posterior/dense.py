@@ -70,9 +70,7 @@ class DenseErrors:
         through = np.zeros((at.cell_resistance.size, at.cell_resistance.size))
         for frame, network in enumerate(at.networks):
             block = slice(frame * size, (frame + 1) * size)
-            transfer = network.transfer()
-            np.multiply(transfer, transfer, out=transfer)
-            np.multiply(transfer, network.conductance.ravel(), out=through[block, block])
+            through[block, block] = network.sensitivity()
         return np.asarray(self.model.through @ through)
 
     @cached_property

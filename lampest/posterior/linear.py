@@ -1,7 +1,7 @@
 """The surroundings of an estimate as a linear model with Gaussian noise and Gaussian penalties, in u = log r.
 
 Residuals are x ≈ x̂ + Z·p for a change p of u, each with a curvature ω, so that the cost is Σ ω x². Rows that read
-two-point resistances are data, with noise τ, all others penalties. With s² = mean ω τ² over the data, cost/s² stands
+readings are data, with noise τ, all others penalties. With s² = mean ω τ² over the data, cost/s² stands
 for −2·log probability, whatever the unit of the misfit.
 """
 
@@ -78,7 +78,7 @@ class LinearModel:
 
     @cached_property
     def through(self) -> sparse.csc_array:
-        """∂x/∂R of the data."""
+        """∂x/∂y of the data."""
         return self._data.jacobian("by_model", self.at)
 
     @cached_property
@@ -149,13 +149,12 @@ class LinearModel:
     @cached_property
     def previous_jacobian(self) -> sparse.csc_array:
         """∂x/∂u₀ of the penalties, u₀ = log of the previous frame's cells."""
-        return self._known_jacobian("by_previous", self.at.data.previous)
+        return self._known_jacobian("by_previous", self.at.data.given.previous)
 
     @cached_property
     def baseline_jacobian(self) -> sparse.csc_array:
         """The same for the baseline's cells."""
-        data = self.at.data
-        return self._known_jacobian("by_baseline", data.previous if data.baseline is None else data.baseline)
+        return self._known_jacobian("by_baseline", self.at.data.given.baseline)
 
     def known_share(self, variance: Array | None) -> Array:
         """Of every penalty row's variance, what the previous frame's error makes up where the weight allows for it.

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.cost.cost import Compiled, Cost
+from lampest.cost.cost import Cost, Symbols
 from lampest.cost.problem import Evaluation
+from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array
 
 
@@ -17,8 +18,7 @@ from lampest.panel.panel import Array
 class Part:
     """Some rows of the residuals x, unweighted: functions of what `Evaluation` holds.
 
-    value : x. by_cells, by_model, by_previous, by_baseline : ∂x/∂ cells, two-point resistances, previous and baseline,
-    sparse.
+    value : x. by_cells, by_model, by_previous, by_baseline : ∂x/∂ cells, readings, previous and baseline, sparse.
     term : the number of the term that every row belongs to.
     """
 
@@ -31,14 +31,14 @@ class Part:
 
     def values(self, at: Evaluation) -> Array:
         """x at a point."""
-        return self._call(self.value, at)
+        return at.of_terms(self.value)
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """One of the derivatives at a point, (rows, unknowns) sparse."""
         structure = self._structures[name]
         if not structure.nnz:
             return structure
-        values = self._call(getattr(self, name), at)
+        values = at.of_terms(getattr(self, name))
         return sparse.csc_array((values, structure.indices, structure.indptr), shape=structure.shape)
 
     @cached_property
@@ -50,14 +50,10 @@ class Part:
             for name, pattern in patterns.items()
         }
 
-    @staticmethod
-    def _call(function: Compiled, at: Evaluation) -> Array:
-        return function(at.cell_resistance.ravel(), at.two_point_resistance.ravel(), *at.data.parameters)
-
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """data : the rows that read two-point resistances. penalties : all others."""
+    """data : the rows that read readings. penalties : all others."""
 
     data: Part
     penalties: Part
@@ -70,23 +66,22 @@ def residuals(cost: Cost) -> Residuals:
 
 @lru_cache(maxsize=64)
 def _residuals(cost: Cost) -> Residuals:
-    symbols = cost.symbols()
-    pairs = cost.residuals(*symbols)
+    symbols = cost.symbols
+    pairs = cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
     term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
-    reads = set(casadi.jacobian_sparsity(stacked, casadi.vec(symbols[1])).row())
+    reads = set(casadi.jacobian_sparsity(stacked, symbols.inputs()["reading"]).row())
     rows = ([row for row in range(len(term)) if (row in reads) is data] for data in (True, False))
     return Residuals(*(_part(symbols, stacked[chosen], term[chosen]) for chosen in rows))
 
 
-def _part(symbols: list[casadi.SX], rows: casadi.SX, term: NDArray[np.intp]) -> Part:
-    inputs = [casadi.vec(symbol) for symbol in symbols]
+def _part(symbols: Symbols, rows: casadi.SX, term: NDArray[np.intp]) -> Part:
+    inputs = symbols.inputs()
     outputs = {
         "value": casadi.densify(rows),
-        "by_cells": casadi.jacobian(rows, inputs[0]),
-        "by_model": casadi.jacobian(rows, inputs[1]),
-        "by_previous": casadi.jacobian(rows, inputs[4]),
-        "by_baseline": casadi.jacobian(rows, inputs[5]),
+        "by_cells": casadi.jacobian(rows, inputs["cell_resistance"]),
+        "by_model": casadi.jacobian(rows, inputs["reading"]),
+        "by_previous": casadi.jacobian(rows, inputs["previous"]),
+        "by_baseline": casadi.jacobian(rows, inputs["baseline"]),
     }
-    compiled = {name: Compiled(casadi.Function(name, inputs, [output])) for name, output in outputs.items()}
-    return Part(**compiled, term=term)
+    return Part(**{name: symbols.compiled(name, output) for name, output in outputs.items()}, term=term)

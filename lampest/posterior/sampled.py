@@ -14,7 +14,7 @@ from scipy import sparse
 from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, rank
 from lampest.posterior.linear import LinearModel
-from lampest.solvers.newton.conjugate import Linear, conjugate_gradients
+from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import local_inverse, misfit_inverse
 from lampest.solvers.newton.smoothing import Smoothing
@@ -96,7 +96,7 @@ class SampledErrors:
             return misfit_inverse(self._curvature, model.free)
         through = sparse.csr_array(model.through)
         weight = through.multiply(through).T @ model.data_curvature
-        own = weight * (at.two_point_resistance**2 / at.cell_resistance).ravel() ** 2
+        own = weight * np.stack([network.own_response() for network in at.networks]).ravel() ** 2
         local = sparse.csr_array(self._penalties.T @ self._penalties + sparse.diags_array(own + least))
         return local_inverse(local, np.zeros(len(model.free)), model.free)
 

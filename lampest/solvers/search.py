@@ -9,9 +9,7 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.misfit import Misfit
-from lampest.panel.network import uniform_factor
 from lampest.panel.panel import Array
-from lampest.solvers.convex import convex_start
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
@@ -44,7 +42,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
     plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
-    uniform = data.measured / uniform_factor(*data.measured.shape[1:])
+    uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
     starts += [convex(data, previous)] if previous is not None and plain else []
     points = sorted(_evaluable(solver.cost, data, starts), key=lambda point: point.objective)
@@ -54,17 +52,20 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     if found.solved and not (relative and (previous is None or found.iterations > patience)):
         return found
     more = [] if previous is None else [uniform, convex(data, None)]
-    more += [data.measured * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
+    more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
     others = [solved(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
     return min((other for other in (found, *others) if other.solved), key=lambda one: one.objective, default=found)
 
 
 def convex(data: Data, near: Array | None) -> Array:
-    """The convex start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one."""
+    """The readout's start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one.
+
+    Of two-point readings it is the convex one.
+    """
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
-        return np.stack([convex_start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
-    return data.measured / uniform_factor(*data.measured.shape[1:])
+        return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
+    return data.uniform_start
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:

@@ -64,13 +64,13 @@ class Outcome:
 class Solution:
     """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM, or what else was asked for.
 
-    cell_resistance, two_point_resistance : (frames, rows, columns) ohm.
+    cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
     """
 
     cell_resistance: Array
-    two_point_resistance: Array
+    reading: Array
     costs: Array
     objective: float
     kkt_residual: float
@@ -133,7 +133,7 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
     cells, data = evaluation.cell_resistance, evaluation.data
     return Solution(
         cells,
-        evaluation.two_point_resistance,
+        evaluation.reading,
         evaluation.costs,
         evaluation.objective,
         residual,

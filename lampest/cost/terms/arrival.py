@@ -5,11 +5,8 @@ from math import isfinite
 from typing import Any, ClassVar, Literal
 
 import casadi
-import numpy as np
-
 from lampest.cost.losses import Huber, Loss
 from lampest.cost.terms.term import State, Term
-from lampest.panel.panel import Array
 
 
 @dataclass(frozen=True)
@@ -17,7 +14,7 @@ class Arrival(Term):
     """(log r − log r0)/√(sd0² + q²), r0 the previous frame and sd0 the standard deviation of its logarithm.
 
     walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in percent. A step that
-    the readings have in common is no cell's own: r0 takes it before (`common_step`).
+    the readings have in common is no cell's own: r0 takes it before (`Readout.common_step`).
 
     A random walk of log r whose past is summed up in one frame: the arrival cost of moving-horizon estimation with a
     horizon of one frame, an extended Kalman filter with bounds. Of the covariance it reads the diagonal. Where readings
@@ -47,18 +44,3 @@ class Arrival(Term):
         """Change in units of its standard deviation, (cells, 1)."""
         variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
         return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
-
-
-def common_step(measured: Array, expected: Array) -> float:
-    """The factor that most readings have in common against what is expected of them; both in ohm, any shape.
-
-    Two-point resistances are homogeneous: with all cells they grow by one factor. The mean of the shortest half of
-    log R_m/R, so that a load on some lines does not count. 1 without readings. Source: Andrews et al., Robust Estimates
-    of Location, 1972 (the shorth).
-    """
-    steps = np.sort(np.log(measured / expected), axis=None)
-    half = len(steps) // 2 + 1
-    if half > len(steps):
-        return 1.0
-    first = int(np.argmin(steps[half - 1 :] - steps[: len(steps) - half + 1]))
-    return float(np.exp(steps[first : first + half].mean()))

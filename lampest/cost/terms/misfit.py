@@ -10,7 +10,7 @@ from lampest.cost.terms.term import State, Term
 
 @dataclass(frozen=True)
 class Misfit(Term):
-    """f(r) − R_m in ohm, or (f(r) − R_m)/σ without unit where weighting is 'noise'; paper, equation (11)."""
+    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11)."""
 
     unit: ClassVar[str] = "ohm"
     kind: Literal["misfit"] = "misfit"
@@ -18,8 +18,8 @@ class Misfit(Term):
     weighting: Literal["plain", "noise"] = "plain"
 
     def residual(self, state: State) -> Any:
-        """Modelled minus measured two-point resistance, (cells, 1); of a bound only what breaks it."""
-        difference = state.two_point_resistance - state.measured
+        """Modelled minus measured readings, (cells, 1); of a bound only what breaks it."""
+        difference = state.reading - state.measured
         if state.side is not None:
             beyond = state.side * casadi.fmin(state.side * difference, 0)
             difference = state.seen * ((1 - state.side**2) * difference + beyond)

@@ -8,40 +8,29 @@ from typing import Any, ClassVar, Literal
 
 import casadi
 
+from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Squared
 from lampest.panel.panel import Panel
 
 Reference = Literal["baseline", "previous"]
 
 
-@dataclass(frozen=True, eq=False)
-class State:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State(Given):
     """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
 
     Parameters
     ----------
     panel : shape of the panel.
     cell_resistance : r, ohm.
-    two_point_resistance : R = f(r) as the model has it, ohm.
-    measured : R_m without the series resistance, ohm.
-    sigma : standard deviation of R_m, ohm.
-    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm; None where there is none.
-    baseline : the unloaded panel's cell resistance, ohm; None where there is none.
-    previous_deviation : standard deviation of log r0; 0 where it is an unknown of the same solve, None without one.
-    side, seen : of each reading: 0 a value, 1 or -1 where R is at least or at most this; 1, or 0 where it says
-        nothing. None where all readings are values.
+    reading : y = f(r) as the model has it, in the readout's unit (ohm or volt).
+
+    and all that `Given` declares: what was measured, and what is known from earlier frames.
     """
 
     panel: Panel
     cell_resistance: Any
-    two_point_resistance: Any
-    measured: Any
-    sigma: Any
-    previous: Any = None
-    side: Any = None
-    seen: Any = None
-    baseline: Any = None
-    previous_deviation: Any = None
+    reading: Any
 
     def relative_change(self) -> Any:
         """100·(r − r0)/r0 in percent; paper, equation (15)."""

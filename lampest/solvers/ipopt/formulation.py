@@ -1,4 +1,4 @@
-"""How two-point resistance follows from cell resistance inside an optimisation problem."""
+"""How readings follow from cell resistance inside an optimisation problem."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import casadi
 
 from lampest.panel.network import Network
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,21 +16,29 @@ class NetworkSymbols:
 
     potentials : (n, 1) node voltages for unit currents.
     balance : (n, 1) Kirchhoff's current law; zero at a solution, bilinear in conductances and potentials.
-    two_point_resistance : (cells, 1) row-major, linear in the potentials.
+    reading : (cells, 1) row-major, in the readout's unit.
     """
 
     potentials: casadi.SX
     balance: casadi.SX
-    two_point_resistance: casadi.SX
+    reading: casadi.SX
 
 
 class Formulation(ABC):
     """Node voltages as decision variables, Kirchhoff's current law as constraints."""
 
     @abstractmethod
-    def network(self, panel: Panel, conductance: casadi.SX, tie: casadi.SX, prefix: str) -> NetworkSymbols:
-        """Variables and equations for a (rows, columns) conductance and a (rows + columns, 1) tie to ground."""
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
+        """Variables and equations for a (rows, columns) conductance and (rows + columns, 1) ties to ground.
+
+        Conductances and ties are in 1/`scale`, potentials for unit currents in units of `scale`, an ohm.
+        """
 
     @abstractmethod
-    def potentials(self, network: Network) -> Array:
-        """The values of `NetworkSymbols.potentials` in a solved network; the start of a solver."""
+    def potentials(self, readout: Readout, network: Network) -> Array:
+        """The values of `NetworkSymbols.potentials` in a solved network, in ohm; the start of a solver."""
+
+    def check(self, readout: Readout) -> None:
+        """Raise InputError where the formulation cannot say what the readout reads."""

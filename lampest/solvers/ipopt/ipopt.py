@@ -10,6 +10,7 @@ import numpy as np
 from lampest.cost.cost import Cost, huber_residuals
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
 from lampest.solvers.ipopt.program import Program
 from lampest.solvers.solution import Outcome, Settings, Status
@@ -42,11 +43,18 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class Ipopt:
-    """One cost and formulation on one panel shape; the program is built once and kept."""
+    """One cost, readout and formulation on one panel shape; the program is built once and kept.
+
+    Raises InputError where the formulation does not know the readout.
+    """
 
     cost: Cost
+    readout: Readout
     formulation: Formulation
     settings: Settings
+
+    def __post_init__(self) -> None:
+        self.formulation.check(self.readout)
 
     def prepare(self) -> None:
         """Build the program, so that the first solve is not charged for it."""
@@ -56,13 +64,19 @@ class Ipopt:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         solver = self._solver
         scale, rough = data.resistance_scale, start.rough
-        huber = start.call(self.cost.functions.huber, np.zeros(len(rough)))
+        huber = start.of_terms(self.cost.functions.huber)
         split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
-        measured, sigma, *known = data.parameters
-        scales = [scale, start.cost_scale, split_scale]
+        own = {
+            "ties": data.ties.ravel() * scale,
+            "weights": self.cost.weights,
+            "scale": scale,
+            "cost_scale": start.cost_scale,
+            "split_scale": split_scale,
+        }
+        values = data.given.flat | own
         result = solver(
             x0=self._start(start, scale, rough / split_scale, huber / split_scale),
-            p=np.concatenate([measured, sigma, data.ties.ravel() * scale, *known, self.cost.weights, scales]),
+            p=np.concatenate([np.atleast_1d(values[name]) for name in self._parameters]),
             lbg=0,
             ubg=0,
             **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
@@ -78,33 +92,43 @@ class Ipopt:
 
     def _start(self, start: Evaluation, scale: float, rough: Array, huber: Array) -> Array:
         conductance = scale / start.cell_resistance.ravel()
-        potentials = [self.formulation.potentials(network) / scale for network in start.networks]
+        potentials = [self.formulation.potentials(self.readout, network) / scale for network in start.networks]
         parts = [rough, *np.split(huber, np.cumsum(self._huber_sizes)[:-1])]
         split = [side for part in parts for side in (np.maximum(part, 0) + 0.01, np.maximum(-part, 0) + 0.01)]
         return np.concatenate([conductance, *potentials, *split])
 
     def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
-        """Bounds of all unknowns; no network reads a cell below a thousandth of what is measured across it."""
+        """Bounds of all unknowns; no network reads a cell below a thousandth of its apparent resistance."""
         free = int(self._solver.size1_in("x0")) - data.measured.size - split
-        least = np.minimum(np.maximum(data.lower, data.measured / 1000), data.upper).ravel()
+        least = np.minimum(np.maximum(data.lower, data.apparent_resistance / 1000), data.upper).ravel()
         lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
         upper = [scale / least, np.full(free + split, np.inf)]
         return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}
 
     @cached_property
     def _huber_sizes(self) -> list[int]:
-        pairs = self.cost.residuals(*self.cost.symbols())
+        pairs = self.cost.residuals(self.cost.symbols)
         return [part.shape[0] for *_, part in huber_residuals(self.cost, pairs)]
 
-    @cached_property
+    @property
     def _solver(self) -> casadi.Function:
-        return _compiled(self.cost.unweighted, self.formulation, self.settings)
+        return self._compiled[0]
+
+    @property
+    def _parameters(self) -> tuple[str, ...]:
+        return self._compiled[1]
+
+    @cached_property
+    def _compiled(self) -> tuple[casadi.Function, tuple[str, ...]]:
+        return _compiled(self.cost.unweighted, self.readout, self.formulation, self.settings)
 
 
 @lru_cache(maxsize=32)
-def _compiled(cost: Cost, formulation: Formulation, settings: Settings) -> casadi.Function:
-    """One program serves all weights."""
-    program = Program.build(cost, formulation)
+def _compiled(
+    cost: Cost, readout: Readout, formulation: Formulation, settings: Settings
+) -> tuple[casadi.Function, tuple[str, ...]]:
+    """(solver, names of its parameters in their order); one program serves all weights."""
+    program = Program.build(cost, readout, formulation)
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
     several_minima = any(term.needs_previous for term in cost.terms)
     options: dict[str, Any] = {
@@ -112,4 +136,4 @@ def _compiled(cost: Cost, formulation: Formulation, settings: Settings) -> casad
         "hess_lag": program.hessian(),
         "print_time": False,
     }
-    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
+    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options), tuple(program.parameters)

@@ -6,28 +6,34 @@ from typing import Any, Literal
 import casadi
 import numpy as np
 
-from lampest.panel.network import Network, current_balance
-from lampest.panel.panel import Array, Panel
+from lampest.panel.kirchhoff import current_balance
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.equation import reads_own
 from lampest.solvers.ipopt.formulation import Formulation, NetworkSymbols
 
 
 @dataclass(frozen=True)
 class Nodal(Formulation):
-    """R_jk = Z_jj + Z_kk − 2 Z_jk, where column c of Z holds the potentials for a unit current into line c.
+    """y_jk = h(Z_jj, Z_kk, Z_jk), where column c of Z holds the potentials for a unit current into line c.
 
     Z is symmetric, so only its half is unknown. Call the shorter side of the panel the driven one, the other the far
     one. What one far line sees when another far line is driven is read by no measurement and follows from the rest, so
-    it is no unknown either. With n driven and m far lines n(n + 1)/2 + mn + m voltages remain, as many as equations.
+    it is no unknown either, nor is a far line's own potential where the readout does not ask for it. With n driven and
+    m far lines n(n + 1)/2 + mn + m voltages remain, as many as equations.
     """
 
     kind: Literal["nodal"] = "nodal"
 
-    def network(self, panel: Panel, conductance: casadi.SX, tie: casadi.SX, prefix: str) -> NetworkSymbols:
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
         """Drive the lines of the shorter side; a far line's own impedance closes its balance when it is driven."""
-        far, driven = sorted(panel.shape, reverse=True)
-        swapped = _swapped(panel.shape)
+        far, driven = sorted(conductance.shape, reverse=True)
+        swapped = _swapped(conductance.shape)
         cells = conductance.T if swapped else conductance
-        tie_far, tie_driven = (casadi.diag(part) for part in _sides(tie, panel.shape))
+        tie_far, tie_driven = (casadi.diag(part) for part in _sides(tie, conductance.shape))
         half = casadi.SX.sym(f"{prefix}driven_driven", driven * (driven + 1) // 2)
         mixed = casadi.SX.sym(f"{prefix}far_driven", far * driven)
         own = casadi.SX.sym(f"{prefix}far_far", far)
@@ -41,20 +47,37 @@ class Nodal(Formulation):
         own_balance = casadi.diag(from_own + tie_far @ casadi.diag(own)) - 1
         lower = casadi.vertcat(*(from_driven[line, : line + 1].T for line in range(driven)))
 
-        own_sum = casadi.repmat(own, 1, driven) + casadi.repmat(casadi.diag(near_potential).T, far, 1)
-        resistance = own_sum - 2 * far_potential
+        of_far, of_driven = casadi.repmat(own, 1, driven), casadi.repmat(casadi.diag(near_potential).T, far, 1)
+        entries = [of_driven.T, of_far.T, far_potential.T] if swapped else [of_far, of_driven, far_potential]
+        reads_far = _reads_far(readout, conductance.shape)
+        unknown, balance = [half, mixed], [lower, casadi.vec(from_far.T)]
         return NetworkSymbols(
-            casadi.vertcat(half, mixed, own),
-            casadi.vertcat(lower, casadi.vec(from_far.T), own_balance),
-            casadi.vec(resistance if swapped else resistance.T),
+            casadi.vertcat(*unknown, *([own] if reads_far else [])),
+            casadi.vertcat(*balance, *([own_balance] if reads_far else [])),
+            casadi.vec(_scaled_reading(readout, entries, scale).T),
         )
 
-    def potentials(self, network: Network) -> Array:
-        """Half of the driven block, the far-driven block and the diagonal of the far block of Z."""
-        far, driven = _sides(np.arange(len(network.impedance)), network.conductance.shape)
-        half = network.impedance[np.ix_(driven, driven)][np.tril_indices(len(driven))]
-        mixed = network.impedance[np.ix_(far, driven)]
-        return np.concatenate([half, mixed.ravel(), np.diag(network.impedance)[far]])
+    def potentials(self, readout: Readout, network: Network) -> Array:
+        """Half of the driven block, the far-driven block and, if read, the diagonal of the far block of Z."""
+        impedance, shape = network.potentials(), network.conductance.shape
+        far, driven = _sides(np.arange(len(impedance)), shape)
+        half = impedance[np.ix_(driven, driven)][np.tril_indices(len(driven))]
+        mixed = impedance[np.ix_(far, driven)]
+        own = np.diag(impedance)[far if _reads_far(readout, shape) else []]
+        return np.concatenate([half, mixed.ravel(), own])
+
+
+def _scaled_reading(readout: Readout, entries: list[casadi.SX], scale: casadi.SX) -> casadi.SX:
+    """h of entries of Z in units of `scale`, (rows, columns)."""
+    if readout.homogeneous:
+        return scale * readout.reading(*entries)
+    return readout.reading(*(scale * entry for entry in entries))
+
+
+def _reads_far(readout: Readout, shape: tuple[int, ...]) -> bool:
+    """Whether the reading asks for the far lines' own impedances."""
+    row, column = reads_own(readout, *shape)
+    return column if _swapped(shape) else row
 
 
 def _swapped(shape: tuple[int, ...]) -> bool:

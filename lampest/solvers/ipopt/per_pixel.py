@@ -6,8 +6,11 @@ from typing import Literal
 import casadi
 import numpy as np
 
-from lampest.panel.network import Network, current_balance
-from lampest.panel.panel import Array, Panel
+from lampest.files.errors import InputError
+from lampest.panel.kirchhoff import current_balance
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.solvers.ipopt.formulation import Formulation, NetworkSymbols
 
 
@@ -17,10 +20,17 @@ class PerPixel(Formulation):
 
     kind: Literal["per_pixel"] = "per_pixel"
 
-    def network(self, panel: Panel, conductance: casadi.SX, tie: casadi.SX, prefix: str) -> NetworkSymbols:
+    def check(self, readout: Readout) -> None:
+        """Raise InputError for a readout other than two_point, whose patterns these are."""
+        if not isinstance(readout, TwoPointReadout):
+            raise InputError("formulation: per_pixel knows readout.kind: two_point only; nodal and reduced know all")
+
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
         """(rows + columns)·cells voltages and as many current balances."""
-        rows, columns = panel.shape
-        cells = panel.cells
+        rows, columns = conductance.shape
+        cells = rows * columns
         row_potential = casadi.SX.sym(f"{prefix}row", rows, cells)
         column_potential = casadi.SX.sym(f"{prefix}column", columns, cells)
         from_rows, from_columns = current_balance(conductance, row_potential, column_potential)
@@ -34,11 +44,11 @@ class PerPixel(Formulation):
         return NetworkSymbols(
             casadi.vec(casadi.vertcat(row_potential, column_potential)),
             casadi.vec(casadi.vertcat(from_rows, from_columns)),
-            seen.T,
+            scale * seen.T,
         )
 
-    def potentials(self, network: Network) -> Array:
+    def potentials(self, readout: Readout, network: Network) -> Array:
         """Z b for every pixel's current pattern b, one after the other."""
-        rows, impedance = network.rows, network.impedance
+        rows, impedance = network.rows, network.potentials()
         pattern = impedance[:, :rows][:, :, None] - impedance[:, rows:][:, None, :]
         return pattern.reshape(len(impedance), -1).T.ravel()

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import casadi
 
-from lampest.cost.cost import Cost, huber_residuals, smooth_and_rough
+from lampest.cost.cost import Cost, Symbols, huber_residuals, smooth_and_rough
 from lampest.cost.losses import Huber
+from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
 
 
@@ -20,9 +21,8 @@ class Program:
 
     split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
 
-    parameters, in this order: measured and σ (cells, frames) ohm, tie (lines, frames) in 1/s, previous and baseline
-    (cells, 1) ohm, the standard deviation of the former's logarithm, side and seen if readings have them, the terms'
-    weights, s in ohm, the size of the cost, the size of the absolute residuals.
+    parameters : name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in
+    ohm, `cost_scale`, the size of the cost, and `split_scale`, that of the absolute residuals.
     """
 
     conductance: casadi.SX
@@ -31,7 +31,7 @@ class Program:
     balance: casadi.SX
     split_balance: casadi.SX
     objective: casadi.SX
-    parameters: casadi.SX
+    parameters: dict[str, casadi.SX]
 
     @property
     def unknown(self) -> casadi.SX:
@@ -39,27 +39,36 @@ class Program:
         return casadi.vertcat(self.conductance, self.potentials, self.split)
 
     @property
+    def parameter(self) -> casadi.SX:
+        """p: all parameters, one after the other."""
+        return casadi.vertcat(*(casadi.vec(symbol) for symbol in self.parameters.values()))
+
+    @property
     def nlp(self) -> dict[str, casadi.SX]:
         """The program as CasADi's solvers take it."""
         constraints = casadi.vertcat(self.balance, self.split_balance)
-        return {"x": self.unknown, "p": self.parameters, "f": self.objective, "g": constraints}
+        return {"x": self.unknown, "p": self.parameter, "f": self.objective, "g": constraints}
 
     @classmethod
-    def build(cls, cost: Cost, formulation: Formulation) -> "Program":
+    def build(cls, cost: Cost, readout: Readout, formulation: Formulation) -> "Program":
         """Write the program down with whole matrices."""
-        _, _, measured, sigma, *known = cost.symbols()
+        given = cost.symbols.given
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
         conductance = casadi.SX.sym("conductance", cost.panel.cells, cost.frames)
         networks = [
             formulation.network(
-                cost.panel, casadi.reshape(conductance[:, frame], columns, rows).T, tie[:, frame], f"frame{frame}_"
+                readout,
+                casadi.reshape(conductance[:, frame], columns, rows).T,
+                tie[:, frame],
+                scale,
+                f"frame{frame}_",
             )
             for frame in range(cost.frames)
         ]
-        two_point = scale * casadi.horzcat(*(network.two_point_resistance for network in networks))
-        pairs = cost.residuals(scale / conductance, two_point, measured, sigma, *known)
+        reading = casadi.horzcat(*(network.reading for network in networks))
+        pairs = cost.residuals(Symbols(scale / conductance, reading, given))
         weights = casadi.SX.sym("weights", len(cost.terms))
         others = [pair for pair in pairs if not isinstance(cost.terms[pair[0]].loss, Huber)]
         smooth, rough, slope = smooth_and_rough(cost, others, weights)
@@ -72,7 +81,7 @@ class Program:
             outside = 2 * corner * split_scale * casadi.sum1(above + below)
             objective += weights[number] * (casadi.sumsqr(inside) + outside)
             split += [above, below]
-        given = (measured, sigma, tie, *known, weights, scale, cost_scale, split_scale)
+        own = {"ties": tie, "weights": weights, "scale": scale, "cost_scale": cost_scale, "split_scale": split_scale}
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),
@@ -80,7 +89,7 @@ class Program:
             casadi.vertcat(*(network.balance for network in networks)),
             rough / split_scale - positive + negative,
             objective / cost_scale,
-            casadi.vertcat(*(casadi.vec(part) for part in given)),
+            dict(given.named()) | own,
         )
 
     def hessian(self) -> casadi.Function:
@@ -106,6 +115,6 @@ class Program:
             ]
         )
         multiplier = casadi.vertcat(network_multiplier, split_multiplier)
-        arguments = [self.unknown, self.parameters, weight, multiplier]
+        arguments = [self.unknown, self.parameter, weight, multiplier]
         names = ["x", "p", "lam_f", "lam_g"]
         return casadi.Function("nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"])

@@ -1,7 +1,7 @@
 """Second derivatives of the cost in u = log r, potentials eliminated: as a product, or as a matrix on small panels.
 
-With g = 1/r, J = ∂R/∂u = (D∘D)·diag(g), e = ∂φ/∂R, and H the second derivatives of the terms with respect to (r; R):
-∇²φ = (diag r; J)ᵀ H (diag r; J) + 2 diag(g)(D ∘ Bᵀ Z L_e Z B) diag(g) + diag(r ∂φ/∂r − Jᵀ e).
+With the network's J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), and H the second derivatives of the
+terms with respect to (r; y): ∇²φ = (diag r; J)ᵀ H (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e).
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.cost.problem import Evaluation
+from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
 from lampest.solvers.newton.smoothing import Smoothing
 
@@ -34,30 +35,29 @@ class Curvature:
 
     @cached_property
     def direct(self) -> Array:
-        """r·∂φ/∂r at fixed two-point resistance."""
+        """r·∂φ/∂r at fixed readings."""
         return (self.at.cell_resistance * self._partials[0]).ravel()
 
     @cached_property
     def through(self) -> Array:
-        """Jᵀ·∂φ/∂R."""
+        """Jᵀ·∂φ/∂y."""
         return self.adjoint(self._partials[1])
 
     def forward(self, step: Array) -> Array:
-        """J·p, the change of the two-point resistances, (frames, rows, columns)."""
-        weights = step.reshape(self.at.cell_resistance.shape) / self.at.cell_resistance
-        pairs = zip(self.at.networks, weights, strict=True)
-        return -np.stack([network.conductance_product(frame) for network, frame in pairs])
+        """J·p, the change of the readings, (frames, rows, columns)."""
+        pairs = zip(self.at.networks, step.reshape(self.at.cell_resistance.shape), strict=True)
+        return np.stack([network.forward(frame) for network, frame in pairs])
 
     def adjoint(self, weights: Array) -> Array:
         """Jᵀ·w, flat, for w (frames, rows, columns)."""
         pairs = zip(self.at.networks, weights, strict=True)
-        product = np.stack([network.conductance_product(frame) for network, frame in pairs])
-        return -(product / self.at.cell_resistance).ravel()
+        return np.stack([network.adjoint(frame) for network, frame in pairs]).ravel()
 
     @cached_property
-    def _bends(self) -> list[Array]:
-        """Z L_e Z of every frame, (lines, lines)."""
-        return [network.bend(slope) for network, slope in zip(self.at.networks, self._partials[1], strict=True)]
+    def _second_orders(self) -> list[SecondOrder]:
+        """N of every frame."""
+        pairs = zip(self.at.networks, self._partials[1], strict=True)
+        return [network.second_order(slope) for network, slope in pairs]
 
     @cached_property
     def terms(self) -> sparse.csr_array:
@@ -74,14 +74,13 @@ class Curvature:
     def product(self, step: Array) -> Array:
         """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells²."""
         cells = self.at.cell_resistance
-        weights = step.reshape(cells.shape) / cells
         change, bent = np.empty_like(cells), np.empty_like(cells)
-        for frame, network in enumerate(self.at.networks):
-            change[frame], bent[frame] = network.bent_products(weights[frame], self._bends[frame])
+        for frame, part in enumerate(step.reshape(cells.shape)):
+            change[frame], bent[frame] = self._second_orders[frame].products(part)
         force = self.terms @ np.concatenate([cells.ravel() * step, change.ravel()])
         direct, through = np.split(force, 2)
         product = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
-        whole: Array = product + (2 * bent / cells).ravel() + (self.direct - self.through) * step
+        whole: Array = product + bent.ravel() + (self.direct - self.through) * step
         return whole
 
     @property
@@ -96,7 +95,7 @@ class Curvature:
         cells = self.at.cell_resistance.ravel()
         scale = sparse.diags_array(cells)
         model = self.terms.diagonal()[len(cells) :]
-        response = (self.at.two_point_resistance**2 / self.at.cell_resistance).ravel()
+        response = np.stack([network.own_response() for network in self.at.networks]).ravel()
         rest = model * response**2 + np.maximum(self.direct - self.through, 0)
         return sparse.csr_array(scale @ self.terms[: len(cells), : len(cells)] @ scale + sparse.diags_array(rest))
 
@@ -108,12 +107,8 @@ class Curvature:
         jacobian, matrix = np.zeros((count, count)), np.zeros((count, count))
         for frame, network in enumerate(self.at.networks):
             block = slice(frame * size, (frame + 1) * size)
-            conductance = network.conductance.ravel()
-            transfer = network.transfer()
-            np.multiply(transfer * transfer, conductance, out=jacobian[block, block])
-            transfer *= 2 * conductance[:, None]
-            transfer *= network.between_cells(self._bends[frame])
-            np.multiply(transfer, conductance, out=matrix[block, block])
+            jacobian[block, block] = network.sensitivity()
+            matrix[block, block] = self._second_orders[frame].matrix()
         self._add_terms(matrix, jacobian, cells)
         matrix[np.diag_indices(count)] += self.direct - self.through
         return matrix

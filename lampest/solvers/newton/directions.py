@@ -7,10 +7,9 @@ from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
 from lampest.panel.panel import Array
-from lampest.solvers.newton.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
+from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.reach import within_reach
-from lampest.solvers.newton.stencil import Stencil
 
 LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
 REACH, TINY = 2.5, 0.1  # changes of log r
@@ -83,20 +82,18 @@ def raised(damping: float) -> float:
 
 
 def misfit_inverse(curvature: Curvature, free: NDArray[np.intp]) -> Linear:
-    """(Jᵀ W J)⁻¹ with the stencil in place of D∘D, on the free cells of one frame."""
+    """(Jᵀ W J)⁻¹ with the network's approximate J⁻¹, on the free cells of one frame."""
     resistance = curvature.at.cell_resistance[0]
     weight = _at_least(curvature.terms.diagonal()[resistance.size :], 1e-6)
     moving = np.zeros(resistance.size, dtype=bool)
     moving[free] = True
-    model = curvature.at.two_point_resistance[0]
-    stencil = Stencil.of(1 / resistance, model, moving.reshape(resistance.shape))
+    inverse = curvature.at.networks[0].response_inverse(moving.reshape(resistance.shape))
 
     def solve(values: Array) -> Array:
         whole = np.zeros(resistance.size)
         whole[free] = values
-        half = stencil.solve(whole.reshape(resistance.shape) * resistance)
-        solved: Array = stencil.solve(half / weight.reshape(resistance.shape)) * resistance
-        return solved.ravel()[free]
+        half = inverse.solve_transposed(whole.reshape(resistance.shape))
+        return inverse.solve(half / weight.reshape(resistance.shape)).ravel()[free]
 
     return solve
 

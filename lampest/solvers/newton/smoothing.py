@@ -39,7 +39,7 @@ class Smoothing:
         return at.objective + float(np.sum(at.cost.slope * excess))
 
     def jacobian(self, at: Evaluation) -> sparse.csr_array:
-        """∂x/∂(r; R), sparse."""
+        """∂x/∂(r; y), sparse."""
         function = at.cost.functions.rough_jacobian
         shape = (len(at.rough), 2 * at.cell_resistance.size)
         return sparse.csr_array((at.call(function, self.dual), function.pattern), shape=shape)
@@ -56,7 +56,7 @@ class Smoothing:
             return self
         moves = [
             after.cell_resistance - before.cell_resistance,
-            after.two_point_resistance - before.two_point_resistance,
+            after.reading - before.reading,
         ]
         change = self.jacobian(before) @ np.concatenate([move.ravel() for move in moves])
         dual = self.slope(before.rough) + self.stiffness(before.rough) * change

@@ -1,71 +1,13 @@
-"""Blocks of cells: where they lie, and what a network becomes when only their cells change."""
+"""Blocks of cells: where they lie, and how they grow."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Data
-from lampest.panel.network import Network, laplacian
-from lampest.panel.panel import Array
+from lampest.panel.network import Block
 
-MARGIN = 1
-MOST_FITS, FITTED, ROUNDING = 30, 1e-9, 1e-14
-LENGTHS = tuple(0.5**power for power in range(20))
-
-Block = tuple[slice, slice]
-
-
-def changed(network: Network, block: Block, conductance: Array) -> Network:
-    """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
-    lines = lines_of(network, block)
-    change = laplacian(conductance - network.conductance[block])
-    towards = network.impedance[:, lines]
-    core = np.linalg.solve(np.eye(len(lines)) + change @ towards[lines], change)
-    whole = network.conductance.copy()
-    whole[block] = conductance
-    return Network(whole, network.impedance - towards @ core @ towards.T)
-
-
-def lines_of(network: Network, block: Block) -> NDArray[np.intp]:
-    """The numbers of a block's lines, rows first."""
-    rows, columns = network.conductance.shape
-    return np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
-
-
-def fitted(network: Network, data: Data, block: Block, plain: NDArray[np.bool_]) -> Network:
-    """The network with the block's cells such that they reproduce its plain readings, as far as bounds allow.
-
-    g* = argmin ⟨R_m, g⟩ − log det C(g), convex; see `lampest.solvers.convex`.
-    """
-    measured, least = data.measured[0][block], 1 / data.upper[0][block]
-    lines = lines_of(network, block)
-    resting, impedance = network.conductance[block], network.impedance[np.ix_(lines, lines)]
-
-    def at(conductance: Array) -> tuple[float, Network]:
-        system = np.eye(len(lines)) + impedance @ laplacian(conductance - resting)
-        value = float(np.sum(measured * conductance)) - float(np.linalg.slogdet(system)[1])
-        return value, Network(conductance, np.linalg.solve(system, impedance))
-
-    conductance = resting
-    value, here = at(conductance)
-    for _ in range(MOST_FITS):
-        gradient = measured - here.two_point_resistance()
-        free = plain[block] & ((conductance > least * (1 + 1e-12)) | (gradient < 0))
-        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < FITTED:
-            break
-        chosen, step = np.flatnonzero(free), np.zeros(measured.shape)
-        curvature = here.transfer()[np.ix_(chosen, chosen)] ** 2
-        step[free] = np.linalg.solve(curvature, -gradient[free])
-        for length in LENGTHS:
-            trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
-            trial_value, there = at(trial)
-            if trial_value <= value + 1e-4 * float(np.sum(gradient * (trial - conductance))) + ROUNDING * abs(value):
-                break
-        else:
-            break
-        conductance, value, here = trial, trial_value, there
-    return changed(network, block, conductance)
+MARGIN = 1  # cells round those that stand out: their neighbours feel a load, too
 
 
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:

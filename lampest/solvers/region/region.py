@@ -8,20 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Given
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
-from lampest.panel.network import Network
+from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array, Panel
-from lampest.solvers.convex import convex_start
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.region.blocks import Block, area, changed, fitted, grown, widened
+from lampest.solvers.region.blocks import area, grown, widened
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
 
-EXACT = 1e-6
 HALO = 2  # cells round a block that a gradient inside it reads
 DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
@@ -53,12 +52,10 @@ class RegionSolver:
         """
         network = self._exact
         change, noise = np.log(data.measured[0] / self.baseline.data.measured[0]), self._noise(data)
-        plain = np.ones(change.shape, dtype=bool)
-        for marks in (data.marks, self.baseline.data.marks):
-            plain &= True if marks is None else (marks[0][0] == 0) & (marks[1][0] > 0)
+        plain = data.plain[0] & self.baseline.data.plain[0]
         blocks: tuple[Block, ...] = ()
         for _ in range(MOST_GROWTHS):
-            left = change - np.log(network.two_point_resistance() / self._exact.two_point_resistance())
+            left = change - np.log(network.reading() / self._exact.reading())
             found = grown(self._outstanding(left, noise) & plain, blocks)
             large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
             if large or (found == blocks and self._moved(left, noise)):
@@ -67,7 +64,8 @@ class RegionSolver:
                 break
             blocks = found
             for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
-                network = fitted(network, data, block, plain)
+                part = (data.measured[0][block], 1 / data.upper[0][block], plain[block])
+                network = data.readout.fitted_block(network, block, *part)
         return self._minimised(data, previous, network, blocks)
 
     @cached_property
@@ -76,15 +74,14 @@ class RegionSolver:
         resting, data = self.baseline.networks[0], self.baseline.data
         if all(isinstance(term, Misfit) for term in self.cost.terms):
             return resting
-        cells = convex_start(data.measured[0], data.upper[0], tolerance=EXACT)
-        found = data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
-        return found
+        cells = data.readout.exact_start(data.measured[0], data.upper[0])
+        return data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
 
     def _minimised(self, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
         """The cost's minimum over the cells of each block in turn, all others as they are."""
         network, steps = self.baseline.networks[0], 0
         for block in blocks:
-            network = changed(network, block, fit.conductance[block])
+            network = network.changed(block, fit.conductance[block])
         for block in blocks:
             inside = Inside.of(self.cost, data, network, block)
             starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
@@ -93,15 +90,15 @@ class RegionSolver:
         cells = self.baseline.cell_resistance.copy()
         for block in blocks:
             cells[0][block] = 1 / network.conductance[block]
-        return self._solution(data, replace(network, conductance=1 / cells[0]), cells, steps)
+        return self._solution(data, network.relabelled(1 / cells[0]), cells, steps)
 
     def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
         """What `approximation` gives, without solving the network once more."""
-        at = Evaluation(self.cost, data, cells, network.two_point_resistance()[None], (network,))
+        at = Evaluation(self.cost, data, cells, network.reading()[None], (network,))
         residual = at.kkt_residual(np.zeros(len(self.cost.slope)))
         low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         found = (at.costs, at.objective, residual, low, open_cell, Status.APPROXIMATE, steps)
-        return Solution(cells, at.two_point_resistance, *found)
+        return Solution(cells, at.reading, *found)
 
     def _noise(self, data: Data) -> Array:
         """Standard deviation of a reading's logarithmic change."""
@@ -185,8 +182,8 @@ class Inside:
         """The point u = log r of the block's cells, held to their bounds."""
         position = np.clip(position, self.lower, self.upper)
         conductance = np.exp(-position).reshape(self.resting.conductance[self.block].shape)
-        network = changed(self.resting, self.block, conductance)
-        cells, model = 1 / network.conductance, network.two_point_resistance()
+        network = self.resting.changed(self.block, conductance)
+        cells, model = 1 / network.conductance, network.reading()
         parts = []
         if self.misfit is not None:
             own, read = (np.atleast_2d(whole.reshape(-1)[self.reads])[None] for whole in (cells, model))
@@ -235,8 +232,7 @@ def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
 
 def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
     """(∇φ, its curvature without that of R) in u over the block's cells; absolute losses smoothed more or less."""
-    rows, columns = here.network.conductance.shape
-    block = np.zeros((rows, columns), dtype=bool)
+    block = np.zeros(here.network.conductance.shape, dtype=bool)
     block[inside.block] = True
     own = np.flatnonzero(block)
     cells = np.exp(here.position)
@@ -248,10 +244,7 @@ def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
         direct, through = (side.ravel() for side in part.partials(smoothing.dual))
         terms, count = Curvature(part, smoothing).terms, part.cell_resistance.size
         if part.cost is inside.misfit:
-            impedance = here.network.impedance
-            from_own = impedance[:, own // columns] - impedance[:, rows + own % columns]
-            transfer = from_own[inside.reads // columns] - from_own[rows + inside.reads % columns]
-            jacobian = transfer**2 / cells
+            jacobian = here.network.sensitivity(own, inside.reads)
             slope += jacobian.T @ through
             matrix += jacobian.T @ (terms[count:, count:] @ jacobian)
         else:
@@ -264,11 +257,11 @@ def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
 
 def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:
     """The data of some of a panel's readings or cells; pick : (rows, columns) → their own shape."""
-    given = (data.measured, data.sigma, data.lower, data.upper, *(data.marks or ()))
-    measured, sigma, lower, upper, *marks = (pick(part[0])[None] for part in given)
-    parts = (data.previous, data.baseline, data.previous_deviation)
-    previous, *known = (None if part is None else pick(part) for part in parts)
-    return Data(measured, sigma, lower, upper, previous, (marks[0], marks[1]) if marks else None, *known)
+    sources = Given.sources()
+    parts = {
+        name: pick(value[0])[None] if sources[name].per_frame else pick(value) for name, value in data.given.named()
+    }
+    return Data(Given(**parts), pick(data.lower[0])[None], pick(data.upper[0])[None], data.readout)
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,174 @@
+"""What a solve is given beside its unknowns, by name: the one place that declares it.
+
+A term reads these names of its `State`; data hold them as arrays, compiled costs as symbols. Whatever a new term must
+know is one more field here: what it is, where it comes from, and what stands for it where there is none.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, Protocol, Self
+
+import casadi
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+
+class FrameReadings(Protocol):
+    """The readings that a solve is given, all (frames, rows, columns); see `lampest.recording.readings`."""
+
+    @property
+    def resistance(self) -> Array:
+        """The network's readings, in the readout's unit."""
+
+    @property
+    def sigma(self) -> Array | None:
+        """Their standard deviation, or None."""
+
+    @property
+    def side(self) -> Array:
+        """0 a value, 1 or -1 where the truth is at least or at most this."""
+
+    @property
+    def seen(self) -> Array:
+        """1, or 0 where a reading says nothing."""
+
+    @property
+    def partial(self) -> bool:
+        """Whether any reading is not a plain value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What stands behind a frame: the scene, and what is known from earlier frames.
+
+    Parameters
+    ----------
+    scene : panel, readout, faults and all else that is known of the measurement.
+    period : s between frames; infinite where there is one only.
+    previous, previous_deviation : (rows, columns) the last estimate in ohm and the standard deviation of its logarithm.
+    baseline : (rows, columns) ohm, the cells of the unloaded panel. None where nothing is known.
+    """
+
+    scene: Scene
+    period: float = float("inf")
+    previous: Array | None = None
+    previous_deviation: Array | None = None
+    baseline: Array | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a field of `Given` comes from.
+
+    Parameters
+    ----------
+    of : its value from the readings and the background; None where there is none.
+    absent : the number that stands in the arrays of a compiled cost where there is none; no term reads it then.
+    per_frame : (frames, rows, columns) rather than (rows, columns).
+    partial : only there where readings may be bounds or say nothing.
+    after : of a field that speaks of an earlier frame: what it is for a frame that is solved together with the
+        baseline, from the baseline's cells (cells, 1), which are unknown then.
+    """
+
+    of: Callable[[FrameReadings, Background], Array | None]
+    absent: float
+    per_frame: bool = False
+    partial: bool = False
+    after: Callable[[casadi.SX], casadi.SX] | None = None
+
+
+def given(source: Source) -> Any:
+    """A field of `Given`, None unless it is set."""
+    return field(default=None, metadata={"source": source})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Given:
+    """Arrays in a solve's data, symbols in a compiled cost, columns (cells, 1) in a term's `State`; None: not known.
+
+    Parameters
+    ----------
+    measured : the network's readings, in the readout's unit (ohm or volt).
+    sigma : their standard deviation; ones where it is unknown.
+    side, seen : of each reading: 0 a value, 1 or -1 where the truth is at least or at most this; 1, or 0 where it says
+        nothing. None where all readings are values.
+    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm.
+    baseline : the unloaded panel's cell resistance, ohm.
+    previous_deviation : standard deviation of log r0; 0 where r0 is an unknown of the same solve.
+    """
+
+    measured: Any = given(Source(lambda readings, behind: readings.resistance, 1.0, per_frame=True))
+    sigma: Any = given(Source(lambda readings, behind: _noise(readings), 1.0, per_frame=True))
+    side: Any = given(Source(lambda readings, behind: _mark(readings, readings.side), 0.0, True, partial=True))
+    seen: Any = given(Source(lambda readings, behind: _mark(readings, readings.seen), 1.0, True, partial=True))
+    previous: Any = given(Source(lambda readings, behind: behind.previous, 1.0, after=lambda cells: cells))
+    baseline: Any = given(Source(lambda readings, behind: _baseline(behind), 1.0, after=lambda cells: cells))
+    previous_deviation: Any = given(
+        Source(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: casadi.SX.zeros(*cells.shape))
+    )
+
+    @classmethod
+    def sources(cls) -> dict[str, Source]:
+        """name → source, in the order of the fields."""
+        return {part.name: part.metadata["source"] for part in fields(Given)}
+
+    @classmethod
+    def of(cls, readings: FrameReadings, background: Background) -> Self:
+        """The arrays of a solve."""
+        return cls(**{name: source.of(readings, background) for name, source in cls.sources().items()})
+
+    @classmethod
+    def symbols(cls, cells: int, frames: int, partial: bool) -> Self:
+        """Symbols (cells, frames) of what every frame has, (cells, 1) of all else."""
+        names = {name: source for name, source in cls.sources().items() if partial or not source.partial}
+        return cls(
+            **{
+                name: casadi.SX.sym(name, cells, frames if source.per_frame else 1) for name, source in names.items()
+            }
+        )
+
+    def of_frame(self, frame: int, baseline: casadi.SX | None, looks_back: bool) -> dict[str, Any]:
+        """Symbols by name as a term sees them in one frame.
+
+        baseline : the cells of a baseline that is solved together with it, else None. looks_back : whether what is
+        known from earlier frames is given.
+        """
+        parts = {}
+        for name, source in self.sources().items():
+            value = getattr(self, name)
+            if source.after is not None:
+                earlier = value if looks_back else None
+                parts[name] = earlier if baseline is None else source.after(baseline)
+            else:
+                parts[name] = value[:, frame] if source.per_frame and value is not None else value
+        return parts
+
+    @cached_property
+    def flat(self) -> dict[str, Array]:
+        """Flat arrays by name, with the number that stands for what is not known."""
+        size = self.measured[0].size
+        return {
+            name: np.full(size, source.absent) if (value := getattr(self, name)) is None else value.ravel()
+            for name, source in self.sources().items()
+            if getattr(self, name) is not None or not source.partial
+        }
+
+    def named(self) -> Iterable[tuple[str, Any]]:
+        """(name, value) of all that is there."""
+        return ((name, value) for name in self.sources() if (value := getattr(self, name)) is not None)
+
+
+def _noise(readings: FrameReadings) -> Array:
+    return np.ones_like(readings.resistance) if readings.sigma is None else readings.sigma
+
+
+def _mark(readings: FrameReadings, mark: Array) -> Array | None:
+    return mark if readings.partial else None
+
+
+def _baseline(background: Background) -> Array | None:
+    """The baseline's cells; before one is known apart, the previous frame stands for it."""
+    return background.previous if background.baseline is None else background.baseline

@@ -1,0 +1,34 @@
+"""Kirchhoff's current law for a matrix of cells, stated once.
+
+Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.panel import Array
+
+
+def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
+    """Net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
+
+    Parameters
+    ----------
+    conductance : (rows, columns) siemens.
+    row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each pattern.
+
+    Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike.
+    Source: paper, equation (2).
+    """
+    rows, columns = conductance.shape
+    from_rows = (conductance @ np.ones((columns, 1))) * row_potential - conductance @ column_potential
+    from_columns = (conductance.T @ np.ones((rows, 1))) * column_potential - conductance.T @ row_potential
+    return from_rows, from_columns
+
+
+def laplacian(conductance: Array) -> Array:
+    """L with L·(u, v) = current_balance(g, u, v): (rows + columns)² siemens, singular; paper, equation (3)."""
+    rows = conductance.shape[0]
+    unit = np.eye(sum(conductance.shape))
+    return np.vstack(current_balance(conductance, unit[:rows], unit[rows:]))

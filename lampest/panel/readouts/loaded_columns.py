@@ -1,0 +1,107 @@
+"""Loaded columns: one line is driven through a resistor, the other driven lines float, every sensed line has a load."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.readout import LEAST_SHARE, Readout
+
+RELAXED = 3.0  # σ of the data by which bounds give way: with 1 % noise the truth itself breaks them in a third of cases
+END = 1e-9  # of the supply: a reading so near to an end says that a cell is open or a short
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedColumnsReadout(Readout):
+    """v_ij = Z_ij/(Rd_i + Z_ii), V = Vcc·v: driven line i, sensed line j with its load Rs_j, other driven lines floating.
+
+    Parameters
+    ----------
+    driven : the lines that are driven, one after the other.
+    polarity : 'up': the driven line is put to the supply and loads lead to ground; 'down': the driven line is put to
+        ground and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
+    load_ohm : Rs, a number or one for each sensed line. drive_ohm : Rd, between the supply and the driven line, the
+        channel included; a number or one for each driven line.
+    supply_volt, adc_bits, readings, noise_lsb : the converter; see `Readout`.
+
+    The network's reading is the voltage across the load, for either polarity. Raises ValueError where a number is out
+    of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.
+    """
+
+    kind: Literal["loaded_columns"] = "loaded_columns"
+    driven: Literal["rows", "columns"] = "rows"
+    polarity: Literal["up", "down"] = "up"
+    load_ohm: PerLine = 10_000.0
+    drive_ohm: PerLine = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lines("load_ohm", self.load_ohm, least=0.0, open_end=True)
+        check_lines("drive_ohm", self.drive_ohm, least=0.0)
+
+    def check(self, panel: Panel) -> None:
+        """Raise ValueError unless a list has one resistance for each line."""
+        driven, sensed = self._sides(*panel.shape)
+        per_line("load_ohm", self.load_ohm, sensed)
+        per_line("drive_ohm", self.drive_ohm, driven)
+
+    def _sides(self, rows: Any, columns: Any) -> tuple[Any, Any]:
+        """(driven, sensed) of what rows and columns have."""
+        return (rows, columns) if self.driven == "rows" else (columns, rows)
+
+    def _loads(self, shape: tuple[int, ...]) -> Array:
+        """Rs of the sensed line, to be broadcast to (rows, columns)."""
+        _, sensed = self._sides(*shape)
+        load = per_line("load_ohm", self.load_ohm, sensed)
+        return load[None, :] if self.driven == "rows" else load[:, None]
+
+    def _drives(self, shape: tuple[int, ...]) -> Array:
+        """Rd of the driven line, to be broadcast to (rows, columns)."""
+        driven, _ = self._sides(*shape)
+        drive = per_line("drive_ohm", self.drive_ohm, driven)
+        return drive[:, None] if self.driven == "rows" else drive[None, :]
+
+    def ties(self, measured: Array) -> Array:
+        """1/Rs at the sensed lines, none at the driven ones."""
+        rows, columns = measured.shape
+        driven, sensed = self._sides(rows, columns)
+        load = 1 / per_line("load_ohm", self.load_ohm, sensed)
+        parts = (np.zeros(driven), load) if self.driven == "rows" else (load, np.zeros(driven))
+        return np.concatenate(parts)
+
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """V = Vcc·Z_ij/(Rd_i + Z_ii)."""
+        driven, _ = self._sides(row, column)
+        shape = mutual.shape
+        return self.supply_volt * mutual / (np.broadcast_to(self._drives(shape), shape) + driven)
+
+    def apparent_resistance(self, measured: Array) -> Array:
+        """Rs·(1/v − 1) − Rd: what the naive divider makes of a reading."""
+        share = np.clip(measured / self.supply_volt, END, 1 - END)
+        shape = measured.shape[-2:]
+        load = self._loads(shape)
+        return np.asarray(np.maximum(load * (1 / share - 1) - self._drives(shape), LEAST_SHARE * load))
+
+    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
+        """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i.
+
+        Every sensed line takes at least what flows through its own cell, and I_i is all of it. RELAXED by the noise.
+        """
+        shape = measured.shape[-2:]
+        load, drive = self._loads(shape), self._drives(shape)
+        along = -1 if self.driven == "rows" else -2
+        noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
+        current = (measured / load).sum(axis=along, keepdims=True)
+        current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=along, keepdims=True))
+        least = np.maximum(self.supply_volt - drive * current, 0) / current - load
+        return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
+
+    def from_recorded(self, recorded: Array, scene: Any) -> Array:
+        """The voltage across the load: V, or Vcc − V where loads lead to the supply."""
+        return recorded if self.polarity == "up" else self.supply_volt - recorded
+
+    def to_recorded(self, reading: Array, scene: Any) -> Array:
+        """The same way back."""
+        return self.from_recorded(reading, scene)

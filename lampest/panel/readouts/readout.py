@@ -1,0 +1,200 @@
+"""How a panel is read: lines tied to ground, a reading as an equation, and the converter that turns it into codes.
+
+A kind of readout is one file: it states its ties and its reading. All else has a default that follows from these two.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.network import Block, Network, inverse_of
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.block import newton_fitted
+from lampest.panel.readouts.tied import TiedNetwork
+
+if TYPE_CHECKING:
+    from lampest.panel.scene import Scene
+
+LEAST_SHARE = 1e-3  # of its apparent resistance that any cell may have: no circuit here hides a smaller one
+HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readout(ABC):
+    """The converter, and what every kind of readout must say of its circuit.
+
+    Parameters
+    ----------
+    supply_volt : supply of the circuit and reference of the converter in volt.
+    adc_bits : resolution of the converter.
+    readings : conversions that are averaged for one cell.
+    noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
+
+    unit : of a reading, 'ohm' or 'volt'. signal : its dataset in files. homogeneous : whether readings grow with all
+    cells by one factor. Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    unit: ClassVar[str] = "volt"
+    homogeneous: ClassVar[bool] = False
+    supply_volt: float = 5.0
+    adc_bits: int = 10
+    readings: int = 20
+    noise_lsb: float = 0.7
+
+    def __post_init__(self) -> None:
+        check_positive("supply_volt", self.supply_volt)
+        if not 1 <= self.adc_bits <= 32:
+            raise ValueError("adc_bits must lie between 1 and 32")
+        if not 1 <= self.readings <= 65535:
+            raise ValueError("readings must lie between 1 and 65535")
+        if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
+            raise ValueError("noise_lsb must be zero or positive, and finite")
+
+    def check(self, panel: Panel) -> None:
+        """Raise ValueError where the readout does not fit the panel."""
+
+    # The circuit: what a kind must state.
+
+    @abstractmethod
+    def ties(self, measured: Array) -> Array:
+        """t (rows + columns) siemens: what ties every line to ground, for the readings (rows, columns) of a panel."""
+
+    @abstractmethod
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """y = h(Z_jj, Z_kk, Z_jk), element by element of (rows, columns) in ohm; numpy arrays and CasADi alike."""
+
+    @abstractmethod
+    def apparent_resistance(self, measured: Array) -> Array:
+        """The cell (…, rows, columns) ohm that would give each reading if it were the only one of the panel."""
+
+    # What follows from the circuit.
+
+    def network(self, conductance: Array, ties: Array) -> Network:
+        """The solved network of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is loose."""
+        return TiedNetwork(conductance, inverse_of(conductance, ties), self)
+
+    def exact_reading(self, cell_resistance: Array) -> Array:
+        """y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
+        if cell_resistance.ndim == 3:
+            return np.stack([self.exact_reading(frame) for frame in cell_resistance])
+        with np.errstate(divide="ignore"):
+            return self.network(1 / cell_resistance, self.ties(cell_resistance)).reading()
+
+    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+        """Cells (rows, columns) ohm to begin a search at, from readings, upper bounds, an earlier estimate or None."""
+        return self.uniform_start(measured) if near is None else near
+
+    def exact_start(self, measured: Array, upper: Array) -> Array:
+        """Cells (rows, columns) ohm that reproduce the readings as nearly as the kind can tell without a search."""
+        return self.start(measured, upper)
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Cells (…, rows, columns) ohm as if all were alike, as far as the kind knows better than apparent ones."""
+        return self.apparent_resistance(measured)
+
+    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
+        """What no cell can lie below, given its readings (…, rows, columns), ohm."""
+        return LEAST_SHARE * self.apparent_resistance(measured)
+
+    def resolution(self, measured: Array, sigma: Array) -> Array:
+        """r_max = |∂y_c/∂g_c|/σ at the start: an open cell in its place changes its reading by just the noise σ.
+
+        (…, rows, columns) ohm. Never below twice the start.
+        """
+        if measured.ndim > 2:
+            pairs = zip(measured, sigma, strict=True)
+            return np.stack([self.resolution(frame, noise) for frame, noise in pairs])
+        start = self.uniform_start(measured)
+        network = self.network(1 / start, self.ties(measured))
+        limit = np.abs(network.own_response()) * start / sigma
+        return np.asarray(np.maximum(limit, 2 * start))
+
+    def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
+        """The factor by which all cells seem to have grown together; 1 where readings do not tell it.
+
+        measured, expected : (rows, columns) readings, and what was expected of them; chosen : those that count.
+        """
+        return 1.0
+
+    def fitted_block(
+        self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
+    ) -> Network:
+        """The network with a block's cells such that they reproduce its chosen readings, as far as bounds allow.
+
+        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
+        """
+        return newton_fitted(network, block, measured, least, chosen)
+
+    # Between what is recorded and what the network is read by.
+
+    def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
+        """The network's reading of a recorded one, any shape ending in (rows, columns)."""
+        return recorded
+
+    def to_recorded(self, reading: Array, scene: "Scene") -> Array:
+        """The recorded reading of a network's, any shape ending in (rows, columns)."""
+        return reading
+
+    # The converter.
+
+    def recorded_from_volt(self, volt: Array) -> Array:
+        """A recorded reading from what the converter sees, any shape."""
+        return np.asarray(volt, dtype=float)
+
+    def volt_from_recorded(self, recorded: Array) -> Array:
+        """What the converter sees of a recorded reading, any shape, volt."""
+        return np.asarray(recorded, dtype=float)
+
+    @property
+    def lsb_volt(self) -> float:
+        """Vcc / 2^bits: one least significant bit in volt."""
+        return self.supply_volt / 2.0**self.adc_bits
+
+    def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
+        """code = ⌊V/Vcc · 2^bits⌋, held within 0 and 2^bits − 1; any shape."""
+        code = np.floor(np.asarray(volt) / self.lsb_volt)
+        held: NDArray[np.int64] = np.clip(code, 0, 2**self.adc_bits - 1).astype(np.int64)
+        return held
+
+    def volt_from_code(self, mean_code: Array) -> Array:
+        """V = (code + ½)·Vcc/2^bits: the middle of what a converter calls by this code; means of codes too."""
+        return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
+
+    def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
+        """A recorded reading from the sum of so many codes; a rail stands for its interval's middle, and is finite."""
+        return self.recorded_from_volt(self.volt_from_code(sums / readings))
+
+    def sigma_code(self) -> float:
+        """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
+
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
+        1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        """
+        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
+        left = np.sum(np.exp(-((2 * np.pi * harmonic * self.noise_lsb) ** 2)) / (2 * np.pi**2 * harmonic**2))
+        bias = 1 / 12 if self.noise_lsb == 0 else min(float(left), 1 / 12)
+        return float(np.sqrt((self.noise_lsb**2 + 1 / 12 - bias) / self.readings + bias))
+
+    def sigma(self, recorded: Array) -> Array:
+        """σ of recorded readings, the same shape and unit."""
+        return np.full(np.shape(recorded), self.sigma_code() * self.lsb_volt)
+
+    def rails(self) -> tuple[float, float]:
+        """(least, largest) recorded reading that a code between the first and the last one can mean.
+
+        A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
+        """
+        top = 2.0**self.adc_bits - 1
+        ends = self.recorded_from_volt(np.array([1.0, top]) * self.lsb_volt)
+        return float(ends.min()), float(ends.max())
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise ValueError unless a number is positive and finite."""
+    if not (isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be positive and finite")

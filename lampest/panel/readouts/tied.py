@@ -1,0 +1,185 @@
+"""Networks with tied lines and any reading y = h(Z_jj, Z_kk, Z_jk): all derivatives from ties and equation alone.
+
+With the weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]] makes d(Σ w y) = tr(W dZ), so
+Jᵀw = g·bᵀ(Z W Z)b. For floating lines W is the Laplacian of w.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.network import Network, Numbers, ResponseInverse, SecondOrder
+from lampest.panel.panel import Array
+from lampest.panel.readouts.equation import PARTS, compiled_equation
+
+if TYPE_CHECKING:
+    from lampest.panel.readouts.readout import Readout
+
+LEAST_RESPONSE = 1e-6  # of the largest own response: where a cell hardly moves its reading, a preconditioner rests
+
+
+@dataclass(frozen=True, eq=False)
+class TiedNetwork(Network):
+    """readout : states the equation."""
+
+    readout: "Readout"
+
+    def reading(self) -> Array:
+        """h(Z_jj, Z_kk, Z_jk)."""
+        return self._equation["y"]
+
+    @cached_property
+    def _equation(self) -> dict[str, Array]:
+        """h and its derivatives, each (rows, columns)."""
+        shape = self.conductance.shape
+        entries = self._read(self._impedance)
+        values = compiled_equation(self.readout, *shape)(*(np.broadcast_to(part, shape).ravel() for part in entries))
+        return dict(zip(PARTS, values.reshape(len(PARTS), *shape), strict=True))
+
+    def _read(self, matrix: Array) -> tuple[Array, Array, Array]:
+        """(K_jj, K_kk, K_jk), to be broadcast to (rows, columns)."""
+        diagonal, rows = np.diag(matrix), self.rows
+        return diagonal[:rows, None], diagonal[None, rows:], matrix[:rows, rows:]
+
+    def _loading(self, row: Array, column: Array, mutual: Array) -> Array:
+        """W (lines, lines) from weights of Z_jj, Z_kk and Z_jk, each (rows, columns)."""
+        rows = self.rows
+        matrix = np.diag(np.concatenate([row.sum(axis=1), column.sum(axis=0)]))
+        matrix[:rows, rows:] = mutual / 2
+        matrix[rows:, :rows] = mutual.T / 2
+        return matrix
+
+    def loading(self, weights: Array) -> Array:
+        """W of weights (rows, columns) of the readings."""
+        return self._loading(*(weights * self._equation[name] for name in ("p", "q", "t")))
+
+    def forward(self, step: Array) -> Array:
+        """h_p dZ_jj + h_q dZ_kk + h_t dZ_jk with dZ = Z L_{g·p} Z."""
+        return self.read_change(self._impedance @ self._injected(self.conductance * step, self._impedance))
+
+    def read_change(self, change: Array) -> Array:
+        """What a change of Z (lines, lines) does to the readings, to first order."""
+        slopes = (self._equation[name] for name in ("p", "q", "t"))
+        return np.asarray(sum(slope * part for slope, part in zip(slopes, self._read(change), strict=True)))
+
+    def adjoint(self, weights: Array) -> Array:
+        """g·bᵀ(Z W Z)b."""
+        return self.conductance * self._differences(self._impedance, self.loading(weights) @ self._impedance, True)
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = Z·B (lines, cells) ohm: across every cell for a unit current into every line."""
+        across = self._impedance[:, : self.rows, None] - self._impedance[:, None, self.rows :]
+        return across.reshape(len(across), -1)
+
+    def entry_responses(self, cells: Numbers | slice = slice(None)) -> tuple[Array, Array, Array]:
+        """g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells) for some cells."""
+        row, column = np.split(self.potential_differences[:, cells], [self.rows])
+        conductance = self.conductance.ravel()[cells]
+        return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
+
+    def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
+        """h_p ∂Z_jj/∂u + h_q ∂Z_kk/∂u + h_t ∂Z_jk/∂u."""
+        row, column, mutual = self.entry_responses(slice(None) if cells is None else cells)
+        slopes = [self._equation[name][:, :, None] for name in ("p", "q", "t")]
+        response = slopes[2] * mutual
+        response += slopes[0] * row[:, None]
+        response += slopes[1] * column[None]
+        whole: Array = response.reshape(self.conductance.size, -1)
+        return whole if readings is None else whole[readings]
+
+    def own_response(self) -> Array:
+        """The same where a cell meets its own reading: D_jc = Z_jj − Z_jk, D_kc = Z_jk − Z_kk."""
+        row, column, mutual = self._read(self._impedance)
+        at_row, at_column = row - mutual, mutual - column
+        entries = (at_row**2, at_column**2, at_row * at_column)
+        slopes = (self._equation[name] for name in ("p", "q", "t"))
+        return np.asarray(self.conductance * sum(slope * part for slope, part in zip(slopes, entries, strict=True)))
+
+    def second_order(self, weights: Array) -> SecondOrder:
+        """Through Z twice, and through the bends of h."""
+        return TiedSecondOrder(self, weights)
+
+    def response_inverse(self, free: NDArray[np.bool_]) -> ResponseInverse:
+        """Of the diagonal alone."""
+        response = self.own_response()
+        floor = LEAST_RESPONSE * np.abs(response).max(initial=1e-300)
+        held = np.where(np.abs(response) < floor, floor, response)
+        return Diagonal(np.where(free, 1 / held, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Diagonal:
+    """inverse : (rows, columns) of a diagonal J."""
+
+    inverse: Array
+
+    def solve(self, values: Array) -> Array:
+        """J⁻¹·x."""
+        return self.inverse * values
+
+    def solve_transposed(self, values: Array) -> Array:
+        """J⁻ᵀ·x."""
+        return self.inverse * values
+
+
+@dataclass(frozen=True, eq=False)
+class TiedSecondOrder:
+    """H of weights (rows, columns) at a network, with K = Z W Z."""
+
+    network: TiedNetwork
+    weights: Array
+
+    @cached_property
+    def _twice(self) -> Array:
+        """K (lines, lines)."""
+        impedance = self.network._impedance
+        return impedance @ self.network.loading(self.weights) @ impedance
+
+    def _bent(self, name: str) -> Array:
+        return self.weights * self.network._equation[name]
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """(J·p, g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step does to the slopes of h."""
+        network, impedance = self.network, self.network._impedance
+        injected = network._injected(network.conductance * step, impedance)
+        change = impedance @ injected
+        row, column, mutual = network._read(change)
+        moved = network._loading(
+            self._bent("pp") * row + self._bent("pq") * column + self._bent("pt") * mutual,
+            self._bent("pq") * row + self._bent("qq") * column + self._bent("qt") * mutual,
+            self._bent("pt") * row + self._bent("qt") * column + self._bent("tt") * mutual,
+        )
+        twice = 2 * network._differences(self._twice, injected, symmetric=False)
+        once = network._differences(impedance, moved @ impedance, symmetric=True)
+        return network.read_change(change), network.conductance * (twice + once)
+
+    def matrix(self) -> Array:
+        """2 g (BᵀZB ∘ BᵀKB) g + Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i; the latter as far as h bends at all."""
+        network = self.network
+        conductance = network.conductance.ravel()
+        matrix = 2 * network._between_cells(network._impedance) * network._between_cells(self._twice)
+        matrix *= conductance[:, None] * conductance
+        row, column, mutual = network.entry_responses()
+        flat = mutual.reshape(len(conductance), -1)
+        pieces = (
+            ("pp", lambda bend: row.T @ (bend.sum(axis=1)[:, None] * row)),
+            ("qq", lambda bend: column.T @ (bend.sum(axis=0)[:, None] * column)),
+            ("tt", lambda bend: flat.T @ (bend.reshape(-1, 1) * flat)),
+            ("pq", lambda bend: twice_symmetric(row.T @ (bend @ column))),
+            ("pt", lambda bend: twice_symmetric(row.T @ np.einsum("jk,jkc->jc", bend, mutual))),
+            ("qt", lambda bend: twice_symmetric(column.T @ np.einsum("jk,jkc->kc", bend, mutual))),
+        )
+        for name, piece in pieces:
+            bend = self._bent(name)
+            if bend.any():
+                matrix += piece(bend)
+        return matrix
+
+
+def twice_symmetric(matrix: Array) -> Array:
+    """A + Aᵀ."""
+    return matrix + matrix.T
