@@ -17,7 +17,7 @@ __version__ = version("lampest")
 _HOMES = {
     "Recording": "lampest.recording.recording",
     "Scene": "lampest.panel.scene",
-    "TwoPointReadout": "lampest.panel.scene",
+    "TwoPointReadout": "lampest.panel.readouts",
     "Panel": "lampest.panel.panel",
     "InputError": "lampest.files.errors",
     "Estimator": "lampest.estimate.estimator",
@@ -35,7 +35,7 @@ _HOMES = {
     "Squared": "lampest.cost.losses",
     "Huber": "lampest.cost.losses",
     "Absolute": "lampest.cost.losses",
-    "two_point_resistance": "lampest.panel.network",
+    "two_point_resistance": "lampest.panel.readouts.two_point.exact",
     "read_results": "lampest.runs.results",
 }
 __all__ = [*_HOMES, "reconstruct"]

@@ -6,6 +6,7 @@ Weights are parameters of what is compiled: costs that differ in nothing else sh
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import casadi
 import numpy as np
@@ -105,8 +106,8 @@ class Symbols:
     @classmethod
     def of(cls, cells: int, frames: int, partial: bool) -> "Symbols":
         """Symbols for that many cells and frames."""
-        unknown = [casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading")]
-        return cls(*unknown, Given.symbols(cells, frames, partial))
+        cell_resistance, reading = (casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading"))
+        return cls(cell_resistance, reading, Given.symbols(cells, frames, partial))
 
     @property
     def unknown(self) -> casadi.SX:
@@ -115,8 +116,8 @@ class Symbols:
 
     def inputs(self) -> dict[str, casadi.SX]:
         """name → flat symbol: what a compiled function takes."""
-        named = {"cell_resistance": self.cell_resistance, "reading": self.reading} | dict(self.given.named())
-        return {name: casadi.vec(symbol) for name, symbol in named.items()}
+        named: dict[str, Any] = {"cell_resistance": self.cell_resistance, "reading": self.reading}
+        return {name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()}
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
         """A function of the inputs, by their names, and of what more there is."""

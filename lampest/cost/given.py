@@ -107,7 +107,9 @@ class Given:
     previous: Any = given(Source(lambda readings, behind: behind.previous, 1.0, after=lambda cells: cells))
     baseline: Any = given(Source(lambda readings, behind: _baseline(behind), 1.0, after=lambda cells: cells))
     previous_deviation: Any = given(
-        Source(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: casadi.SX.zeros(*cells.shape))
+        Source(
+            lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: casadi.SX.zeros(*cells.shape)
+        )
     )
 
     @classmethod
@@ -125,9 +127,7 @@ class Given:
         """Symbols (cells, frames) of what every frame has, (cells, 1) of all else."""
         names = {name: source for name, source in cls.sources().items() if partial or not source.partial}
         return cls(
-            **{
-                name: casadi.SX.sym(name, cells, frames if source.per_frame else 1) for name, source in names.items()
-            }
+            **{name: casadi.SX.sym(name, cells, frames if source.per_frame else 1) for name, source in names.items()}
         )
 
     def of_frame(self, frame: int, baseline: casadi.SX | None, looks_back: bool) -> dict[str, Any]:

@@ -200,7 +200,10 @@ class Estimator:
             upper = np.where((readings.side != 0) | (readings.seen == 0), apparent * FARTHEST, upper)
         if scene.faults is not None:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            faults = (scene.faults.open_cells(scene.panel), FARTHEST), (scene.faults.shorted_cells(scene.panel), SHORTED)
+            faults = (
+                (scene.faults.open_cells(scene.panel), FARTHEST),
+                (scene.faults.shorted_cells(scene.panel), SHORTED),
+            )
             for broken, factor in faults:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
         return Data(Given.of(readings, background), lower, upper, scene.circuit)

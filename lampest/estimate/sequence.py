@@ -107,9 +107,7 @@ def strongest_frame(recording: Recording, readings: Readings, resting: Readings)
     return int(frames[np.argmax(change)])
 
 
-def with_weights_of_a_recording(
-    estimator: Estimator, scene: Scene, resting: Readings, frame: Readings
-) -> Estimator:
+def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Estimator:
     """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
     data = deciding_data(estimator, scene, resting, frame)
     return with_chosen_weights(estimator, scene, data, None, frame.sigma is not None)

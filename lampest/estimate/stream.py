@@ -176,9 +176,7 @@ class Stream:
         if self.estimator.relative:
             known = self._guess(readings.resistance) if self.previous is None else self.previous
             resting = None if self.baseline is None else _estimate(self.baseline, 0)
-        behind = replace(
-            self.background, previous=known, baseline=resting, previous_deviation=self._known_deviation()
-        )
+        behind = replace(self.background, previous=known, baseline=resting, previous_deviation=self._known_deviation())
         data = self.estimator.data(readings.alone(), behind)
         if self.estimator.weighs_previous and known is not None:
             step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])

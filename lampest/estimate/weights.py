@@ -30,9 +30,7 @@ from lampest.solvers.solution import Settings
 MOST_SOLVES, SETTLED = 4, 0.2
 
 
-def with_chosen_weights(
-    estimator: Estimator, scene: Scene, data: Data, near: Array | None, noisy: bool
-) -> Estimator:
+def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Array | None, noisy: bool) -> Estimator:
     """The estimator with numbers for the weights that it leaves open, from one solve's data.
 
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.

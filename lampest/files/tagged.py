@@ -41,7 +41,7 @@ def kinds_of(member: Any) -> tuple[str, ...]:
 
 @cache
 def installed(group: str) -> tuple[type[Any], ...]:
-    """The classes that installed packages name in a group of entry points. Raises InputError where one fails to load."""
+    """The classes that installed packages name in a group of entry points. Raises InputError where one cannot load."""
     members = []
     for point in sorted(entry_points(group=group), key=lambda one: one.name) if group else ():
         try:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, rank
 from lampest.posterior.linear import LinearModel
-from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import local_inverse, misfit_inverse
 from lampest.solvers.newton.smoothing import Smoothing

@@ -57,12 +57,9 @@ def _scene_lines(scene: Scene) -> list[str]:
     if readout is None:
         lines.append("readout   unknown, resistances alone")
     else:
-        lines.append(
-            f"readout   two-point, {readout.supply_volt:g} V, reference {readout.reference_ohm:g} ohm, measured across "
-            f"the {readout.measured_across}, {readout.adc_bits} bits, {readout.readings} readings, "
-            f"noise {readout.noise_lsb:g} LSB"
-        )
-    lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
+        lines.append(f"readout   {readout.description()}")
+    if scene.circuit.unit == "ohm":
+        lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
     if scene.systematic is not None:
         off = scene.systematic
         lines.append(

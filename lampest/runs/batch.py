@@ -106,9 +106,7 @@ def case_result(case: Case, found: Reconstruction) -> CaseResult:
     truth = recording.truth_cell_resistance
     unloaded = recording.role == UNLOADED
     solutions = [step.solution for step in found.steps]
-    last = [
-        (solution.two_point_resistance[-1], solution.open_cell[-1], solution.at_lower[-1]) for solution in solutions
-    ]
+    last = [(solution.reading[-1], solution.open_cell[-1], solution.at_lower[-1]) for solution in solutions]
     return CaseResult(
         recording=case.recording,
         estimator=case.name,

@@ -9,8 +9,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.panel import Array
 from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import local_inverse
 from lampest.solvers.newton.smoothing import Smoothing

@@ -15,6 +15,9 @@ from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solv
 
 POLISHED = 0.1 * VERIFIED
 LAST_STEPS = Settings(max_iterations=20)
+# Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled: at
+# 1e-8 of it cells may still be off by 1e-5.
+FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 EASY = 6
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
@@ -26,8 +29,9 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
     the convex one. A solve is hard that has no previous frame, fails or takes many iterations; it is then begun from
     all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others.
-    Costs that compare with a previous frame have several minima; for them the reduced solver searches, and any other
-    solver goes on from what it found, so that all formulations stand in the same minimum. Where these terms are convex
+    Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
+    for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
+    stand in the same minimum. Where these terms are convex
     in log r and the previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
     """
@@ -38,7 +42,7 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     comparing = [term for term in solver.cost.terms if term.needs_previous]
     relative, patience = bool(comparing), float("inf") if all(term.convex_in_log for term in comparing) else EASY
-    if relative and not isinstance(solver, Newton):
+    if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
     plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
@@ -83,10 +87,12 @@ def solved(solver: Solver, start: Evaluation) -> Solution:
 def _solved(solver: Solver, start: Evaluation) -> Solution:
     outcome = solver.solve(start.data, start)
     solution = check(start, outcome)
-    if solution.kkt_residual <= POLISHED or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
+    reached = solution.kkt_residual <= POLISHED and start.data.readout.unique
+    if reached or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
         return solution
     near = evaluated(solver.cost, start.data, outcome.cell_resistance)
-    finished = Newton(solver.cost, LAST_STEPS).solve(start.data, near)
+    steps = LAST_STEPS if start.data.readout.unique else FINE_STEPS
+    finished = Newton(solver.cost, steps).solve(start.data, near)
     polished = check(start, replace(finished, iterations=outcome.iterations))
     return polished if polished.solved else solution
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
-from lampest.panel.network import two_point_resistance
+from lampest import two_point_resistance
 from lampest.panel.panel import Array
 from lampest.recording.board.record import record
 from lampest.recording.recording import MEASURED, UNLOADED, Recording

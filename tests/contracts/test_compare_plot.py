@@ -9,7 +9,8 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
-from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import compare, compare_files, csv_text, screen_table, write_csv
 from lampest.report.info import describe

@@ -13,7 +13,8 @@ from lampest.loads.recognition.settings import Settings
 from lampest.loads.recognition.verdict import KINDS
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES

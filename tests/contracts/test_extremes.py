@@ -10,13 +10,15 @@ import h5py
 import numpy as np
 import pytest
 
+from lampest import two_point_resistance
+from lampest.cost.given import Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.cell_resistance import CellResistance
 from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Estimator
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.reach import within_reach
@@ -111,7 +113,7 @@ def test_audit_is_the_kkt_residual() -> None:
     rng = np.random.default_rng(2)
     cells = 3000 * np.exp(0.5 * rng.standard_normal((1, 3, 4)))
     measured = two_point_resistance(cells) * 1.1
-    data = Data(measured, np.ones_like(measured), measured / 2, 1.2 * cells)
+    data = Data(Given(measured=measured, sigma=np.ones_like(measured)), measured / 2, 1.2 * cells)
     cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Panel(3, 4), 1)
     here = evaluated(cost, data, cells * 1.15)
     assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)
@@ -141,7 +143,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     for place in (
         "lampest.solvers.newton.newton.direction",
         "lampest.solvers.search.evaluated",
-        "lampest.solvers.search.convex_start",
+        "lampest.panel.readouts.two_point.readout.convex_start",
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, breaks)

@@ -8,9 +8,9 @@ import pytest
 import scipy.io
 
 from lampest.files.errors import InputError
-from lampest.panel.divider import voltage_from_resistance
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.foreign.importing import import_file, read_scene
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
@@ -126,7 +126,7 @@ def test_a_damaged_matlab_file(tmp_path: Path, packed: bool) -> None:
 
 
 def test_volts_and_codes(tmp_path: Path) -> None:
-    volts = voltage_from_resistance(SCENE.readout, FRAMES)
+    volts = SCENE.readout.volt_from_recorded(FRAMES)
     np.save(tmp_path / "v.npy", volts)
     recording, _ = import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")
     np.testing.assert_allclose(recording.resistance, FRAMES)

@@ -13,9 +13,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from lampest.panel.divider import resistance_from_voltage
-from lampest.panel.network import two_point_resistance
-from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest import two_point_resistance
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
 
 COMMAND = Path(sys.executable).with_name("lampest")
@@ -71,7 +71,7 @@ def write_recording(path: Path, frames: int, seed: int) -> None:
     rng, scene = np.random.default_rng(seed), Scene(Panel(6, 7), TwoPointReadout(), 140.0)
     cells = 3000 * np.exp(0.3 * rng.standard_normal((frames + 1, 6, 7)))
     volt = 5 * 1000 / (1000 + 140 + two_point_resistance(cells))
-    resistance = resistance_from_voltage(TwoPointReadout(), np.round(volt * 4096) / 4096)
+    resistance = TwoPointReadout().recorded_from_volt(np.round(volt * 4096) / 4096)
     role = (np.arange(frames + 1) > 0).astype(np.uint8)
     Recording(scene, resistance, np.arange(frames + 1.0), role, truth_cell_resistance=cells).save(path)
 

@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 from support import invented_case
 
-from lampest.panel.divider import resistance_from_voltage
-from lampest.panel.scene import Panel, Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Panel, Scene
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.recording import Recording
 from lampest.runs.results import PublishedFigures, StepFigures, write_results
@@ -174,7 +174,7 @@ def good_recordings(folder: Any) -> tuple[bytes, bytes]:
     board = Acquisition(count * 1.0, count, count, 0 * count, 0 * count, 0 * count, np.array([0.5]), ("mark",))
     recording = Recording(
         Scene(Panel(3, 4), readout, 140.0),
-        resistance_from_voltage(readout, codes / 20 / 1024 * 5),
+        readout.recorded_from_volt(codes / 20 / 1024 * 5),
         count * 1.0,
         (count > 0).astype(np.uint8),
         np.full((3, 4), 5.0),

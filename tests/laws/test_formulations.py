@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.estimate.estimator import FORMULATIONS
-from lampest.panel.network import Network, grounding, two_point_resistance
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 
 SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]
 
@@ -15,26 +17,28 @@ SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]
 def functions(kind: str, shape: tuple[int, int]) -> casadi.Function:
     """(conductance, tie, potentials) → (balance, two-point resistance, ∂balance/∂potentials)."""
     conductance, tie = casadi.SX.sym("conductance", *shape), casadi.SX.sym("tie", sum(shape))
-    network = FORMULATIONS[kind].network(Panel(*shape), conductance, tie, "test_")
+    network = FORMULATIONS[kind].network(TwoPointReadout(), conductance, tie, casadi.SX(1), "test_")
     slope = casadi.jacobian(network.balance, network.potentials)
     arguments = [conductance, tie, network.potentials]
-    return casadi.Function("formulation", arguments, [network.balance, network.two_point_resistance, slope])
+    return casadi.Function("formulation", arguments, [network.balance, network.reading, slope])
 
 
-def solved(shape: tuple[int, int]) -> tuple[Array, Array, Network]:
+def solved(shape: tuple[int, int]) -> tuple[Array, Array, FloatingNetwork]:
     """Cells, a tie at some line, and the solved network, in units in which all are of order one."""
     cells = 10 ** np.random.default_rng(7).uniform(-0.5, 0.5, shape)
     tie = grounding(two_point_resistance(cells))
-    return cells, tie, Network.solve(1 / cells, tie)
+    return cells, tie, FloatingNetwork.solve(1 / cells, tie)
 
 
 @pytest.mark.parametrize("kind", FORMULATIONS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_equations_hold_in_a_solved_network(kind: str, shape: tuple[int, int]) -> None:
     cells, tie, network = solved(shape)
-    balance, resistance, _ = functions(kind, shape)(1 / cells, tie, FORMULATIONS[kind].potentials(network))
+    balance, resistance, _ = functions(kind, shape)(
+        1 / cells, tie, FORMULATIONS[kind].potentials(TwoPointReadout(), network)
+    )
     assert_allclose(np.asarray(balance), 0, atol=1e-12)
-    assert_allclose(np.asarray(resistance).reshape(shape), network.two_point_resistance(), rtol=1e-12)
+    assert_allclose(np.asarray(resistance).reshape(shape), network.reading(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", FORMULATIONS)

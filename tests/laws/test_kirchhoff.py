@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.panel.network import Network, current_balance, grounding, laplacian, two_point_resistance, uniform_factor
+from lampest import two_point_resistance
+from lampest.panel.kirchhoff import current_balance, laplacian
 from lampest.panel.panel import Array
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
 SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7), (10, 10)]
@@ -25,13 +27,13 @@ def random_panel(shape: tuple[int, int], seed: int = 0, decades: float = 1.0) ->
     return 3000 * 10 ** np.random.default_rng(seed).uniform(-decades / 2, decades / 2, shape)
 
 
-def network(cells: Array) -> Network:
-    return Network.solve(1 / cells, grounding(cells))
+def network(cells: Array) -> FloatingNetwork:
+    return FloatingNetwork.solve(1 / cells, grounding(cells))
 
 
 def jacobian(cells: Array) -> Array:
     """∂R/∂r (cells, cells) from the transfer matrix."""
-    return (network(cells).transfer() / cells.ravel()) ** 2
+    return (network(cells).transfer / cells.ravel()) ** 2
 
 
 def complex_step(cells: Array, cell: tuple[int, ...]) -> Array:
@@ -39,7 +41,7 @@ def complex_step(cells: Array, cell: tuple[int, ...]) -> Array:
     step = 1e-30
     conductance = (1 / cells).astype(complex)
     conductance[cell] += 1j * step
-    return np.asarray(Network.solve(conductance, grounding(cells)).two_point_resistance().imag / step)
+    return np.asarray(FloatingNetwork.solve(conductance, grounding(cells)).reading().imag / step)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -115,7 +117,7 @@ def test_product_form_is_the_jacobian_is_the_derivative(shape: tuple[int, int]) 
     products = np.array([solved.conductance_product(unit).ravel() for unit in units])
     size = np.max(np.abs(expected))
     assert_allclose(products, expected, rtol=1e-9, atol=1e-12 * size)
-    assert_allclose(-(solved.transfer() ** 2), expected, rtol=1e-9, atol=1e-12 * size)
+    assert_allclose(-(solved.transfer**2), expected, rtol=1e-9, atol=1e-12 * size)
 
 
 @given(panels, st.integers(0, 2**32 - 1))
@@ -204,7 +206,7 @@ def test_open_cell_is_no_cell() -> None:
     without = 1 / panel
     without[1, 2] = 0
     panel[1, 2] = 1e200
-    assert_array_equal(two_point_resistance(panel), Network.solve(without, grounding(panel)).two_point_resistance())
+    assert_array_equal(two_point_resistance(panel), FloatingNetwork.solve(without, grounding(panel)).reading())
 
 
 def test_unconnected_line_is_an_error() -> None:
@@ -214,7 +216,7 @@ def test_unconnected_line_is_an_error() -> None:
     tie[2] = 0
     tie[0] = 1.0
     with pytest.raises(np.linalg.LinAlgError):
-        Network.solve(conductance, tie)
+        FloatingNetwork.solve(conductance, tie)
 
 
 @given(panels)
@@ -240,7 +242,7 @@ def test_any_line_may_be_grounded(cells: Array) -> None:
     for line in range(sum(cells.shape)):
         tie = np.zeros(sum(cells.shape))
         tie[line] = 3 * np.max(1 / cells)
-        assert_allclose(Network.solve(1 / cells, tie).two_point_resistance(), resistance, rtol=1e-10)
+        assert_allclose(FloatingNetwork.solve(1 / cells, tie).reading(), resistance, rtol=1e-10)
 
 
 def test_frames_are_solved_one_by_one() -> None:

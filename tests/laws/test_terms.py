@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from lampest import two_point_resistance
 from lampest.cost.cost import Cost
+from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, term_kind, term_types
 from lampest.cost.terms.term import State, Term
 from lampest.estimate.estimator import FORMULATIONS, Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
@@ -57,16 +58,16 @@ def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
     baseline = 3000 * np.exp(0.4 * rng.standard_normal(PANEL.shape))
     deviation = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
     known = {"previous": previous, "baseline": baseline, "previous_deviation": deviation} if frames == 1 else {}
-    return Data(measured, sigma, measured / 10, measured * 1e3, **known), cells
+    return Data(Given(measured=measured, sigma=sigma, **known), measured / 10, measured * 1e3), cells
 
 
 def state(data: Data, cells: Array, scale: float = 1.0) -> State:
     """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's matrices."""
-    values = (cells, two_point_resistance(cells), data.measured, data.sigma)
-    frame = [casadi.DM(scale * value[0].ravel()) for value in values]
-    previous, baseline = (casadi.DM(scale * known.ravel()) for known in (data.previous, data.baseline))
-    deviation = casadi.DM(data.previous_deviation.ravel())
-    return State(PANEL, *frame, previous, baseline=baseline, previous_deviation=deviation)
+    given = data.given
+    frame = {"cell_resistance": cells[0], "reading": two_point_resistance(cells[0]), "measured": data.measured[0]}
+    known = {"sigma": data.sigma[0], "previous": given.previous, "baseline": given.baseline}
+    columns = {name: casadi.DM(scale * value.ravel()) for name, value in (frame | known).items()}
+    return State(panel=PANEL, previous_deviation=casadi.DM(given.previous_deviation.ravel()), **columns)
 
 
 def residual(term: Term, where: State) -> Array:
@@ -221,7 +222,7 @@ def test_misfit_vanishes_at_the_model_only() -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (2, 3), (6, 4)])
 def test_gradient_is_numpys_and_matlabs(shape: tuple[int, int]) -> None:
     values = np.random.default_rng(3).standard_normal(shape)
-    where = State(Panel(*shape), None, None, None, None)
+    where = State(panel=Panel(*shape), cell_resistance=None, reading=None)
     found = np.asarray(where.gradient(casadi.DM(values.ravel()))).reshape(2, *shape)
     for axis, size in enumerate(shape):
         expected = np.gradient(values, axis=axis) if size > 1 else np.zeros(shape)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.cost import Cost
+from lampest.cost.given import Given
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Arrival, LogRatio, Misfit
-from lampest.cost.terms.arrival import common_step
 from lampest.cost.terms.term import Term
 from lampest.estimate.efforts import Region
 from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
@@ -20,8 +21,8 @@ from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Rod
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
@@ -140,7 +141,8 @@ def test_covariance_counts_the_previous_frame_once() -> None:
     root, walk_percent = 0.03 * rng.standard_normal((cells, cells)), 4.0
     before = root @ root.T
     measured, spread = two_point_resistance(previous)[None], np.sqrt(np.diag(before)).reshape(shape)
-    data = Data(measured, 0.01 * measured, measured / 9, measured * 1e3, previous, previous_deviation=spread)
+    given = Given(measured=measured, sigma=0.01 * measured, previous=previous, previous_deviation=spread)
+    data = Data(given, measured / 9, measured * 1e3)
     cost = Cost(Panel(*shape), (Misfit(weighting="noise"), Arrival(walk_percent=walk_percent)))
     model = LinearModel(Evaluation.at(cost, data, previous[None]), np.zeros(0))
     errors_ = DenseErrors(model, DenseMemory(before, before, before))
@@ -158,10 +160,14 @@ def test_term_reads_the_error_bars_of_the_frame_before() -> None:
     found = estimated(scene("rod", 1, 3), Arrival(walk_percent=3.0, loss=Squared()))
     for frame in (1, 2):
         before, now = (found.steps[number].solution for number in (frame - 1, frame))
-        step = common_step(found.measured[frame], before.two_point_resistance[-1])
+        step = common_step(found.measured[frame], before.reading[-1])
         change = np.log(now.cell_resistance[-1] / (step * before.cell_resistance[-1]))
         expected = np.sum(change**2 / (np.minimum(deviation(found)[frame - 1], 10.0) ** 2 + 0.03**2))
         assert found.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
+
+
+def common_step(measured: Array, expected: Array) -> float:
+    return TwoPointReadout().common_step(measured, expected, np.ones(measured.shape, dtype=bool))
 
 
 def test_common_step_is_that_of_most_readings() -> None:

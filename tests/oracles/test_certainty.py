@@ -8,12 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
+from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty

@@ -17,7 +17,8 @@ from lampest.loads.shapes import Ring as RingLoad
 from lampest.loads.shapes import Rod as RodLoad
 from lampest.loads.shapes import SuctionCup as CupLoad
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course

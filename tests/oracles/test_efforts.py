@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
@@ -14,8 +15,8 @@ from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, S
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
-from lampest.panel.network import Network, grounding, two_point_resistance
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.runs.config import read_run
@@ -200,8 +201,8 @@ def objective(estimator: Estimator, cells: Array, measured: Array) -> float:
 def test_changed_network_is_the_network_of_the_changed_cells() -> None:
     before, after = resting(), pressed(resting())
     tie = grounding(two_point_resistance(before))
-    found = changed(Network.solve(1 / before, tie), BLOCK, 1 / after[BLOCK])
-    assert_allclose(found.impedance, Network.solve(1 / after, tie).impedance, rtol=1e-10, atol=1e-9)
+    found = changed(FloatingNetwork.solve(1 / before, tie), BLOCK, 1 / after[BLOCK])
+    assert_allclose(found.impedance, FloatingNetwork.solve(1 / after, tie).impedance, rtol=1e-10, atol=1e-9)
     assert_array_equal(found.conductance, 1 / after)
 
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.panel.divider import rails
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults, Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 from lampest.recording.recording import Recording
 
@@ -111,7 +111,7 @@ def test_saturated_codes_are_bounds() -> None:
     readout = TwoPointReadout(adc_bits=4, noise_lsb=0.0, readings=1, reference_ohm=100.0)
     truth = np.full((2, *SHAPE), 1e4)
     made = recording(truth, readout=readout)
-    least, largest = rails(readout)
+    least, largest = readout.rails()
     made = replace(made, resistance=np.where(made.resistance > largest, 10 * largest, made.resistance))
     readings = Readings.of(made)
     beyond = made.resistance > largest

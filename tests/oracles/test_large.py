@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.divider import resistance_from_voltage, sigma_resistance, voltage_from_resistance
-from lampest.panel.network import Network, grounding, two_point_resistance
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.two_point.stencil import Stencil
+from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import convex, directions, linearised
-from lampest.solvers.newton.stencil import Stencil
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -38,8 +39,8 @@ def recording(noise: float) -> Recording:
     truth[1:, 3:5, 4:6] *= 12
     readout = TwoPointReadout()
     exact = two_point_resistance(truth)
-    resistance = exact + noise * sigma_resistance(readout, exact) * generator.standard_normal(exact.shape)
-    assert_allclose(resistance_from_voltage(readout, voltage_from_resistance(readout, exact)), exact)
+    resistance = exact + noise * readout.sigma(exact) * generator.standard_normal(exact.shape)
+    assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(exact)), exact)
     return Recording(Scene(Panel(*SHAPE), readout), resistance, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
 
 
@@ -64,7 +65,7 @@ def test_stencil_is_close_to_the_response_of_an_even_panel() -> None:
     """On equal cells D∘D and its stencil differ by little more than 1/(rows + columns)."""
     cells = np.full((30, 40), 1000.0)
     resistance = two_point_resistance(cells)
-    network = Network.solve(1 / cells, grounding(resistance))
+    network = FloatingNetwork.solve(1 / cells, grounding(resistance))
     stencil = Stencil.of(1 / cells, resistance, np.ones(cells.shape, dtype=bool))
     generator = np.random.default_rng(1)
     values = generator.standard_normal(cells.shape)

@@ -9,15 +9,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
+from lampest import two_point_resistance
 from lampest.cost.cost import Cost
+from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
 from lampest.estimate.estimator import Bounds, Estimator, FormulationName
 from lampest.estimate.sequence import Reconstruction, reconstruct
-from lampest.panel.divider import resolution_limit
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.two_point.readout import resolution_limit
 from lampest.panel.scene import Scene
 from lampest.recording.readings import plain
 from lampest.recording.recording import Recording
@@ -81,7 +82,8 @@ def test_objective_is_the_papers(paper: SimpleNamespace, method: str, shape: tup
     cells, before = truth(shape, 2, 1)
     measured = 0.9 * two_point_resistance(cells)
     known = before if term.needs_previous else None
-    data = Data(measured[None], np.ones((1, *shape)), measured[None], 1e9 * measured[None], known)
+    given = Given(measured=measured[None], sigma=np.ones((1, *shape)), previous=known, baseline=known)
+    data = Data(given, measured[None], 1e9 * measured[None])
     found = Evaluation.at(Cost(Panel(*shape), terms), data, cells[None])
     expected = paper.misfits(cells, measured, method, weight, before)
     assert found.objective == pytest.approx(np.sum(expected**2), rel=1e-12)
@@ -96,7 +98,7 @@ def test_joint_objective_is_the_papers(paper: SimpleNamespace, method: str, shap
     """Equations (15) and (21)."""
     cells = truth(shape, 2, 2)
     measured = two_point_resistance(cells)[::-1] * 1.1
-    data = Data(measured, np.ones_like(measured), measured, 1e9 * measured)
+    data = Data(Given(measured=measured, sigma=np.ones_like(measured)), measured, 1e9 * measured)
     terms = (Misfit(), term_types()[method](weight=0.37))
     found = Evaluation.at(Cost(Panel(*shape), terms, 2), data, cells)
     expected = paper.pair_misfits(cells, measured, method, 0.37)

@@ -12,7 +12,8 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, Systematic, TwoPointReadout, Water
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled

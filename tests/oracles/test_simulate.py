@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lampest import two_point_resistance
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Load, OralDisc, Ring, Rod, SuctionCup
-from lampest.panel.divider import resistance_from_sums, resolution_limit, sigma_resistance, voltage_from_resistance
-from lampest.panel.network import two_point_resistance, uniform_factor
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, TwoPointReadout, Water
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.floating import uniform_factor
+from lampest.panel.readouts.two_point.readout import resolution_limit
+from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
 from lampest.recording.simulation.course import Course
@@ -78,7 +80,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 def test_scatter_of_readings_is_the_readouts_sigma(across: str) -> None:
     readout = TwoPointReadout(measured_across=across)  # type: ignore[arg-type]
     recording = simulate(plain(scene=Scene(Panel(3, 4), readout, 140.0), frames=400))
-    sigma = sigma_resistance(readout, recording.resistance.mean(axis=0))
+    sigma = readout.sigma(recording.resistance.mean(axis=0))
     scatter = recording.resistance.std(axis=0)
     assert np.sqrt(np.mean((scatter / sigma) ** 2)) == pytest.approx(1, abs=0.04)
     exact = two_point_resistance(recording.truth_cell_resistance[0]) + 140
@@ -232,9 +234,9 @@ def test_reference_tolerance_scales_what_the_divider_gives() -> None:
 def test_saturated_codes_stay_finite(across: str) -> None:
     readout = TwoPointReadout(measured_across=across)  # type: ignore[arg-type]
     rails = np.array([0, readout.readings * 1023])
-    resistance = resistance_from_sums(readout, rails, readout.readings)
+    resistance = readout.recorded_from_sums(rails, readout.readings)
     assert np.all((resistance > 0) & np.isfinite(resistance))
-    volt = voltage_from_resistance(readout, resistance)
+    volt = readout.volt_from_recorded(resistance)
     np.testing.assert_allclose(volt * 1024 / 5, [0.5, 1023.5])
 
 

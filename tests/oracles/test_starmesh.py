@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest.panel.network import SAFE_CONDITION, Network, grounding, two_point_resistance
 from lampest.panel.panel import Array
-from lampest.panel.starmesh import exact_two_point_resistance
+from lampest.panel.readouts.two_point.exact import SAFE_CONDITION, two_point_resistance
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.two_point.starmesh import exact_two_point_resistance
 
 FOURTEEN_DIGITS = 1e-14
 TEN_DIGITS = 1e-10
@@ -146,8 +147,8 @@ def test_unsafe_inverse_is_noticed() -> None:
     unsafe = wrong = 0
     for name, cells in many(1000, 7, 4):
         expected = fifty_digits(cells)
-        network = Network.solve(1 / cells, grounding(cells))
-        worst = np.max(np.abs(network.two_point_resistance() / expected - 1))
+        network = FloatingNetwork.solve(1 / cells, grounding(cells))
+        worst = np.max(np.abs(network.reading() / expected - 1))
         unsafe += network.condition() > SAFE_CONDITION
         wrong += worst > TEN_DIGITS
         assert worst <= TEN_DIGITS or network.condition() > SAFE_CONDITION, name
@@ -170,9 +171,9 @@ def test_ordinary_panels_are_safe(shape: tuple[int, int], decades: float) -> Non
         cells = 3000 * 10 ** rng.uniform(-decades / 2, decades / 2, shape)
         if min(shape) > 2:
             cells[0, 0], cells[2, 1] = 1e9, 1.0
-        network = Network.solve(1 / cells, grounding(cells))
+        network = FloatingNetwork.solve(1 / cells, grounding(cells))
         assert network.condition() < SAFE_CONDITION / 5
-        assert_array_equal(two_point_resistance(cells), network.two_point_resistance())
+        assert_array_equal(two_point_resistance(cells), network.reading())
 
 
 def test_open_cells_leave_the_network() -> None:

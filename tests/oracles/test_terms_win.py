@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.cost import Cost
+from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import (
@@ -26,7 +28,6 @@ from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Load, Rod, SuctionCup
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
@@ -156,7 +157,8 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     recorded = scene(CUP, 1, 0.0, 10)
     resting, measured = recorded.truth_cell_resistance[0], recorded.resistance[-1:]
     solver = Newton(Cost(PANEL, (Misfit(weighting="noise"), term)), Settings())
-    data = Data(measured, recorded.sigma[-1:], measured, 100 * measured, resting)
+    given = Given(measured=measured, sigma=recorded.sigma[-1:], previous=resting, baseline=resting)
+    data = Data(given, measured, 100 * measured)
     starts = measured * np.exp(1.4 * rng.standard_normal((5, *PANEL.shape)) + 1.4)
     ends = [run(solver, evaluated(solver.cost, data, start[None])) for start in starts]
     assert term.convex_in_log
@@ -185,7 +187,8 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     terms: tuple[Term, ...] = (Misfit(weighting="noise"), LogRatio(weight=0.05, loss=Squared()))
     terms += (LogRatio(weight=0.02, loss=Squared(), reference="previous"),) if reads_both else ()
     solver = Newton(Cost(Panel(*shape), terms), Settings(tolerance=1e-12))
-    data = Data(measured, 0.02 * measured, measured / 9, measured * 1e3, known[0], baseline=known[1])
+    given = Given(measured=measured, sigma=0.02 * measured, previous=known[0], baseline=known[1])
+    data = Data(given, measured / 9, measured * 1e3)
 
     def moved(step: Array) -> Array:
         """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
@@ -216,6 +219,6 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 1), (3, 4)])
 def test_steps_are_those_between_neighbours(shape: tuple[int, int]) -> None:
     cells = np.exp(np.random.default_rng(7).standard_normal(shape))
-    steps = State(Panel(*shape), None, None, None, None).log_steps(casadi.DM(cells.ravel()))
+    steps = State(panel=Panel(*shape), cell_resistance=None, reading=None).log_steps(casadi.DM(cells.ravel()))
     down, right = (100 * np.diff(np.log(cells), axis=axis).ravel() for axis in (0, 1))
     assert_allclose(np.asarray(steps).ravel(), np.concatenate([down, right]), rtol=1e-12, atol=1e-12)

@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
+from lampest import two_point_resistance
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.losses import Absolute
 from lampest.cost.problem import Data
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
@@ -14,7 +15,6 @@ from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, rank

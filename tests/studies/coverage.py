@@ -7,12 +7,12 @@ import argparse
 
 import numpy as np
 
+from lampest import two_point_resistance
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording

@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any, ClassVar, Literal
 
 import casadi
+
 from lampest.cost.losses import Huber, Loss
 from lampest.cost.terms.term import State, Term
 

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.doubts import Doubts
-from lampest.panel.network import Network, grounding, uniform_factor
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
 
 STEPS = 12
 SETTLED = 1e-6
 ROUGHLY = 3  # steps after which the cells are known well enough to see which reading stands alone
 ALONE, FAR_OFF = 4.5, 10.0
+CIRCUIT = TwoPointReadout()  # discs are fitted to two-point resistances
 SCALE_SD = 3.0  # of the mean of ln r0: nothing is known of it beforehand
 
 
@@ -44,13 +46,13 @@ class Baseline:
         prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * doubts.cell_spread**2
         prior[cells:, cells:] = np.eye(lines)
         mean = np.zeros(cells + lines)
-        mean[:cells] = np.log(np.median(measured / uniform_factor(rows, columns)))
+        mean[:cells] = np.log(np.median(CIRCUIT.uniform_start(measured)))
         spread = doubts.offsets(measured + series_ohm)
         noise, state = sigma.ravel() ** 2, mean
         for step in range(STEPS):
             network = network_of(state[:cells].reshape(rows, columns))
-            slope = np.hstack([log_slope(network), spread])
-            residual = measured.ravel() - network.two_point_resistance().ravel() - spread @ state[cells:]
+            slope = np.hstack([network.sensitivity(), spread])
+            residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             across = prior @ slope.T
             innovation = residual + slope @ (state - mean)
             factor = cho_factor(slope @ across + np.diag(noise))
@@ -75,19 +77,4 @@ def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:
 def network_of(logarithm: Array) -> Network:
     """The network of cells ln r (rows, columns)."""
     cells = np.exp(logarithm)
-    return Network.solve(1 / cells, grounding(cells))
-
-
-def log_slope(network: Network) -> Array:
-    """∂R_i/∂ln r_l = D_il² g_l, (cells, cells) ohm."""
-    slope: Array = network.transfer() ** 2 * network.conductance.ravel()
-    return slope
-
-
-def log_slope_of(network: Network, chosen: NDArray[np.intp]) -> Array:
-    """The columns of that matrix for some cells, (cells, chosen) ohm; `chosen` holds their numbers."""
-    rows, columns = network.conductance.shape
-    lines = network.impedance[:, chosen // columns] - network.impedance[:, rows + chosen % columns]
-    transfer = (lines[:rows, None] - lines[None, rows:]).reshape(rows * columns, -1)
-    slope: Array = transfer**2 * network.conductance.ravel()[chosen]
-    return slope
+    return CIRCUIT.network(1 / cells, CIRCUIT.ties(cells))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from lampest.loads.recognition.baseline import Baseline, log_slope, log_slope_of, network_of
+from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array
 
@@ -95,11 +95,11 @@ class Direct(Frame):
     def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
         """R − f(r) at the cells themselves."""
         network = network_of(self.baseline.logarithm + change)
-        return self.target - network.two_point_resistance().ravel(), log_slope_of(network, chosen)
+        return self.target - network.reading().ravel(), network.sensitivity(chosen)
 
     def slope(self, change: Array) -> Array:
         """∂f/∂ln r at the cells themselves."""
-        return log_slope(network_of(self.baseline.logarithm + change))
+        return network_of(self.baseline.logarithm + change).sensitivity()
 
     def direct(self) -> "Direct":
         """Itself."""
@@ -141,14 +141,14 @@ class TwoStep(Frame):
     def bend(self, change: Array) -> Array:
         """What the straight line misses of f(r)."""
         network = network_of(self.baseline.logarithm + change)
-        return self.target - network.two_point_resistance().ravel() - self.missed(change, np.zeros(0, dtype=np.intp))[0]
+        return self.target - network.reading().ravel() - self.missed(change, np.zeros(0, dtype=np.intp))[0]
 
     @cached_property
     def _about(self) -> tuple[Array, Array, Array]:
         """f(r̂) (cells) ohm, ∂f/∂ln r there (cells, cells) ohm, and ln r̂ (rows, columns)."""
         logarithm = np.log(self.estimate)
         network = network_of(logarithm)
-        return network.two_point_resistance().ravel(), log_slope(network), logarithm
+        return network.reading().ravel(), network.sensitivity(), logarithm
 
 
 @dataclass(frozen=True, eq=False)

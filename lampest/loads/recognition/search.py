@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.footprint import cover
-from lampest.loads.recognition.baseline import Baseline, log_slope, network_of
+from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.recognition.frame import Frame, Weight
 from lampest.loads.recognition.loads import Disc
 from lampest.panel.panel import Array, Panel
@@ -50,7 +50,7 @@ class Search:
                 discs += [Disc(*place, shape[0], shape[1], *pressures, 0.0, 0.0) for place in places]
         patterns = _unit(np.concatenate(changes).reshape(-1, panel.cells).T)
         pressing = patterns[:, : 2 * len(PRESSING) * panel.cells]
-        return cls(tuple(discs), patterns, _unit(weight @ (log_slope(network_of(baseline.logarithm)) @ pressing)))
+        return cls(tuple(discs), patterns, _unit(weight @ (network_of(baseline.logarithm).sensitivity() @ pressing)))
 
     def stands_out(self, errors: Array) -> float:
         """By how many standard deviations errors of unit variance, against a panel at rest, look like a disc."""

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from lampest.files.tagged import ByKind
-from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
+from lampest.panel.readouts.loaded_columns.readout import LoadedColumnsReadout
 from lampest.panel.readouts.readout import Readout
 from lampest.panel.readouts.two_point.readout import TwoPointReadout
 

@@ -11,10 +11,8 @@ LONGEST_STEP = 1.5  # of log r: beyond, a reading's slope says nothing of where 
 FITTED = 1e-9  # of the largest reading
 
 
-def newton_fitted(
-    network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
-) -> Network:
-    """Newton's method for y_block(u) = measured over the chosen cells of the block, u = log r, steps halved until better.
+def newton_fitted(network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]) -> Network:
+    """Newton's method for y(u) = measured over the chosen cells of the block, u = log r, steps halved until better.
 
     measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
     """

@@ -9,9 +9,21 @@ from lampest.panel.panel import Array
 PerLine = float | tuple[float, ...]
 
 
+def as_tuple(value: PerLine) -> tuple[float, ...]:
+    """All numbers, be it one."""
+    return value if isinstance(value, tuple) else (value,)
+
+
+def lines_text(value: PerLine) -> str:
+    """'10000 ohm', or 'from 980 to 1020 ohm' where lines differ."""
+    numbers = as_tuple(value)
+    low, high = min(numbers), max(numbers)
+    return f"{low:g} ohm" if low == high else f"from {low:g} to {high:g} ohm"
+
+
 def check_lines(name: str, value: PerLine, least: float, open_end: bool = False) -> None:
     """Raise ValueError unless every number is finite and at least `least`, or above it with an open end."""
-    for number in value if isinstance(value, tuple) else (value,):
+    for number in as_tuple(value):
         if not isfinite(number) or number < least or (open_end and number == least):
             bound = "positive" if open_end else "zero or positive"
             raise ValueError(f"{name} must be {bound} and finite")

@@ -6,7 +6,7 @@ A kind of readout is one file: it states its ties and its reading. All else has 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,14 @@ class Readout(ABC):
     noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
 
     unit : of a reading, 'ohm' or 'volt'. signal : its dataset in files. homogeneous : whether readings grow with all
-    cells by one factor. Raises ValueError where a number is out of range.
+    cells by one factor. unique : whether theory promises that plain least squares without noise has one minimum; where
+    it does not, the reduced solver searches and others go on from what it finds. Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     unit: ClassVar[str] = "volt"
     homogeneous: ClassVar[bool] = False
+    unique: ClassVar[bool] = False
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20
@@ -55,8 +57,16 @@ class Readout(ABC):
         if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
             raise ValueError("noise_lsb must be zero or positive, and finite")
 
-    def check(self, panel: Panel) -> None:
+    def check(self, panel: Panel) -> None:  # noqa: B027 - nothing to check unless a kind lists numbers for lines
         """Raise ValueError where the readout does not fit the panel."""
+
+    @abstractmethod
+    def description(self) -> str:
+        """The circuit and its numbers with their units, for people."""
+
+    def converter_description(self) -> str:
+        """The converter's part of that."""
+        return f"{self.adc_bits} bits, {self.readings} readings, noise {self.noise_lsb:g} LSB"
 
     # The circuit: what a kind must state.
 
@@ -75,7 +85,7 @@ class Readout(ABC):
     # What follows from the circuit.
 
     def network(self, conductance: Array, ties: Array) -> Network:
-        """The solved network of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is loose."""
+        """The network of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is loose."""
         return TiedNetwork(conductance, inverse_of(conductance, ties), self)
 
     def exact_reading(self, cell_resistance: Array) -> Array:
@@ -139,6 +149,17 @@ class Readout(ABC):
     def to_recorded(self, reading: Array, scene: "Scene") -> Array:
         """The recorded reading of a network's, any shape ending in (rows, columns)."""
         return reading
+
+    def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
+        """Recorded readings (frames, rows, columns) of cells, without the converter.
+
+        row_ohm, column_ohm : what every line's channel has in series beyond what the scene tells, ohm.
+        """
+        return self.to_recorded(self.exact_reading(cell_resistance), scene)
+
+    def off_by(self, fraction: float) -> Self:
+        """The same circuit with its reference resistor larger by a fraction."""
+        return self
 
     # The converter.
 

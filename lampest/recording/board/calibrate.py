@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
-from lampest.panel.divider import sigma_code, sigma_resistance
-from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 
@@ -122,7 +121,7 @@ def _two_point(known: Array) -> Array:
     part = _parts(conductance)
     tie = np.zeros(rows + columns)
     tie[np.unique(part)] = conductance.max() or 1.0
-    resistance = Network.solve(conductance, tie).two_point_resistance()
+    resistance = TwoPointReadout().network(conductance, tie).reading()
     return np.where(part[:rows, None] == part[None, rows:], resistance, np.inf)
 
 
@@ -147,11 +146,11 @@ def _sigma_of_mean(recording: Recording, used: Array) -> Array:
     if readout is None:
         return np.full(len(mean), max(float(np.sqrt(np.mean(scatter**2))), 1e-9) / np.sqrt(frames))
     endless = dataclasses.replace(readout, readings=65535)
-    lasting = sigma_resistance(endless, mean)
+    lasting = endless.sigma(mean)
     # One cell's scatter over few frames is a poor estimate, and zero where all readings agree: that of all, in codes.
-    expected = sigma_resistance(readout, mean)
+    expected = readout.sigma(mean)
     pooled = float(np.sqrt(np.mean((scatter / expected) ** 2))) if frames > 1 else 1.0
-    least = sigma_code(endless) / sigma_code(readout)
+    least = endless.sigma_code() / readout.sigma_code()
     total: Array = np.hypot(expected * max(pooled, least) / np.sqrt(frames), lasting)
     return total
 

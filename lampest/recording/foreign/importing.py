@@ -9,7 +9,6 @@ import numpy as np
 
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
-from lampest.panel.divider import resistance_from_voltage, voltage_from_code
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.matlab_file import read_arrays
@@ -212,12 +211,12 @@ def _resistance(values: Array, unit: str, scene: Scene, place: Callable[[int, in
         highest = 2**readout.adc_bits - 1
         _refuse((values < 0) | (values > highest), values, place, f"is no code of a {readout.adc_bits}-bit converter")
         _refuse((values == 0) | (values == highest), values, place, "is a saturated code, whose resistance is unknown")
-        return resistance_from_voltage(readout, voltage_from_code(readout, values))
+        return readout.recorded_from_volt(readout.volt_from_code(values))
     outside = (values < 0) | (values > readout.supply_volt)
     _refuse(outside, values, place, f"lies outside 0 to {readout.supply_volt:g} V, the divider's supply")
     saturated = (values == 0) | (values == readout.supply_volt)
     _refuse(saturated, values, place, "V is saturated, its resistance would be zero or infinite")
-    return resistance_from_voltage(readout, values)
+    return readout.recorded_from_volt(values)
 
 
 def _refuse(bad: np.ndarray, values: Array, place: Callable[[int, int, int], str], why: str) -> None:

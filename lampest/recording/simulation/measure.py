@@ -1,59 +1,52 @@
-"""What the electronics make of a network: two-point resistance → divider, multiplexers, converter → readings."""
-
-import dataclasses
+"""What the electronics make of cells: their circuit, multiplexers, converter → recorded readings."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.divider import (
-    code_from_voltage,
-    lsb_volt,
-    resistance_from_sums,
-    voltage_from_resistance,
-)
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.recording.simulation.unmodelled import Unmodelled, stream
 
 AT_ONCE = 64
 MOST_RAW = np.iinfo(np.uint16).max
 
 
-def measured(scene: Scene, network: Array, unmodelled: Unmodelled, seed: int) -> tuple[Array, NDArray[np.int64] | None]:
-    """(R, Σ code): what the divider equation gives, and the sums of the ADC's codes, both (frames, rows, columns).
+def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> tuple[Array, NDArray[np.int64] | None]:
+    """(recorded readings, Σ code): what the readout's equation gives, and the sums of the converter's codes.
 
-    R comes from the mean code with the nominal reference; the codes from the true one. Without a readout R is exact and
-    there are no sums. `network` is the cells' two-point resistance in ohm.
+    Both (frames, rows, columns). Readings come from the mean code with the nominal reference; the codes from the true
+    one. Without a readout readings are exact and there are no sums. `cells` (frames, rows, columns) ohm.
     Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
-    total = network + scene.series_resistance_ohm + channel_error(scene, unmodelled, seed)
-    if not np.all(total > 0):
+    off = unmodelled.reference_tolerance * stream(seed, "reference").uniform(-1, 1)
+    actual = scene.circuit.off_by(off)
+    total = actual.simulated(cells, scene, *channel_errors(scene, unmodelled, seed))
+    if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
         return total, None
-    sums = sums_of_codes(scene.readout, total, unmodelled, seed)
-    return resistance_from_sums(scene.readout, sums, scene.readout.readings), sums
+    sums = sums_of_codes(actual, total, unmodelled, seed)
+    return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
 
-def channel_error(scene: Scene, unmodelled: Unmodelled, seed: int) -> Array:
-    """δ + δ_j + δ_k: what is in series beyond what the scene tells, channels included; (rows, columns) ohm."""
+def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
+    """δ + δ_j and δ_k: what is in series beyond what the scene tells, channels included; (rows) and (columns) ohm."""
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * stream(seed, "channels").standard_normal(rows + columns)
-    return np.asarray(unmodelled.series_resistance_ohm + channel[:rows, None] + channel[None, rows:])
+    return unmodelled.series_resistance_ohm + channel[:rows], channel[rows:]
 
 
-def sums_of_codes(readout: TwoPointReadout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
-    """Σ over the readings of code(V + noise), (frames, rows, columns) ohm → 1; outliers are random codes."""
-    off = unmodelled.reference_tolerance * stream(seed, "reference").uniform(-1, 1)
-    actual = dataclasses.replace(readout, reference_ohm=readout.reference_ohm * (1 + off))
+def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
+    """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
     noise, outliers = stream(seed, "noise"), stream(seed, "outliers")
-    sigma = readout.noise_lsb * lsb_volt(readout)
+    sigma = readout.noise_lsb * readout.lsb_volt
     sums = np.empty(total.shape, dtype=np.int64)
-    for frame, volt in enumerate(voltage_from_resistance(actual, total)):
+    for frame, volt in enumerate(readout.volt_from_recorded(total)):
         sums[frame] = 0
         for first in range(0, readout.readings, AT_ONCE):
             shape = (min(AT_ONCE, readout.readings - first), *volt.shape)
-            codes = code_from_voltage(actual, volt + sigma * noise.standard_normal(shape))
+            codes = readout.code_from_volt(volt + sigma * noise.standard_normal(shape))
             if unmodelled.outlier_probability > 0:
                 hit = outliers.random(shape) < unmodelled.outlier_probability
                 codes = np.where(hit, outliers.integers(0, 2**readout.adc_bits, shape), codes)
@@ -61,7 +54,7 @@ def sums_of_codes(readout: TwoPointReadout, total: Array, unmodelled: Unmodelled
     return sums
 
 
-def raw_sums(readout: TwoPointReadout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
+def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
     """The sums as a recording holds them; None where readings · (2^bits − 1) does not fit into 16 bits."""
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) > MOST_RAW:
         return None

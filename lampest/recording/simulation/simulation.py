@@ -9,7 +9,6 @@ import numpy as np
 from lampest.files.document import to_yaml
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import AnyLoad
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -122,7 +121,7 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
             cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
     if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
         raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
-    resistance, sums = measured(simulation.scene, two_point_resistance(cells), simulation.unmodelled, simulation.seed)
+    resistance, sums = measured(simulation.scene, cells, simulation.unmodelled, simulation.seed)
     raw = raw_sums(simulation.scene.readout, sums)
     return Recording(
         scene=simulation.scene,

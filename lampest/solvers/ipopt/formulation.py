@@ -40,5 +40,5 @@ class Formulation(ABC):
     def potentials(self, readout: Readout, network: Network) -> Array:
         """The values of `NetworkSymbols.potentials` in a solved network, in ohm; the start of a solver."""
 
-    def check(self, readout: Readout) -> None:
+    def check(self, readout: Readout) -> None:  # noqa: B027 - unless a formulation says otherwise it knows them all
         """Raise InputError where the formulation cannot say what the readout reads."""

@@ -66,7 +66,7 @@ class Ipopt:
         scale, rough = data.resistance_scale, start.rough
         huber = start.of_terms(self.cost.functions.huber)
         split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
-        own = {
+        own: dict[str, Any] = {
             "ties": data.ties.ravel() * scale,
             "weights": self.cost.weights,
             "scale": scale,
@@ -130,7 +130,7 @@ def _compiled(
     """(solver, names of its parameters in their order); one program serves all weights."""
     program = Program.build(cost, readout, formulation)
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
-    several_minima = any(term.needs_previous for term in cost.terms)
+    several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
     options: dict[str, Any] = {
         "ipopt": OPTIONS | (NEAR if several_minima else FAR) | limits,
         "hess_lag": program.hessian(),

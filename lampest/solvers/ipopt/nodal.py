@@ -70,8 +70,8 @@ class Nodal(Formulation):
 def _scaled_reading(readout: Readout, entries: list[casadi.SX], scale: casadi.SX) -> casadi.SX:
     """h of entries of Z in units of `scale`, (rows, columns)."""
     if readout.homogeneous:
-        return scale * readout.reading(*entries)
-    return readout.reading(*(scale * entry for entry in entries))
+        return casadi.SX(scale * readout.reading(*entries))
+    return casadi.SX(readout.reading(*(scale * entry for entry in entries)))
 
 
 def _reads_far(readout: Readout, shape: tuple[int, ...]) -> bool:

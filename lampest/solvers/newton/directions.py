@@ -6,8 +6,8 @@ from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.panel import Array
 from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
+from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.reach import within_reach
 

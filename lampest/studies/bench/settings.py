@@ -15,7 +15,8 @@ from lampest.estimate.estimator import Estimator, FormulationName
 from lampest.files.document import read_document, validated
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate

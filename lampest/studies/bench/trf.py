@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import casadi
 import numpy as np
 from scipy import sparse
 from scipy.optimize import least_squares
 
-from lampest.cost.cost import Compiled, Cost
+from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.network import Network
+from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -56,22 +56,18 @@ class Trf:
         return Outcome(np.exp(found.x).reshape(data.measured.shape), np.zeros(0), status, int(found.njev))
 
     @cached_property
-    def _parts(self) -> tuple[list[Any], Any, Any]:
-        symbols = self.cost.symbols()
-        pairs = self.cost.residuals(*symbols)
-        residual = casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs))
-        unknown = casadi.vertcat(casadi.vec(symbols[0]), casadi.vec(symbols[1]))
-        return [casadi.vec(symbol) for symbol in symbols], residual, casadi.jacobian(residual, unknown)
+    def _stacked(self) -> casadi.SX:
+        pairs = self.cost.residuals(self.cost.symbols)
+        return casadi.SX(casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs)))
 
     @cached_property
     def _residual(self) -> Compiled:
-        symbols, residual, _ = self._parts
-        return Compiled(casadi.Function("residual", symbols, [casadi.densify(residual)]))
+        return self.cost.symbols.compiled("residual", casadi.densify(self._stacked))
 
     @cached_property
     def _derivative(self) -> Compiled:
-        symbols, _, derivative = self._parts
-        return Compiled(casadi.Function("derivative", symbols, [derivative]))
+        symbols = self.cost.symbols
+        return symbols.compiled("derivative", casadi.jacobian(self._stacked, symbols.unknown))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,29 +78,24 @@ class _Point:
     data: Data
     scale: float
 
-    def _networks(self, position: Array) -> tuple[Array, list[Network]]:
+    def _at(self, position: Array) -> Evaluation:
         cells = np.exp(position).reshape(self.data.measured.shape)
-        return cells, [Network.solve(1 / frame, tie) for frame, tie in zip(cells, self.data.ties, strict=True)]
-
-    def _call(self, function: Compiled, cells: Array, networks: list[Network]) -> Array:
-        two_point = np.stack([network.two_point_resistance() for network in networks])
-        return self.scale * function(cells.ravel(), two_point.ravel(), *self.data.parameters)
+        return Evaluation.at(self.solver.cost, self.data, cells)
 
     def residuals(self, position: Array) -> Array:
         """f(u)."""
-        return self._call(self.solver._residual, *self._networks(position))
+        return self.scale * self._at(position).of_terms(self.solver._residual)
 
     def jacobian(self, position: Array) -> Array:
-        """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂R·(D∘D)·diag(1/r), dense."""
-        cells, networks = self._networks(position)
-        function, count = self.solver._derivative, cells.size
+        """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂y·∂y/∂u, dense."""
+        at = self._at(position)
+        cells, function = at.cell_resistance, self.solver._derivative
+        size, count = cells[0].size, cells.size
         shape = (self.solver._residual.function.nnz_out(0), 2 * count)
-        partial = sparse.csc_array((self._call(function, cells, networks), function.pattern), shape=shape)
-        size = cells[0].size
+        partial = sparse.csc_array((self.scale * at.of_terms(function), function.pattern), shape=shape)
         blocks = [
-            partial[:, count + frame * size : count + (frame + 1) * size]
-            @ (network.transfer() ** 2 / cells[frame].ravel())
-            for frame, network in enumerate(networks)
+            partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
+            for frame, network in enumerate(at.networks)
         ]
         matrix: Array = np.hstack(blocks) + (partial[:, :count] @ sparse.diags_array(cells.ravel())).toarray()
         return matrix

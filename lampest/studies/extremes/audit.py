@@ -3,9 +3,9 @@
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
+from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.starmesh import exact_two_point_resistance
+from lampest.panel.readouts.two_point.starmesh import exact_two_point_resistance
 
 STEP = 1e-4
 
@@ -13,8 +13,8 @@ STEP = 1e-4
 def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:
     """φ(r) with f(r) by elimination that never subtracts; cells (frames, rows, columns) ohm."""
     two_point = exact_two_point_resistance(cells) if two_point is None else two_point
-    nothing = np.zeros(0)
-    return float(cost.functions.costs(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing).sum())
+    at = Evaluation(cost, data, cells, two_point, ())
+    return at.objective
 
 
 def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
@@ -29,9 +29,8 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     Of the package's derivatives only those of the terms themselves are used; only
     for costs without an absolute loss.
     """
-    two_point, nothing = exact_two_point_resistance(cells), np.zeros(0)
-    partials = cost.functions.gradient(cells.ravel(), two_point.ravel(), *data.parameters, cost.weights, nothing)
-    direct, through = (part.reshape(cells.shape) for part in np.split(partials, 2))
+    at = Evaluation(cost, data, cells, exact_two_point_resistance(cells), ())
+    direct, through = at.partials(np.zeros(0))
     slope = direct * cells
     for frame, row, column in np.ndindex(cells.shape):
         sides = []

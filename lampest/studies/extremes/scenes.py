@@ -5,16 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampest.panel.divider import (
-    code_from_voltage,
-    lsb_volt,
-    resistance_from_voltage,
-    voltage_from_code,
-    voltage_from_resistance,
-)
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults, Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.exact import two_point_resistance
+from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
 
 USUAL_OHM = 3000.0
@@ -111,9 +105,9 @@ def recording_of(sample: Sample) -> tuple[Recording, Made]:
 
 def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
     """What one conversion says of a resistance."""
-    noise = readout.noise_lsb * lsb_volt(readout) * rng.standard_normal(total.shape)
-    code = code_from_voltage(readout, voltage_from_resistance(readout, total) + noise)
-    return resistance_from_voltage(readout, voltage_from_code(readout, code.astype(float)))
+    noise = readout.noise_lsb * readout.lsb_volt * rng.standard_normal(total.shape)
+    code = readout.code_from_volt(readout.volt_from_recorded(total) + noise)
+    return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 
 
 def _filled(total: Array, sigma: Array | None) -> tuple[Array, Array | None]:

@@ -14,7 +14,8 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled

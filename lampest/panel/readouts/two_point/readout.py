@@ -1,7 +1,7 @@
 """Two-point readout: one row and one column are selected, all other lines float; a divider reads the resistance."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ class TwoPointReadout(Readout):
 
     unit: ClassVar[str] = "ohm"
     homogeneous: ClassVar[bool] = True
+    unique: ClassVar[bool] = True
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
@@ -42,6 +43,13 @@ class TwoPointReadout(Readout):
         check_positive("supply_volt", self.supply_volt)
         check_positive("reference_ohm", self.reference_ohm)
         super().__post_init__()
+
+    def description(self) -> str:
+        """The divider and the converter."""
+        return (
+            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured across the "
+            f"{self.measured_across}, {self.converter_description()}"
+        )
 
     def ties(self, measured: Array) -> Array:
         """One line, chosen by the readings; see `grounding`."""
@@ -117,6 +125,15 @@ class TwoPointReadout(Readout):
         """R + R_series."""
         total: Array = reading + scene.series_resistance_ohm
         return total
+
+    def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
+        """R + R_series + what both channels have more."""
+        total = self.to_recorded(self.exact_reading(cell_resistance), scene)
+        return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
+
+    def off_by(self, fraction: float) -> Self:
+        """Rref·(1 + fraction)."""
+        return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor; any shape, volt → ohm.

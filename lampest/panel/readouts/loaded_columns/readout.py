@@ -1,12 +1,13 @@
 """Loaded columns: one line is driven through a resistor, the other driven lines float, every sensed line has a load."""
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, lines_text, per_line
+from lampest.panel.readouts.loaded_columns.start import kirchhoff_start
 from lampest.panel.readouts.readout import LEAST_SHARE, Readout
 
 RELAXED = 3.0  # σ of the data by which bounds give way: with 1 % noise the truth itself breaks them in a third of cases
@@ -15,7 +16,7 @@ END = 1e-9  # of the supply: a reading so near to an end says that a cell is ope
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedColumnsReadout(Readout):
-    """v_ij = Z_ij/(Rd_i + Z_ii), V = Vcc·v: driven line i, sensed line j with its load Rs_j, other driven lines floating.
+    """V = Vcc·Z_ij/(Rd_i + Z_ii): driven line i, sensed line j with its load Rs_j, other driven lines floating.
 
     Parameters
     ----------
@@ -47,6 +48,14 @@ class LoadedColumnsReadout(Readout):
         per_line("load_ohm", self.load_ohm, sensed)
         per_line("drive_ohm", self.drive_ohm, driven)
 
+    def description(self) -> str:
+        """The circuit and the converter."""
+        sensed = "columns" if self.driven == "rows" else "rows"
+        return (
+            f"loaded {sensed}, {self.driven} driven {self.polarity} one after the other, {self.supply_volt:g} V, "
+            f"load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}, {self.converter_description()}"
+        )
+
     def _sides(self, rows: Any, columns: Any) -> tuple[Any, Any]:
         """(driven, sensed) of what rows and columns have."""
         return (rows, columns) if self.driven == "rows" else (columns, rows)
@@ -75,7 +84,7 @@ class LoadedColumnsReadout(Readout):
         """V = Vcc·Z_ij/(Rd_i + Z_ii)."""
         driven, _ = self._sides(row, column)
         shape = mutual.shape
-        return self.supply_volt * mutual / (np.broadcast_to(self._drives(shape), shape) + driven)
+        return self.supply_volt * mutual / (driven + np.broadcast_to(self._drives(shape), shape))
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Rs·(1/v − 1) − Rd: what the naive divider makes of a reading."""
@@ -83,6 +92,19 @@ class LoadedColumnsReadout(Readout):
         shape = measured.shape[-2:]
         load = self._loads(shape)
         return np.asarray(np.maximum(load * (1 / share - 1) - self._drives(shape), LEAST_SHARE * load))
+
+    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+        """Cells that satisfy Kirchhoff's law at the voltages that were read; see `kirchhoff_start`."""
+        if near is not None:
+            return near
+        shape = measured.shape
+        load, drive = np.broadcast_to(self._loads(shape), shape), np.broadcast_to(self._drives(shape), shape)
+        share = np.clip(measured / self.supply_volt, END, 1 - END)
+        if self.driven == "rows":
+            conductance = kirchhoff_start(share, load, drive[:, 0])
+        else:
+            conductance = kirchhoff_start(share.T, load.T, drive[0]).T
+        return np.asarray(np.minimum(1 / conductance, upper))
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i.
@@ -97,6 +119,20 @@ class LoadedColumnsReadout(Readout):
         current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=along, keepdims=True))
         least = np.maximum(self.supply_volt - drive * current, 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
+
+    def simulated(self, cell_resistance: Array, scene: Any, row_ohm: Array, column_ohm: Array) -> Array:
+        """With the driven lines' channels in the drive resistance; the sensed lines have none."""
+        driven, _ = self._sides(row_ohm, column_ohm)
+        drive = per_line("drive_ohm", self.drive_ohm, len(driven)) + driven
+        if np.any(drive < 0):
+            raise ValueError("the spread of the channels makes a drive resistance negative; give a larger drive_ohm")
+        actual = replace(self, drive_ohm=tuple(float(ohm) for ohm in drive))
+        return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
+
+    def off_by(self, fraction: float) -> Self:
+        """Every Rs·(1 + fraction)."""
+        scaled = tuple(ohm * (1 + fraction) for ohm in as_tuple(self.load_ohm))
+        return replace(self, load_ohm=scaled if isinstance(self.load_ohm, tuple) else scaled[0])
 
     def from_recorded(self, recorded: Array, scene: Any) -> Array:
         """The voltage across the load: V, or Vcc − V where loads lead to the supply."""
