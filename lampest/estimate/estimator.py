@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import isfinite
 from typing import Any, ClassVar, Literal
 
@@ -13,23 +12,16 @@ from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
-from lampest.estimate.efforts import AnyEffort, Converged, Truncated
+from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
-from lampest.solvers.ipopt.formulations import Formulation, Nodal, PerPixel
-from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Settings, Solver
 
-Unknowns = Literal["cells", "oral_disc"]
-FormulationName = Literal["per_pixel", "nodal", "reduced", "auto"]
-FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
-NODAL_CELLS, NODAL_PERIOD = 144, 0.5
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
@@ -100,42 +92,44 @@ class AutoWeight:
 
 @dataclass(frozen=True)
 class Estimator:
-    """Terms, formulation, solver settings, bounds and effort.
+    """Terms, the method that minimises them, its settings, and bounds.
 
+    formulation : how the estimate is computed, a word or a method with its options.
     error_bars : whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only
     verified optima of readings whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
-    unknowns : the cells; or the few numbers of an oral disc that makes them, fitted to the readings (the misfit alone).
 
-    Raises ValueError without a term, where a weight is left open and there is no misfit, or where a term weighs the
-    previous frame by its error bars and there can be none.
+    Raises ValueError without a data term, for a formulation that does not exist or does not fit the terms, or where a
+    term weighs the previous frame by its error bars and there can be none.
     """
 
     terms: tuple[Term, ...]
-    formulation: FormulationName = "nodal"
+    formulation: MethodName | AnyMethod = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
-    effort: AnyEffort = Converged()
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
-    unknowns: Unknowns = "cells"
 
     def __post_init__(self) -> None:
         if not self.terms:
             raise ValueError("an estimator needs at least one term")
         if self.automatic and not any(isinstance(term, Misfit) for term in self.terms):
             raise ValueError("weight: auto needs the term misfit")
-        if self.unknowns == "oral_disc" and not all(isinstance(term, Misfit) for term in self.terms):
-            raise ValueError("unknowns: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
-        if self.unknowns == "oral_disc" and not isinstance(self.effort, Converged):
-            raise ValueError("unknowns: oral_disc needs effort: converged")
+        self.method.check(self.terms)
         if self.weighs_previous:
-            if self.error_bars is False or not self._of_cells:
-                raise ValueError("arrival weighs frames by their error bars: it needs error_bars and effort: converged")
+            if self.error_bars is False or not self.method.optimum:
+                raise ValueError(
+                    "arrival weighs frames by their error bars: it needs error_bars, and an optimum to have them"
+                )
             if not any(isinstance(term, Misfit) for term in self.terms):
                 raise ValueError("arrival needs the term misfit")
-        if self.automatic and self.auto_weight.per == "frame" and not isinstance(self.effort, Converged):
-            raise ValueError("auto_weight.per: frame needs effort: converged")
+        if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
+            raise ValueError("auto_weight.per: frame needs a formulation that ends at an optimum")
+
+    @property
+    def method(self) -> Method:
+        """What the formulation's word stands for."""
+        return named_method(self.formulation)
 
     @property
     def automatic(self) -> bool:
@@ -158,17 +152,12 @@ class Estimator:
         return any(term.weighs_previous for term in self.terms)
 
     @property
-    def _of_cells(self) -> bool:
-        """Whether estimates are optima over the cells, which error bars are for."""
-        return self.unknowns == "cells" and isinstance(self.effort, Converged)
-
-    @property
     def joint_start(self) -> bool:
         """Whether the baseline is solved together with the first frame, as the paper does for relative methods.
 
         Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
         """
-        return self.relative and not self.weighs_previous and isinstance(self.effort, Converged | Truncated)
+        return self.relative and not self.weighs_previous and self.method.joint
 
     @property
     def absolute_terms(self) -> tuple[Term, ...]:
@@ -180,7 +169,7 @@ class Estimator:
         rows, columns = readings.resistance.shape[-2:]
         few = rows * columns <= BARRED_CELLS or self.weighs_previous
         asked = self.error_bars if isinstance(self.error_bars, bool) else few
-        return asked and self._of_cells and readings.sigma is not None
+        return asked and self.method.optimum and readings.sigma is not None
 
     def needs_sigma(self) -> bool:
         """Whether a term divides by the readings' standard deviation."""
@@ -209,16 +198,8 @@ class Estimator:
         return Data(Given.of(readings, background), lower, upper, scene.circuit)
 
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
-        """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept.
-
-        formulation 'auto' is nodal on panels of up to 144 cells with at most two frames a second, else reduced.
-        """
-        small = scene.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
-        named = self.effort.kind if isinstance(self.effort, Converged) else "reduced"
-        formulation = self.formulation if named == "converged" else named
-        if formulation == "auto":
-            formulation = "nodal" if small else "reduced"
-        return _solver(self.cost(scene, frames, partial), scene.circuit, formulation, self.solver)
+        """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""
+        return self.method.solver(self.cost(scene, frames, partial), scene.circuit, self.solver, period)
 
     def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
         """The terms over one frame, or over two jointly; broken cells are left out.
@@ -227,10 +208,3 @@ class Estimator:
         """
         faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
         return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
-
-
-@lru_cache(maxsize=32)
-def _solver(cost: Cost, readout: Readout, formulation: str, settings: Settings) -> Solver:
-    if formulation in FORMULATIONS:
-        return Ipopt(cost, readout, FORMULATIONS[formulation], settings)
-    return Newton(cost, settings)

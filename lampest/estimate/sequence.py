@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.stream import Step, Stream
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

@@ -3,55 +3,24 @@
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.oral_disc import OralDisc, disc_solution
+from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt
-from lampest.loads.recognition.direct import OralDiscFit
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
-from lampest.posterior.linear import LinearModel
-from lampest.posterior.track import Bars, Track
+from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.solvers.linearised import LinearisedSolver
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.region.region import RegionSolver
-from lampest.solvers.search import BROKEN, best_solution, evaluated
-from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation, failure
+from lampest.solvers.search import BROKEN
 
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
-
-    weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
-    disc : what the cells follow from, where that is a disc.
-    """
-
-    solution: Solution
-    seconds: float
-    weights: tuple[float, ...]
-    bars: Bars | None = None
-    bars_seconds: float = 0.0
-    disc: OralDiscFit | None = None
-
-
-def _deviation(track: Track | None, step: Step) -> Array | None:
-    return None if track is None or step.bars is None else track.deviation
-
-
-def _estimate(step: Step, frame: int) -> Array | None:
-    return step.solution.cell_resistance[frame] if step.solution.solved else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +34,8 @@ class Stream:
     baseline : how the baseline was solved; None for a relative method until a frame was.
     previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
     has no error bars.
-    anchor : what an effort has prepared from the solved baseline, or None.
+    prepared : what the method keeps between frames, or None.
     track : what error bars need of earlier frames; None where there are to be none.
-    disc : where the fits of a disc stand, if the unknowns are a disc's.
     """
 
     estimator: Estimator
@@ -77,9 +45,8 @@ class Stream:
     baseline: Step | None = None
     previous: Array | None = None
     previous_deviation: Array | None = None
-    anchor: LinearisedSolver | RegionSolver | None = None
+    prepared: Any = None
     track: Track | None = None
-    disc: OralDisc | None = None
 
     @classmethod
     def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
@@ -89,31 +56,32 @@ class Stream:
         """
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene, period, resting, track=track)
-        if estimator.unknowns == "oral_disc":
-            return stream._with_disc()
-        if estimator.joint_start:
-            return stream
-        if isinstance(estimator.effort, Linearised | Region):
-            return stream._anchored(estimator.effort)
-        alone = stream._absolute() if estimator.weighs_previous else stream
-        baseline = alone._solve(*alone.given(resting))
-        with suppress(*BROKEN):
-            model = _surroundings(baseline)
-            if stream.track is not None and model is not None:
-                track = stream.track.resting(model, remembered=estimator.relative)
-                stream = replace(stream, track=track, previous_deviation=track.deviation)
-        return replace(stream, baseline=baseline, previous=_estimate(baseline, 0))
+        return stream if estimator.joint_start else estimator.method.begin(stream)
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 
         Raises InputError as `begin`.
         """
-        if self.disc is not None:
-            return self._push_disc(self.disc, readings)
+        return self.estimator.method.push(self, readings)
+
+    def after_baseline(self) -> "Stream":
+        """The stream after a baseline that is solved alone; for methods."""
+        alone = self.without_comparisons() if self.estimator.weighs_previous else self
+        baseline = alone.solve(*alone.given(self.resting))
+        stream = self
+        with suppress(*BROKEN):
+            model = baseline.surroundings()
+            if self.track is not None and model is not None:
+                track = self.track.resting(model, remembered=self.estimator.relative)
+                stream = replace(self, track=track, previous_deviation=track.deviation)
+        return stream.with_baseline(baseline)
+
+    def after_frame(self, readings: Readings) -> tuple["Stream", Step]:
+        """The stream after a frame's readings (rows, columns), and how they were solved; for methods."""
         data, start = self.given(readings)
-        step = self._solve(data, start)
-        found = _estimate(step, -1)
+        step = self.solve(data, start)
+        found = step.estimate(-1)
         track, step = self._barred(step)
         step = replace(step, solution=replace(step.solution, at=None, dual=None))
         return replace(
@@ -124,39 +92,18 @@ class Stream:
             track=track,
         ), step
 
-    def _with_disc(self) -> "Stream":
-        """The stream with the unloaded panel that a disc's fits need."""
-        begin = perf_counter()
-        disc = OralDisc.of(self.scene, self.period, self.resting)
-        data, cost = self._judged(self.resting)
-        step = Step(disc.resting(cost, data), perf_counter() - begin, tuple(map(float, cost.weights)))
-        return replace(self, baseline=step, disc=disc)
-
-    def _judged(self, readings: Readings) -> tuple[Data, Cost]:
-        """What cells that were found in another way than by solving are judged by."""
-        data = self.estimator.data(readings.alone(), self.background)
-        return data, self.estimator.cost(self.scene, 1, data.partial)
+    def with_baseline(self, baseline: Step) -> "Stream":
+        """The stream that goes on from a solved baseline."""
+        return replace(self, baseline=baseline, previous=baseline.estimate(0))
 
     @property
     def background(self) -> Background:
         """What stands behind a frame of which nothing earlier is known."""
         return Background(self.scene, self.period)
 
-    def _push_disc(self, disc: OralDisc, readings: Readings) -> tuple["Stream", Step]:
-        begin = perf_counter()
-        data, cost = self._judged(readings)
-        weights = tuple(map(float, cost.weights))
-        with delayed_interrupt(), suppress(*BROKEN):
-            disc, found = disc.push(readings)
-            solution = replace(disc_solution(cost, data, found), at=None, dual=None)
-            return replace(self, disc=disc), Step(solution, perf_counter() - begin, weights, disc=found)
-        nothing = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
-        lost = failure(cost, data, Status.BREAKDOWN, float("nan"), nothing)
-        return self, Step(lost, perf_counter() - begin, weights)
-
     def _barred(self, step: Step) -> tuple[Track | None, Step]:
         """The step with error bars, where they are wanted and can be had."""
-        model = _surroundings(step)
+        model = step.surroundings()
         if self.track is None or model is None:
             return self.track, step
         begin = perf_counter()
@@ -174,8 +121,9 @@ class Stream:
             return self.estimator.data(self.resting.together(readings), self.background), None
         known = resting = None
         if self.estimator.relative:
-            known = self._guess(readings.resistance) if self.previous is None else self.previous
-            resting = None if self.baseline is None else _estimate(self.baseline, 0)
+            guess = self.estimator.method.guess(self.scene.circuit, readings.resistance)
+            known = guess if self.previous is None else self.previous
+            resting = None if self.baseline is None else self.baseline.estimate(0)
         behind = replace(self.background, previous=known, baseline=resting, previous_deviation=self._known_deviation())
         data = self.estimator.data(readings.alone(), behind)
         if self.estimator.weighs_previous and known is not None:
@@ -194,10 +142,11 @@ class Stream:
     @property
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline is not solved."""
-        found = None if self.baseline is None else _estimate(self.baseline, 0)
+        found = None if self.baseline is None else self.baseline.estimate(0)
         return np.full(self.scene.panel.shape, np.nan) if found is None else found
 
-    def _solve(self, data: Data, previous: Array | None) -> Step:
+    def solve(self, data: Data, previous: Array | None) -> Step:
+        """One solve, with the weights that are left to the data; for methods."""
         with delayed_interrupt():
             begin = perf_counter()
             estimator = self.estimator
@@ -208,63 +157,14 @@ class Stream:
             solver = estimator.problem(self.scene, len(data.measured), self.period, data.partial)
             solver.prepare()
             begin = perf_counter()
-            solution = self._solution(solver, data, previous)
+            solution = estimator.method.solution(solver, data, previous, self.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights)
 
-    def _solution(self, solver: Solver, data: Data, previous: Array | None) -> Solution:
-        effort = self.estimator.effort
-        if self.anchor is not None and previous is not None:
-            return self.anchor.solve(data, previous[0])
-        if isinstance(effort, TwoPoint | Scaled):
-            return approximation(solver.cost, data, _read_off(data, self._guess(data.measured)))
-        if isinstance(effort, Truncated):
-            return _truncated(solver.cost, data, previous, effort.steps)
-        return best_solution(solver, data, previous)
-
-    def _guess(self, measured: Array) -> Array:
-        """What an estimate would be without solving: R_m, or the cell of a uniform panel; same shape, ohm."""
-        readout = self.scene.circuit
-        if isinstance(self.estimator.effort, TwoPoint):
-            return readout.apparent_resistance(measured)
-        return readout.uniform_start(measured)
-
-    def _absolute(self) -> "Stream":
+    def without_comparisons(self) -> "Stream":
         """The stream without the terms that compare with an earlier frame."""
-        absolute = replace(self.estimator, effort=Converged(), terms=self.estimator.absolute_terms)
-        return replace(self, estimator=absolute)
-
-    def _anchored(self, effort: Linearised | Region) -> "Stream":
-        """The stream after its baseline, solved to an optimum without the terms that compare with an earlier frame."""
-        alone = self._absolute()
-        baseline = alone._solve(*alone.given(self.resting))
-        found = _estimate(baseline, 0)
-        stream = replace(self, baseline=baseline, previous=found)
-        if found is None:
-            return stream
-        behind = replace(self.background, previous=found if self.estimator.relative else None)
-        data = self.estimator.data(self.resting.alone(), behind)
-        cost = self.estimator.cost(self.scene, 1, data.partial)
-        here = evaluated(cost, data, found[None])
-        settings = self.estimator.solver
-        if isinstance(effort, Linearised):
-            return replace(stream, anchor=LinearisedSolver(cost, here))
-        return replace(stream, anchor=RegionSolver(cost, here, effort.significance, settings))
+        return replace(self, estimator=replace(self.estimator, terms=self.estimator.absolute_terms))
 
 
-def _surroundings(step: Step) -> LinearModel | None:
-    """What error bars follow from: a verified optimum."""
-    solution = step.solution
-    if solution.status is not Status.OPTIMUM or solution.at is None or solution.dual is None:
-        return None
-    return LinearModel(solution.at, solution.dual)
-
-
-def _read_off(data: Data, cells: Array) -> Outcome:
-    return Outcome(np.clip(cells, data.lower, data.upper), np.zeros(0), Status.APPROXIMATE, 0)
-
-
-def _truncated(cost: Cost, data: Data, previous: Array | None, steps: int) -> Solution:
-    start = data.uniform_start if previous is None else previous
-    outcome = Newton(cost, Settings(max_iterations=steps)).solve(data, evaluated(cost, data, start))
-    return approximation(cost, data, outcome)
+def _deviation(track: Track | None, step: Step) -> Array | None:
+    return None if track is None or step.bars is None else track.deviation

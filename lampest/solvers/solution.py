@@ -19,7 +19,7 @@ class Status(Enum):
     """Sentences; only the first three stand for an estimate."""
 
     OPTIMUM = "optimum verified"
-    APPROXIMATE = "approximate, as the effort asks; not an optimum"
+    APPROXIMATE = "approximate, as the formulation asks; not an optimum"
     FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"

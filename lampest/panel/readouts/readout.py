@@ -36,7 +36,9 @@ class Readout(ABC):
 
     unit : of a reading, 'ohm' or 'volt'. signal : its dataset in files. homogeneous : whether readings grow with all
     cells by one factor. unique : whether theory promises that plain least squares without noise has one minimum; where
-    it does not, the reduced solver searches and others go on from what it finds. Raises ValueError where a number is out of range.
+    it does not, the reduced solver searches and others go on from what it finds.
+
+    Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -1,0 +1,32 @@
+"""The methods that `formulation:` may name. To add one: write its file, name it in `AnyMethod`."""
+
+from typing import Annotated, Literal
+
+from lampest.estimate.methods.linearised import LinearisedMethod
+from lampest.estimate.methods.method import Method
+from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.oral_disc import OralDiscMethod
+from lampest.estimate.methods.region import RegionMethod
+from lampest.estimate.methods.truncated import TruncatedMethod
+from lampest.estimate.methods.uncorrected import UncorrectedMethod
+from lampest.files.tagged import ByKind, kinds_of, members_of
+
+__all__ = ["AnyMethod", "Method", "MethodName", "named_method"]
+AnyMethod = Annotated[
+    OptimalMethod | UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod | OralDiscMethod,
+    ByKind("lampest.methods"),
+]
+MethodName = Literal[
+    "per_pixel", "nodal", "reduced", "auto", "naive", "scaled", "linearised", "truncated", "region", "oral_disc"
+]
+
+
+def named_method(method: "Method | str") -> Method:
+    """The method that a bare word stands for; a method as it is. Raises ValueError where there is none of that name."""
+    if isinstance(method, Method):
+        return method
+    kinds = {kind: member for member in members_of(AnyMethod) for kind in kinds_of(member)}
+    if method not in kinds:
+        raise ValueError(f"formulation: there is no {method!r}; there are {', '.join(kinds)}")
+    chosen: Method = kinds[method](kind=method)
+    return chosen

@@ -1,0 +1,54 @@
+"""What a method of estimation must say: how the cells of a frame follow from its data."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.recording.readings import Readings
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.solution import Settings, Solution, Solver
+
+if TYPE_CHECKING:
+    from lampest.cost.terms.term import Term
+    from lampest.estimate.step import Step
+    from lampest.estimate.stream import Stream
+
+
+@dataclass(frozen=True)
+class Method(ABC):
+    """How an estimate is computed; what `formulation:` names, by the bare word or with options.
+
+    optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
+    that compares frames solves its baseline together with the first frame, as the paper does.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    optimum: ClassVar[bool] = False
+    joint: ClassVar[bool] = False
+
+    def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
+        """Raise ValueError where the method cannot minimise these terms."""
+
+    def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
+        """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
+        return Newton(cost, settings)
+
+    @abstractmethod
+    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : what `begin` has prepared."""
+
+    def guess(self, readout: Readout, measured: Array) -> Array:
+        """What stands for the previous frame where there is none, the same shape, ohm."""
+        return readout.uniform_start(measured)
+
+    def begin(self, stream: "Stream") -> "Stream":
+        """The stream after its baseline, solved in the method's own way."""
+        return stream.after_baseline()
+
+    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
+        """The stream after one frame's readings (rows, columns), and how they were solved."""
+        return stream.after_frame(readings)

@@ -1,0 +1,130 @@
+"""`formulation: oral_disc`: eight numbers of a disc are fitted to the readings, and the cells follow from them."""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.term import Term
+from lampest.estimate.methods.method import Method
+from lampest.estimate.step import Step
+from lampest.files.errors import InputError
+from lampest.files.interrupts import delayed_interrupt
+from lampest.loads.pressure import water_pressure
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.direct import OralDiscFit, fit_oral_disc
+from lampest.loads.recognition.doubts import Doubts
+from lampest.loads.recognition.frame import Direct, counting
+from lampest.loads.recognition.settings import Settings
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.search import BROKEN
+from lampest.solvers.solution import Outcome, Solution, Solver, Status, approximation, failure
+
+if TYPE_CHECKING:
+    from lampest.estimate.stream import Stream
+
+
+@dataclass(frozen=True, eq=False)
+class DiscSequence:
+    """Where a sequence of such fits stands.
+
+    panel, water : (rows, columns) kPa. baseline : of the unloaded readings. period : s between frames.
+    frames : how many were fitted. detector, last : prepared for the panel, and the fit before; None at first.
+    """
+
+    panel: Panel
+    water: Array
+    baseline: Baseline
+    period: float
+    frames: int = 0
+    detector: Detector | None = None
+    last: OralDiscFit | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, period: float, resting: Readings) -> "DiscSequence":
+        """Before the first frame. Raises InputError where the noise of the readings is unknown."""
+        if resting.sigma is None:
+            raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
+        known = scene.systematic
+        doubts = Doubts(
+            channel_ohm=0.0 if known is None else known.channel_spread_ohm,
+            reference=0.0 if known is None else known.reference_tolerance / np.sqrt(3),
+        )
+        baseline = Baseline.of(resting.resistance, _sigma(resting), scene.series_resistance_ohm, doubts)
+        every = period if np.isfinite(period) else 0.0
+        return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every)
+
+    def push(self, readings: Readings) -> tuple["DiscSequence", OralDiscFit]:
+        """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
+        seconds = (self.frames + 1) * self.period
+        frame = Direct(readings.resistance, _sigma(readings), self.baseline, self.water, seconds)
+        detector = self.detector or Detector.of(self.panel, Settings().patch_of(self.panel), frame)
+        found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
+        return replace(self, frames=self.frames + 1, detector=detector, last=found), found
+
+
+@dataclass(frozen=True)
+class OralDiscMethod(Method):
+    """The unknowns are the eight numbers of an oral disc, not the cells; wrong wherever something else is attached."""
+
+    kind: Literal["oral_disc"] = "oral_disc"
+
+    def check(self, terms: tuple[Term, ...]) -> None:
+        """Raise ValueError unless the misfit is alone."""
+        if not all(isinstance(term, Misfit) for term in terms):
+            raise ValueError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
+
+    def begin(self, stream: "Stream") -> "Stream":
+        """The stream with the unloaded panel that a disc's fits need."""
+        begin = perf_counter()
+        sequence = DiscSequence.of(stream.scene, stream.period, stream.resting)
+        data, cost = _judged(stream, stream.resting)
+        solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
+        baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))
+        return replace(stream.with_baseline(baseline), previous=None, prepared=sequence)
+
+    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
+        """The fit of one frame, begun at the last one."""
+        begin = perf_counter()
+        data, cost = _judged(stream, readings)
+        weights = tuple(map(float, cost.weights))
+        with delayed_interrupt(), suppress(*BROKEN):
+            sequence, disc = stream.prepared.push(readings)
+            solver = Newton(cost, stream.estimator.solver)
+            solution = replace(self.solution(solver, data, None, disc), at=None, dual=None)
+            return replace(stream, prepared=sequence), Step(solution, perf_counter() - begin, weights, disc=disc)
+        nothing = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
+        lost = failure(cost, data, Status.BREAKDOWN, float("nan"), nothing)
+        return stream, Step(lost, perf_counter() - begin, weights)
+
+    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+        """The cells that follow from a disc, with the cost of the terms there."""
+        return _fitted(solver.cost, data, prepared.cell_resistance, prepared.fit.steps)
+
+
+def _judged(stream: "Stream", readings: Readings) -> tuple[Data, Cost]:
+    """What cells that were not solved for are judged by."""
+    data = stream.estimator.data(readings.alone(), stream.background)
+    return data, stream.estimator.cost(stream.scene, 1, data.partial)
+
+
+def _fitted(cost: Cost, data: Data, cells: Array, steps: int) -> Solution:
+    outcome = Outcome(cells[None], np.zeros(len(cost.slope)), Status.FITTED, steps)
+    solution = approximation(cost, data, outcome)
+    # Of the cells it is no optimum, and how far it is from one says nothing.
+    return replace(solution, status=Status.FITTED, kkt_residual=float("nan")) if solution.solved else solution
+
+
+def _sigma(readings: Readings) -> Array:
+    sigma = readings.sigma_of_values
+    assert sigma is not None
+    return counting(sigma, readings.resistance)

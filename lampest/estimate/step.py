@@ -1,0 +1,36 @@
+"""How one frame was solved."""
+
+from dataclasses import dataclass
+
+from lampest.loads.recognition.direct import OralDiscFit
+from lampest.panel.panel import Array
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.track import Bars
+from lampest.solvers.solution import Solution, Status
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
+
+    weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
+    disc : what the cells follow from, where that is a disc.
+    """
+
+    solution: Solution
+    seconds: float
+    weights: tuple[float, ...]
+    bars: Bars | None = None
+    bars_seconds: float = 0.0
+    disc: OralDiscFit | None = None
+
+    def estimate(self, frame: int) -> Array | None:
+        """The cells (rows, columns) ohm of one of its frames; None where the solve failed."""
+        return self.solution.cell_resistance[frame] if self.solution.solved else None
+
+    def surroundings(self) -> LinearModel | None:
+        """What error bars follow from: a verified optimum; None of anything else."""
+        solution = self.solution
+        if solution.status is not Status.OPTIMUM or solution.at is None or solution.dual is None:
+            return None
+        return LinearModel(solution.at, solution.dual)
