@@ -14,7 +14,8 @@ from lampest.panel.network import Network, grounding, two_point_resistance
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, TwoPointReadout
 from lampest.recording.recording import Recording
-from lampest.solvers import convex, directions, linearised
+from lampest.solvers import convex, linearised
+from lampest.solvers.newton import directions
 from lampest.solvers.newton.stencil import Stencil
 
 SHAPE = (9, 11)
