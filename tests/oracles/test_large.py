@@ -45,6 +45,7 @@ def recording(noise: float) -> Recording:
 
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in another.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"),
     [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],
