@@ -1,4 +1,4 @@
-"""The house, read from its imports: libraries have doors, and rooms stand on floors.
+"""The house, read from its imports: libraries have doors, rooms stand on floors, contracts know the public face alone.
 
 Every rule is a function from a module's name and its syntax tree to the sentences that it has against it, so that the
 rules themselves are tested below on texts that break them.
@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-HOUSE = Path(__file__).parents[2] / "lampest"
+CONTRACTS = Path(__file__).parent
+HOUSE = CONTRACTS.parents[1] / "lampest"
 
 # From the ground up. A room may import from itself and from the floors below its own; rooms of one floor are apart.
 FLOORS = (
@@ -137,6 +138,18 @@ def variables(module: str, tree: ast.Module) -> Iterator[str]:
     yield from (f"changes {', '.join(node.names)}" for node in ast.walk(tree) if isinstance(node, ast.Global))
 
 
+def faces(module: str, tree: ast.Module) -> Iterator[str]:
+    """A contract is tested from outside: a test of one imports the package alone, and patches nothing inside."""
+    for name, imported in imports(tree):
+        if name.startswith("lampest.") or f"{name}.{imported}" in MODULES:
+            yield f"imports {name if name.startswith('lampest.') else imported} from within"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value not in MODULES:
+            parts = node.value.split(".")
+            if ".".join(parts[:2]) in MODULES and parts[0] == "lampest" and len(parts) > 2:
+                yield f"names {node.value}"
+
+
 RULES = (doors, floors, privates, generators, variables)
 
 
@@ -144,6 +157,13 @@ RULES = (doors, floors, privates, generators, variables)
 def test_house_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) -> None:
     broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
     assert not broken
+
+
+@pytest.mark.parametrize("path", sorted(CONTRACTS.glob("*.py")), ids=lambda path: path.stem)
+def test_contracts_know_the_public_face_alone(path: Path) -> None:
+    if path == Path(__file__):
+        return  # its texts break every rule
+    assert not list(faces(path.stem, ast.parse(path.read_text(encoding="utf-8"))))
 
 
 @pytest.mark.parametrize(
@@ -175,6 +195,13 @@ def test_house_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) 
         (generators, "lampest.cost.cost", "x = np.random.rand(3)"),
         (generators, "lampest.cost.cost", "from numpy.random import rand"),
         (generators, "lampest.cost.cost", "import random"),
+        (faces, "test_run", "from lampest.runs.config import read_run"),
+        (faces, "test_run", "from lampest.runs import config"),
+        (faces, "test_run", "def f():\n    from lampest import runs"),
+        (faces, "test_run", "import lampest.runs"),
+        (faces, "test_run", "import lampest.runs.config as config"),
+        (faces, "test_run", "monkeypatch.setattr('lampest.runs.batch.solve_case', f)"),
+        (faces, "test_run", "files('lampest.report.live')"),
         (variables, "lampest.cost.cost", "def f():\n    global count\n    count = 1"),
     ],
 )
@@ -198,6 +225,11 @@ def test_rule_sees_who_breaks_it(rule: Callable[[str, ast.Module], Iterator[str]
 )
 def test_rules_leave_others_alone(module: str, text: str) -> None:
     assert not [fault for rule in RULES for fault in rule(module, ast.parse(text))]
+
+
+def test_contracts_may_use_the_public_face_and_the_command() -> None:
+    text = "import lampest\nfrom lampest import Misfit\nfrom support import read_run\nPath('lampest.schema.json')"
+    assert not list(faces("test_run", ast.parse(text)))
 
 
 def test_every_door_is_used() -> None:
