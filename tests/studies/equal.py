@@ -65,7 +65,7 @@ def row(name: str, ours: dict[str, Any], theirs: dict[str, Any]) -> Row:
     weights = [key for key in size if key.startswith("weight/")]
     others = [key for key in size if key not in {*CELLS, BARS, *decisive, *weights, *IGNORED}]
     worst = max(others, key=lambda key: size[key], default="")
-    alone = tuple(sorted(ours.keys() ^ theirs.keys()))
+    alone = tuple(sorted((ours.keys() ^ theirs.keys()) - {*IGNORED}))
     unequal = [key for key in decisive if key in shared and not np.array_equal(ours[key], theirs[key])]
     return Row(
         name,
