@@ -80,7 +80,7 @@ def test_what_is_no_optimum_says_so(effort: AnyEffort) -> None:
     assert solution.status is Status.APPROXIMATE
     assert solution.kkt_residual > 1e-6
     assert np.isfinite(solution.objective)
-    assert solution.two_point_resistance[0] == pytest.approx(two_point_resistance(solution.cell_resistance[0]))
+    assert solution.reading[0] == pytest.approx(two_point_resistance(solution.cell_resistance[0]))
 
 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])

@@ -121,7 +121,7 @@ def test_saturated_codes_are_bounds() -> None:
     low = replace(made, resistance=np.full_like(made.resistance, least / 2))
     assert np.all(Readings.of(low).side == AT_MOST)
     found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
-    model = found.steps[0].solution.two_point_resistance[-1]
+    model = found.steps[0].solution.reading[-1]
     assert found.steps[0].solution.solved
     assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
 
