@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -37,3 +37,22 @@ def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
         return SimpleNamespace(code=ended.value.code or 0, out=written.out, err=written.err)
 
     return call
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
+    """Installs a package of one module, `addon`, which names something in a group of entry points."""
+    from lampest.files.plugins import installed
+
+    def install(group: str, named: str, module: str) -> None:
+        about = tmp_path / "site" / "addon-1.dist-info"
+        about.mkdir(parents=True)
+        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
+        (about / "entry_points.txt").write_text(f"[{group}]\nextra = {named}\n")
+        (tmp_path / "site" / "addon.py").write_text(module)
+        monkeypatch.syspath_prepend(tmp_path / "site")
+        installed.cache_clear()
+
+    yield install
+    sys.modules.pop("addon", None)
+    installed.cache_clear()

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from lampest.cost.terms import term_types
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
 from lampest.recording.foreign.importing import import_file, read_scene
 from lampest.recording.simulation import read_simulations
 from lampest.runs.config import read_run
@@ -69,8 +70,7 @@ def invented_case(
         case_id="0123456789abcdef",
         case_yaml="terms:\n  misfit: {}\n",
         versions={"lampest": "0.1.0", "casadi": "3.7.2", "numpy": "2.0.0", "h5py": "3.12.0"},
-        pitch_mm=10.0,
-        series_resistance_ohm=140.0,
+        scene=Scene(Panel(rows, columns), series_resistance_ohm=140.0),
         frame=np.arange(5, 5 + frames),
         time=np.arange(5, 5 + frames) * 1.0,
         measured=measured,

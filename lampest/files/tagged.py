@@ -2,11 +2,9 @@
 
 import typing
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import entry_points
 from typing import Any
 
-from lampest.files.errors import InputError
+from lampest.files.plugins import installed
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class ByKind:
         """The tagged union of the members, one choice for each literal; called by the validating library."""
         choices = {
             name: handler.generate_schema(member)
-            for member in (*typing.get_args(source), *installed(self.group))
+            for member in (*typing.get_args(source), *extra(self.group))
             for name in kinds_of(member)
         }
         tag = self._tag if self.default else "kind"
@@ -39,19 +37,12 @@ def kinds_of(member: Any) -> tuple[str, ...]:
     return typing.get_args(typing.get_type_hints(member)["kind"])
 
 
-@cache
-def installed(group: str) -> tuple[type[Any], ...]:
-    """The classes that installed packages name in a group of entry points. Raises InputError where one cannot load."""
-    members = []
-    for point in sorted(entry_points(group=group), key=lambda one: one.name) if group else ():
-        try:
-            members.append(point.load())
-        except Exception as error:  # what a foreign module may raise at its import
-            raise InputError(f"{group}: {point.value} cannot be loaded ({error})") from error
-    return tuple(members)
-
-
 def members_of(union: Any) -> tuple[type[Any], ...]:
     """The classes of Annotated[A | B, ByKind(group)], those of installed packages included."""
     inner, mark = typing.get_args(union)
-    return (*typing.get_args(inner), *installed(mark.group))
+    return (*typing.get_args(inner), *extra(mark.group))
+
+
+def extra(group: str) -> tuple[type[Any], ...]:
+    """The classes that installed packages name in a group of entry points; none without a group."""
+    return installed(group, type) if group else ()

@@ -90,9 +90,9 @@ def _results_lines(results: Results) -> list[str]:
         truth = "not in" if first.truth is None else "in"
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
-            f"{rows} rows × {columns} columns, pitch {first.pitch_mm:g} mm, truth {truth} the file",
+            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
             f"R         {first.measured.min():.4g} to {first.measured.max():.4g} ohm "
-            f"(two-point, series resistance of {first.series_resistance_ohm:g} ohm taken off)",
+            f"(two-point, series resistance of {first.scene.series_resistance_ohm:g} ohm taken off)",
         ]
         width = max(len(case.estimator) for case in cases)
         for case in cases:

@@ -5,25 +5,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from lampest.cost.terms import term_kind
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.pressure import pressure_of
-from lampest.loads.recognition.loads import Disc
-from lampest.panel.panel import Array
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor
+from lampest.runs.filling import case_result
 from lampest.runs.results import CaseResult, read_results, write_results
 
 RESULTS = "results.h5"
-LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
 
 @dataclass(frozen=True)
@@ -98,107 +90,6 @@ def _recording(path: Path, sha256: str) -> Recording:
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
     return recording
-
-
-def case_result(case: Case, found: Reconstruction) -> CaseResult:
-    """What the results file keeps of a reconstruction."""
-    recording = found.recording
-    truth = recording.truth_cell_resistance
-    unloaded = recording.role == UNLOADED
-    solutions = [step.solution for step in found.steps]
-    last = [(solution.reading[-1], solution.open_cell[-1], solution.at_lower[-1]) for solution in solutions]
-    return CaseResult(
-        recording=case.recording,
-        estimator=case.name,
-        case_id=case.case_id,
-        case_yaml=case.resolved,
-        versions={library: version(library) for library in LIBRARIES},
-        pitch_mm=recording.scene.panel.pitch_mm,
-        series_resistance_ohm=recording.scene.series_resistance_ohm,
-        top_row_depth_mm=None if recording.scene.water is None else recording.scene.water.top_row_depth_mm,
-        frame=found.frame.astype(np.int64),
-        time=recording.time[found.frame],
-        measured=found.measured,
-        measured_baseline=found.measured_baseline,
-        cell_resistance=found.cell_resistance,
-        relative_change=found.relative_change,
-        two_point_model=np.stack([model for model, _, _ in last]),
-        open_cell=np.stack([flags for _, flags, _ in last]).astype(np.uint8),
-        at_lower_bound=np.stack([flags for _, _, flags in last]).astype(np.uint8),
-        baseline_resistance=found.baseline_resistance,
-        status=tuple(solution.status.value for solution in solutions),
-        iterations=np.array([solution.iterations for solution in solutions], dtype=np.int64),
-        solve_time=np.array([step.seconds for step in found.steps]),
-        objective=np.array([solution.objective for solution in solutions]),
-        kkt_residual=np.array([solution.kkt_residual for solution in solutions]),
-        costs={
-            term_kind(term): np.array([solution.costs[number] for solution in solutions])
-            for number, term in enumerate(case.estimator.terms)
-        },
-        weights={
-            term_kind(term): np.array([step.weights[number] for step in found.steps])
-            for number, term in enumerate(case.estimator.terms)
-        },
-        baseline_status=found.baseline.solution.status.value,
-        baseline_solve_time=found.baseline.seconds,
-        joint_start=found.joint_start,
-        solved=np.array([solution.solved for solution in solutions]),
-        disc=disc_numbers(found),
-        **certainty_columns(found),
-        sigma=found.sigma,
-        sigma_baseline=found.sigma_baseline,
-        truth=None if truth is None else truth[found.frame],
-        truth_baseline=truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None,
-    )
-
-
-def disc_numbers(found: Reconstruction) -> dict[str, Array]:
-    """Every number of the discs and its standard deviation, (frames); NaN where a frame failed."""
-    discs = [step.disc for step in found.steps]
-    if not any(discs):
-        return {}
-    numbers = {}
-    for name in Disc._fields:
-        for end, part in (("", "disc"), ("_errors", "disc_errors")):
-            values = [np.nan if disc is None else getattr(getattr(disc, part), name) for disc in discs]
-            numbers[name + end] = np.array(values, dtype=float)
-    return numbers
-
-
-def certainty_columns(found: Reconstruction) -> dict[str, Any]:
-    """The fields of CERTAINTY and PRESSURE, where there are error bars; an estimate without any has infinite ones."""
-    barred = [step.bars for step in found.steps]
-    if not any(barred) or found.baseline_bars is None:
-        return {}
-    cells, change = found.cell_resistance, found.cell_resistance / found.baseline_resistance
-
-    def stacked(part: str, name: str) -> Array:
-        unknown = np.full(cells.shape[1:], 0.0 if name in ("resolution", "data_share") else np.inf)
-        values = np.stack([unknown if bars is None else getattr(getattr(bars, part), name) for bars in barred])
-        values[np.isnan(cells)] = np.nan
-        return values
-
-    ends = [change * np.exp(-stacked("change", "below")), change * np.exp(stacked("change", "above"))]
-    columns = {
-        "cell_resistance_errors": cells * stacked("frame", "deviation"),
-        "cell_resistance_lower": cells * np.exp(-stacked("frame", "below")),
-        "cell_resistance_upper": cells * np.exp(stacked("frame", "above")),
-        "relative_change_errors": 100 * change * stacked("change", "deviation"),
-        "relative_change_lower": 100 * (ends[0] - 1),
-        "relative_change_upper": 100 * (ends[1] - 1),
-        "resolution": stacked("frame", "resolution"),
-        "data_share": stacked("frame", "data_share"),
-        "baseline_resistance_errors": found.baseline_resistance * found.baseline_bars.deviation,
-        "error_bar_time": np.array([step.bars_seconds for step in found.steps]),
-    }
-    pressure = pressure_of(change, ends[0], ends[1], found.recording.scene)
-    return columns | {
-        "pressure": pressure.pressure,
-        "pressure_errors": pressure.errors,
-        "pressure_lower": pressure.lower,
-        "pressure_upper": pressure.upper,
-        "saturated": pressure.saturated,
-    }
 
 
 @contextmanager

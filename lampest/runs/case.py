@@ -1,48 +1,20 @@
 """One case's result: what an estimator made of a recording, with everything that a results file says about it."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from math import isfinite
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.runs.columns import AXES, CERTAINTY, ESTIMATED, GIVEN, PRESSURE
+from lampest.panel.scene import Scene
+from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column
+from lampest.runs.published import PublishedFigures
 
 SHARED = "recording"  # the group beside the estimators that holds what they were given
 LONGEST_NAME = 200
-
-
-@dataclass(frozen=True)
-class StepFigures:
-    """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
-
-    Raises ValueError where a figure is negative or not finite.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    time_s: float | None = None
-    time_sd_s: float | None = None
-    error_percent: float | None = None
-    error_sd_percent: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if value is not None and not (isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be zero or positive, and finite")
-
-
-@dataclass(frozen=True)
-class PublishedFigures:
-    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline."""
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    all: StepFigures | None = None
-    initial: StepFigures | None = None
-    following: StepFigures | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +26,7 @@ class CaseResult:
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case.
     versions : library → version.
-    pitch_mm : distance of neighbouring cells in millimetre.
-    series_resistance_ohm : what was taken off every two-point resistance, in ohm.
+    scene : the recording's, as the estimator was told it.
     frame : (frames) index into the recording; time : (frames) s.
     measured, measured_baseline : (frames, rows, columns) and (rows, columns) ohm, series resistance taken off.
     cell_resistance, two_point_model : (frames, rows, columns) ohm; NaN where a frame failed.
@@ -71,8 +42,8 @@ class CaseResult:
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
     sigma, sigma_baseline : standard deviations of what was measured, same shapes, ohm; None where unknown, infinite
     where a reading is a bound or says nothing.
-    top_row_depth_mm : how deep the panel stood under water, or None.
-    the fields of CERTAINTY and PRESSURE : as their columns say; None where nobody asked. NaN where a frame failed.
+    the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
+    extra : name → values of the columns that installed packages or scripts add.
 
     Raises InputError where a name is unfit, shapes disagree, or a value is impossible.
     """
@@ -82,8 +53,7 @@ class CaseResult:
     case_id: str
     case_yaml: str
     versions: dict[str, str]
-    pitch_mm: float
-    series_resistance_ohm: float
+    scene: Scene
     frame: NDArray[np.int64]
     time: Array
     measured: Array
@@ -108,7 +78,6 @@ class CaseResult:
     truth: Array | None = None
     truth_baseline: Array | None = None
     disc: dict[str, Array] = field(default_factory=dict)
-    top_row_depth_mm: float | None = None
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     cell_resistance_errors: Array | None = None
@@ -126,6 +95,7 @@ class CaseResult:
     pressure_lower: Array | None = None
     pressure_upper: Array | None = None
     saturated: NDArray[np.uint8] | None = None
+    extra: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")
@@ -133,61 +103,51 @@ class CaseResult:
         if self.estimator == SHARED:
             raise InputError(f"an estimator cannot be called '{SHARED}': results keep the measurement under that name")
         if self.measured.ndim != 3 or self.measured.size == 0:
-            raise InputError(
-                f"{self._path(SHARED, 'resistance')} must be frames × rows × columns with at least one frame"
-            )
-        sizes = dict(zip(AXES, self.measured.shape, strict=True))
-        for group, columns in ((SHARED, GIVEN), (self.estimator, ESTIMATED)):
-            for column in columns:
-                value = getattr(self, column.field)
-                if value is not None or not column.optional:
-                    self._check_shape(group, column.dataset, value, tuple(sizes[axis] for axis in column.axes))
-        self._check_shape(SHARED, "time", self.time, (sizes["time"],))
-        for folder, figures in (("cost", self.costs), ("weight", self.weights), ("disc", self.disc)):
-            for term, figure in figures.items():
-                check_name(term, folder)
-                self._check_shape(self.estimator, f"{folder}/{term}", figure, (sizes["time"],))
-        if len(self.status) != sizes["time"]:
-            raise InputError(f"{self._path(self.estimator, 'status')} must hold one sentence for each frame")
-        self._check_values()
+            raise InputError(f"{self._path(MEASURED)} must be frames × rows × columns with at least one frame")
+        if self.measured.shape[1:] != self.scene.panel.shape:
+            rows, columns = self.scene.panel.shape
+            raise InputError(f"{self._path(MEASURED)} does not have the {rows} × {columns} cells of the scene's panel")
+        for folder in FIGURES:
+            for name, values in getattr(self, folder.name).items():
+                check_name(name, folder.folder)
+                self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
+        self.check(COLUMNS)
 
-    def _path(self, group: str, dataset: str) -> str:
-        return f"/entry/{self.recording}/{group}/{dataset}"
+    @classmethod
+    def of(cls, values: Mapping[str, Any], **rest: Any) -> "CaseResult":
+        """From the values of columns, those without an attribute as `extra`, and the rest."""
+        extra = {name: value for name, value in values.items() if name not in TYPED}
+        return cls(**{name: value for name, value in values.items() if name in TYPED}, **rest, extra=extra)
 
-    def _check_shape(self, group: str, dataset: str, value: Any, shape: tuple[int, ...]) -> None:
-        if np.shape(value) != shape:
-            found, wanted = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(value), shape))
-            raise InputError(f"{self._path(group, dataset)} is {found}; the frames ask for {wanted}")
+    def column(self, name: str) -> Any:
+        """The values of a column, or None where the case has none."""
+        return getattr(self, name) if name in TYPED else self.extra.get(name)
 
-    def _check_values(self) -> None:
-        if not 0 < self.pitch_mm < float("inf"):
-            raise InputError(f"/entry/{self.recording}/{SHARED}: pitch_mm must be positive and finite")
-        if not np.all(np.isfinite(self.time)):
-            raise InputError(f"{self._path(SHARED, 'time')} must be finite")
-        for column in GIVEN[1:]:
-            value = getattr(self, column.field)
-            endless = column.field.startswith("sigma")
-            if value is not None and not np.all((np.isfinite(value) | endless) & (value > 0)):
-                raise InputError(f"{self._path(SHARED, column.dataset)} must be positive and finite everywhere")
-        for name in ("cell_resistance", "relative_change", "two_point_model"):
-            number = np.isfinite(getattr(self, name)).all(axis=(1, 2))
-            empty = np.isnan(getattr(self, name)).all(axis=(1, 2))
-            if not np.all(np.where(self.solved, number, empty)):
-                raise InputError(
-                    f"{self._path(self.estimator, name)} must be numbers where solved is 1, and NaN elsewhere"
-                )
-        if np.any(self.cell_resistance <= 0) or np.any(self.two_point_model < 0):
-            raise InputError(f"/entry/{self.recording}/{self.estimator}: resistances must be positive")
-        for column in (*CERTAINTY, *PRESSURE):
-            value = getattr(self, column.field)
-            if value is not None and column.field.endswith("_errors") and np.any(value < 0):
-                raise InputError(f"{self._path(self.estimator, column.dataset)} must not be negative")
-            if value is not None and column.axes == AXES and column.kind is np.float64:
-                missing = np.isnan(value)
-                if not np.all(np.where(self.solved, ~missing.any(axis=(1, 2)), missing.all(axis=(1, 2)))):
-                    raise InputError(
-                        f"{self._path(self.estimator, column.dataset)} must be NaN where solved is 0, only"
-                    )
+    def check(self, columns: Sequence[Column]) -> None:
+        """Raise InputError where the values of a column have another shape than its axes or are impossible."""
+        values = {column: self.column(column.name) for column in columns}
+        filled = {column: held for column, held in values.items() if column.name in REQUIRED or held is not None}
+        for column, held in filled.items():
+            self._check_shape(self._path(column), held, column.axes)
+        for column, held in filled.items():
+            for fault in (check(held, self.solved) for check in column.checks):
+                if fault is not None:
+                    raise InputError(f"{self._path(column)} {fault}")
+
+    def _path(self, column: Column) -> str:
+        return f"/entry/{self.recording}/{SHARED if column.shared else self.estimator}/{column.path}"
+
+    def _check_shape(self, path: str, values: Any, axes: tuple[str, ...]) -> None:
+        sizes = dict(zip(MAPS, self.measured.shape, strict=True))
+        shape = tuple(sizes[axis] for axis in axes)
+        if np.shape(values) != shape:
+            held, wanted = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
+            raise InputError(f"{path} is {held}; the frames ask for {wanted}")
+
+
+# Columns that have an attribute of their own, and those of them that a case cannot be without.
+TYPED = {item.name: item.default for item in fields(CaseResult) if item.name in {column.name for column in COLUMNS}}
+REQUIRED = frozenset(name for name, default in TYPED.items() if default is MISSING)
 
 
 @dataclass(frozen=True, eq=False)

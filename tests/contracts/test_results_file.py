@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from support import METHODS, CaseResult, PublishedFigures, StepFigures, invented_case, write_results
 
-from lampest import InputError, read_results
+from lampest import InputError, Panel, Scene, TwoPointReadout, read_results
+from lampest.panel.scene import Faults, Systematic, Temperature, Water
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 
@@ -157,10 +158,54 @@ def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
     case = invented_case()
     with pytest.raises(InputError, match="two cases are called mouth × LSM"):
         write_results(tmp_path / "r.h5", [case, case])
-    other = invented_case("LSR-CR", pitch_mm=5.0)
+    other = invented_case("LSR-CR", scene=Scene(Panel(10, 10, 5.0), series_resistance_ohm=140.0))
     with pytest.raises(InputError, match=r"different recordings of the name mouth \(pitch_mm differs\)"):
         write_results(tmp_path / "r.h5", [case, other])
     assert list(tmp_path.iterdir()) == []
+
+
+def whole_scene() -> Scene:
+    return Scene(
+        Panel(10, 10),
+        TwoPointReadout(noise_lsb=0.5),
+        140.0,
+        Faults(open=((0, 1),), dead_rows=(3,)),
+        Water(70.0),
+        Temperature(-0.003, 20.0, 12.0),
+        Systematic(0.01, 3.0),
+    )
+
+
+def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case(method, scene=whole_scene()) for method in METHODS[:2]])
+    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [whole_scene()] * 2
+    with h5py.File(tmp_path / "r.h5") as file:
+        group = file["entry/mouth/recording"]
+        assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
+        numbers = [group.attrs[name] for name in ("pitch_mm", "series_resistance_ohm", "top_row_depth_mm")]
+    assert numbers == [10.0, 140.0, 70.0]
+    with pytest.raises(InputError, match=r"/entry/mouth/recording/resistance does not have the 4 × 5 cells"):
+        invented_case(scene=Scene(Panel(4, 5)))
+
+
+def test_a_file_without_a_scene_has_what_its_attributes_say(tmp_path: Path) -> None:
+    path, older, newer = tmp_path / "older.h5", "LSM", "LSR-CR"
+    write_results(path, [invented_case(older, scene=whole_scene())])
+    with h5py.File(path, "r+") as file:
+        del file["entry/mouth/recording/scene"]
+    (case,) = read_results(path).cases
+    assert case.scene == Scene(Panel(10, 10), series_resistance_ohm=140.0, water=Water(70.0))
+    # A run that goes on where an older one stopped: both have the recording's scene.
+    write_results(path, [case, invented_case(newer, scene=whole_scene())])
+    assert [case.scene for case in read_results(path).cases] == [whole_scene()] * 2
+    other = dataclasses.replace(whole_scene(), systematic=None)
+    with pytest.raises(InputError, match=r"LSR-CR and LSM were given different .* mouth \(scene differs\)"):
+        write_results(path, [invented_case(older, scene=whole_scene()), invented_case(newer, scene=other)])
+    with h5py.File(path, "r+") as file:
+        del file["entry/mouth/recording/scene"]
+        file["entry/mouth/recording"].attrs["pitch_mm"] = 0.0
+    with pytest.raises(InputError, match="/entry/mouth/recording: pitch_mm must be positive and finite"):
+        read_results(path)
 
 
 def replace(path: str, data: object) -> Callable[[h5py.File], None]:
@@ -192,6 +237,8 @@ def claim(file: h5py.File) -> None:
         (replace("/entry/a/LSM/cost/misfit", np.zeros((4, 2))), "/entry/a/LSM/cost/misfit must be numeric with 1"),
         (replace("/entry/a/recording/resistance", np.zeros((4, 5, 7))), "/entry/a/recording/resistance must be pos"),
         (replace("/entry/a/recording/time", np.full(4, np.nan)), "/entry/a/recording/time must be finite"),
+        (replace("/entry/a/recording/scene", b"panel: {rows: 5, colums: 7}"), "scene:1:18: panel.colums: no such key"),
+        (replace("/entry/a/recording/scene", b"panel: {rows: 5, columns: 5}"), "have the 5 × 5 cells of the scene"),
         (claim, "/entry/a/recording/resistance claims 280000000 bytes"),
         (
             lambda file: file["/entry/a/LSM"].attrs.__setitem__("joint_start", b"x"),

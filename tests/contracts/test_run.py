@@ -49,7 +49,7 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
         assert case.status == ("optimum verified",) * 2
         assert case.frame.tolist() == [1, 2]
         assert case.time.tolist() == [1.0, 2.0]
-        assert case.series_resistance_ohm == 140
+        assert case.scene.series_resistance_ohm == 140
         assert np.all(case.solve_time > 0)
         assert np.all(case.kkt_residual < 1e-6)
         assert case.objective == pytest.approx(sum(case.costs.values()))

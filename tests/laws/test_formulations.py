@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
-from lampest.estimate.estimator import FORMULATIONS
+from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding

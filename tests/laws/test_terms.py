@@ -16,7 +16,8 @@ from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, term_kind, term_types
 from lampest.cost.terms.term import State, Term
-from lampest.estimate.estimator import FORMULATIONS, Bounds, Estimator
+from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene

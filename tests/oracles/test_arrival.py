@@ -16,7 +16,9 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Arrival, LogRatio, Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.efforts import Region
-from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
+from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.estimate.methods import MethodName
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.response import ratio_from_pressure
@@ -61,7 +63,7 @@ def scene(kind: str, seed: int, frames: int = 18) -> Recording:
 
 
 def estimated(
-    recording: Recording, *terms: Term, formulation: FormulationName = "reduced", **options: Any
+    recording: Recording, *terms: Term, formulation: MethodName = "reduced", **options: Any
 ) -> Reconstruction:
     return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), formulation, **options))
 

@@ -15,7 +15,7 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
-from lampest.estimate.estimator import Bounds, Estimator, FormulationName
+from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.readout import resolution_limit
@@ -30,7 +30,7 @@ WEIGHTS = {
     "gradient": 1e-3,
     "gradient_of_relative_change": 10.0,
 }
-FORMULATIONS = get_args(FormulationName)
+FORMULATIONS = ("per_pixel", "nodal", "reduced", "auto")
 ABSOLUTE = ("misfit", "cell_resistance", "gradient")
 RELATIVE = ("relative_change", "gradient_of_relative_change")
 

@@ -24,7 +24,9 @@ from lampest.cost.terms import (
     TotalVariationOfChange,
 )
 from lampest.cost.terms.term import Reference, State, Term
-from lampest.estimate.estimator import FORMULATIONS, Estimator, FormulationName
+from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.estimate.methods import MethodName
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Load, Rod, SuctionCup
@@ -70,7 +72,7 @@ def scene(load: Load, frames: int, depth: float, seed: int) -> Recording:
     )
 
 
-def estimated(recorded: Recording, *terms: Term, formulation: FormulationName = "reduced") -> Reconstruction:
+def estimated(recorded: Recording, *terms: Term, formulation: MethodName = "reduced") -> Reconstruction:
     return reconstruct(recorded, Estimator((Misfit(weighting="noise"), *terms), formulation, error_bars=False))
 
 

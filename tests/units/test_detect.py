@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -9,44 +10,49 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
+from lampest.loads.recognition.doubts import Doubts
 from lampest.loads.recognition.settings import Settings
 from lampest.loads.recognition.verdict import KINDS
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.readings import Readings
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
-from lampest.report.detect.run import detect, detect_file
+from lampest.report.detect.run import Given, detect, detect_file
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
 
 FRAMES = 3
 
 
-def solved_case(estimator: str = "LSM", failed: tuple[int, ...] = ()) -> CaseResult:
-    """A mouth, measured, and an estimate that is its true cells."""
+def solved_case(
+    estimator: str = "LSM", failed: tuple[int, ...] = (), faults: Faults | None = None, **known: Any
+) -> CaseResult:
+    """A mouth, measured, and an estimate that is its true cells; faults, known : what the scene says besides."""
     panel = Panel(8, 10, 10.0)
     load = OralDisc(
         kind="oral_disc", centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85
     )
     scene = Scene(panel=panel, readout=TwoPointReadout(kind="two_point", noise_lsb=0.7), series_resistance_ohm=140.0)
     recording = simulate(Simulation(schema=1, seed=2, scene=scene, frames=FRAMES, loads=(load,)))
+    recording = dataclasses.replace(recording, scene=dataclasses.replace(scene, faults=faults, **known))
     readings = Readings.of(recording)
     resting = readings[[0, 1, 2]].mean()
     assert recording.truth_cell_resistance is not None and readings.sigma is not None
     cells = recording.truth_cell_resistance[3:].copy()
     baseline = recording.truth_cell_resistance[0]
-    case = invented_case(estimator, "mouth", (FRAMES, 8, 10), failed=failed)
+    case = invented_case(estimator, "mouth", (FRAMES, 8, 10), failed=failed, scene=scene)
     cells[~case.solved] = np.nan
     return dataclasses.replace(
         case,
+        scene=recording.scene,
         measured=readings.resistance[3:],
         measured_baseline=resting.resistance,
-        sigma=readings.sigma[3:],
-        sigma_baseline=resting.sigma,
+        sigma=readings.sigma_of_values[3:],
+        sigma_baseline=resting.sigma_of_values,
         cell_resistance=cells,
         baseline_resistance=baseline,
         relative_change=100 * (cells / baseline - 1),
@@ -115,6 +121,30 @@ def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
         detect_file(tmp_path / "results.h5")
     _, found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
     assert "lamprey" in found[0].labels[-1]
+
+
+def test_readings_that_faults_blind_do_not_count() -> None:
+    case = solved_case(faults=Faults(shorted=((0, 1),), dead_rows=(7,), dead_columns=(9,)))
+    assert np.isinf(case.sigma[:, 7]).all() and np.isinf(case.sigma[:, 0, 1]).all()
+    (first, *_), wild = detect(Results((case,))), case.measured.copy()
+    wild[np.isinf(case.sigma)] *= np.random.default_rng(3).uniform(0.2, 5, int(np.isinf(case.sigma).sum()))
+    (other, *_) = detect(Results((dataclasses.replace(case, measured=wild),)))
+    for found in (first, other):
+        assert set(found.labels) == {"lamprey"}
+        np.testing.assert_allclose(found.values[:, 2], 33, atol=1.2)
+    np.testing.assert_allclose(first.values, other.values, rtol=0.02)
+
+
+def test_recognition_is_given_the_scene_of_the_results() -> None:
+    case = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0))
+    given = Given.of(case, Settings())
+    np.testing.assert_allclose(given.water[:, 0], 9.81e-3 * (70 + 10 * np.arange(8)))
+    doubts = given.baseline.doubts
+    assert (doubts.channel_ohm, doubts.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
+    assert given.baseline.series_ohm == 140.0
+    stated = Settings(top_row_depth_mm=0.0, doubts=Doubts(channel_ohm=1.0))
+    assert Given.of(case, stated).water[0, 0] == 0 and Given.of(case, stated).baseline.doubts == stated.doubts
+    assert Given.of(solved_case(), Settings()).baseline.doubts == Doubts()
 
 
 def test_settings_out_of_range_are_refused() -> None:

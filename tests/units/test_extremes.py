@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lampest.cost.given import Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.cell_resistance import CellResistance
 from lampest.cost.terms.misfit import Misfit
@@ -110,7 +111,7 @@ def test_audit_is_the_kkt_residual() -> None:
     rng = np.random.default_rng(2)
     cells = 3000 * np.exp(0.5 * rng.standard_normal((1, 3, 4)))
     measured = two_point_resistance(cells) * 1.1
-    data = Data(measured, np.ones_like(measured), measured / 2, 1.2 * cells)
+    data = Data(Given(measured=measured, sigma=np.ones_like(measured)), measured / 2, 1.2 * cells)
     cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Panel(3, 4), 1)
     here = evaluated(cost, data, cells * 1.15)
     assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)

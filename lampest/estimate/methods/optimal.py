@@ -9,7 +9,7 @@ from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.solvers.ipopt.formulations import Nodal, PerPixel
+from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution
@@ -43,6 +43,6 @@ class OptimalMethod(Method):
 
 @lru_cache(maxsize=32)
 def _solver(cost: Cost, readout: Readout, kind: str, settings: Settings) -> Solver:
-    if kind == "reduced":
-        return Newton(cost, settings)
-    return Ipopt(cost, readout, Nodal() if kind == "nodal" else PerPixel(), settings)
+    if kind in FORMULATIONS:
+        return Ipopt(cost, readout, FORMULATIONS[kind], settings)
+    return Newton(cost, settings)

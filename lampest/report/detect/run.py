@@ -1,7 +1,7 @@
 """Results → detections: every estimate of every recording, and the readings themselves."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,12 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.doubts import Doubts
 from lampest.loads.recognition.frame import Direct, Frame, TwoStep, counting
 from lampest.loads.recognition.settings import Settings
 from lampest.loads.recognition.verdict import Verdict
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Water
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, Water
 from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results, read_results
@@ -57,12 +58,11 @@ def detect(
 class Given:
     """A recording as the recognition is given it.
 
-    case : any of its estimates. panel, patch_mm, water : (rows, columns) kPa. sigma : (frames, rows, columns) ohm.
-    baseline : the unloaded panel.
+    case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa.
+    sigma : (frames, rows, columns) ohm. baseline : the unloaded panel.
     """
 
     case: CaseResult
-    panel: Panel
     patch_mm: float
     water: Array
     sigma: Array
@@ -71,14 +71,13 @@ class Given:
     @classmethod
     def of(cls, case: CaseResult, settings: Settings) -> "Given":
         """From one case of the recording. Raises InputError where the noise is unknown."""
-        _, rows, columns = case.measured.shape
-        panel = Panel(rows, columns, case.pitch_mm)
-        depth = case.top_row_depth_mm if settings.top_row_depth_mm is None else settings.top_row_depth_mm
-        water = water_pressure(panel, None if depth is None else Water(depth))
+        scene, depth = case.scene, settings.top_row_depth_mm
+        water = water_pressure(scene.panel, scene.water if depth is None else Water(depth))
         sigma = _noise(case, case.sigma, case.measured, settings)
         resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
-        baseline = Baseline.of(case.measured_baseline, resting, case.series_resistance_ohm, settings.doubts)
-        return cls(case, panel, settings.patch_of(panel), water, sigma, baseline)
+        doubts = _doubts(settings, scene)
+        baseline = Baseline.of(case.measured_baseline, resting, scene.series_resistance_ohm, doubts)
+        return cls(case, settings.patch_of(scene.panel), water, sigma, baseline)
 
     def frames(self) -> Iterator[Direct]:
         """All frames; the baseline ended one period before the first."""
@@ -95,7 +94,7 @@ def detected(given: Given, source: CaseResult | None) -> Detection:
     verdicts: list[Verdict | None] = []
     for place, frame in enumerate(given.frames()):
         if detector is None:
-            detector = Detector.of(given.panel, given.patch_mm, frame)
+            detector = Detector.of(given.case.scene.panel, given.patch_mm, frame)
         if source is not None and not source.solved[place]:
             verdicts.append(None)
             continue
@@ -107,6 +106,14 @@ def detected(given: Given, source: CaseResult | None) -> Detection:
 
 def _compared(frame: Direct, estimate: Array) -> Frame:
     return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
+
+
+def _doubts(settings: Settings, scene: Scene) -> Doubts:
+    """What the settings assume; where they leave it as published, how far off the scene says all readings may be."""
+    if scene.systematic is None or settings.doubts != AS_PUBLISHED.doubts:
+        return settings.doubts
+    reference = scene.systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
+    return replace(settings.doubts, channel_ohm=scene.systematic.channel_spread_ohm, reference=reference)
 
 
 def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: Settings) -> Array:

@@ -76,9 +76,9 @@ def section(
     kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     subject = Subject(subject.name, kept)
     first, place = subject.cases[0], strongest_frame(subject.cases)
-    panel = Panel(first.measured.shape[1], first.measured.shape[2], first.pitch_mm)
+    panel = first.scene.panel
     about = (
-        f"{panel.rows} × {panel.columns} cells, pitch {first.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
+        f"{panel.rows} × {panel.columns} cells, pitch {panel.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
         f"{digits(float(np.ptp(first.time)))} s; maps show frame {first.frame[place]} at {first.time[place]:g} s."
     )
     pictures = [_contours(subject)]

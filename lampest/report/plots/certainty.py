@@ -34,9 +34,7 @@ def certainty(results: Results, recording: str) -> Figure:
     if cases[0].truth is not None:
         maps.append([_error(case, place) for case in cases])
         scales.append(signed_scale(maps[-1], "error / standard deviation [1]", LEAST_ERROR, MOST_ERROR))
-    rows, columns = cases[0].baseline_resistance.shape
-    panel = Panel(rows, columns, cases[0].pitch_mm)
-    figure = _grid([case.estimator for case in cases], maps, scales, panel)
+    figure = _grid([case.estimator for case in cases], maps, scales, cases[0].scene.panel)
     frame, time = cases[0].frame[place], cases[0].time[place]
     figure.suptitle(f"{recording}: frame {frame} at {time:g} s, 95 % intervals reach 1.96 sd", fontsize=TEXT_POINT + 1)
     return figure

@@ -34,8 +34,7 @@ def pressure_figure(case: CaseResult, frame: int | None = None) -> Figure:
     """
     place = strongest_frame((case,)) if frame is None else place_of(case, frame)
     pressure, lower, upper, marked = _shown(case, place)
-    rows, columns = pressure.shape
-    panel = Panel(rows, columns, case.pitch_mm)
+    panel = case.scene.panel
     figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.05))

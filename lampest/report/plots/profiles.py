@@ -51,7 +51,7 @@ def _profile(axes: Axes, case: CaseResult, place: int, row: int, limits: tuple[f
     axes.set_yscale("log")
     axes.set_ylim(*limits)
     axes.axhline(1, color="0.85", lw=0.6, zorder=0)
-    x = np.arange(case.measured.shape[2]) * case.pitch_mm
+    x = case.scene.panel.centres_mm()[0]
     if case.truth is not None and case.truth_baseline is not None:
         axes.plot(x, case.truth[place, row] / case.truth_baseline[row], color="black", lw=0.9, label="truth", zorder=2)
     if not case.solved[place]:

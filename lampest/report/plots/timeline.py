@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
 from lampest.loads.recognition.verdict import KINDS
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
 from lampest.report.plots.contours import (
@@ -145,15 +145,14 @@ def _events(panels: Sequence[Axes], detection: Detection) -> None:
 def _map(figure: Any, case: CaseResult, detection: Detection, place: int) -> None:
     """Relative change of the cells, and the circles of what was found there."""
     axes = figure.subplots()
-    rows, columns = case.baseline_resistance.shape
-    panel = Panel(rows, columns, case.pitch_mm)
+    panel = case.scene.panel
     x, y = panel.centres_mm()
     change = case.relative_change[place]
     name = case.estimator
     if not case.solved[place]:
         change, name = percent_change(case.measured[place], case.measured_baseline), "two-point resistance"
     norm = BoundaryNorm(BANDS_PERCENT, colormaps[COLOURS].N, extend="both")
-    half = case.pitch_mm / 2
+    half = panel.pitch_mm / 2
     edges = (np.append(centres - half, centres[-1] + half) for centres in (x, y))
     image = axes.pcolormesh(*edges, change, cmap=COLOURS, norm=norm)
     values, errors = detection.values[place], detection.errors[place]

@@ -4,4 +4,5 @@ from lampest.solvers.ipopt.formulation import Formulation
 from lampest.solvers.ipopt.nodal import Nodal
 from lampest.solvers.ipopt.per_pixel import PerPixel
 
-__all__ = ["Formulation", "Nodal", "PerPixel"]
+__all__ = ["FORMULATIONS", "Formulation", "Nodal", "PerPixel"]
+FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}

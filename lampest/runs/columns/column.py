@@ -1,0 +1,109 @@
+"""A column of results: where it stands in the file, what it means, how it is filled and when it is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lampest.files.errors import InputError
+from lampest.files.hdf5 import ascii_array, read_array, read_texts, read_whole
+from lampest.panel.panel import Array
+from lampest.runs.columns.checks import Check
+
+if TYPE_CHECKING:  # what reads results need not load what solves
+    from lampest.estimate.sequence import Reconstruction
+    from lampest.estimate.stream import Step
+
+MAPS = ("time", "row", "column")
+FRAMES, CELLS = MAPS[:1], MAPS[1:]
+RESERVED = (*CELLS, "scene", "cost", "weight", "disc")  # what the groups of a results file hold besides columns
+
+
+@dataclass(frozen=True)
+class Column:
+    """One dataset of a results file.
+
+    Parameters
+    ----------
+    name : what a case calls it, and the file too unless `dataset` says otherwise.
+    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
+    value : reconstruction → values over the axes; None where it has none.
+    checks : each says what is wrong with values, or nothing.
+    dtype : float64, bool, an integer kind, or str.
+    shared : True for what was measured: every estimate of a recording was given the same.
+
+    Raises InputError where the name or the axes are unfit.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    units: str
+    long_name: str
+    value: Callable[[Reconstruction], ArrayLike | None]
+    checks: tuple[Check, ...] = ()
+    dtype: type[Any] = np.float64
+    dataset: str = ""
+    shared: bool = False
+
+    def __post_init__(self) -> None:
+        if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
+            raise InputError(
+                f"{self.path!r} cannot name a column: a word of ASCII letters is needed, none of {RESERVED}"
+            )
+        if self.axes not in (MAPS, CELLS, FRAMES):
+            raise InputError(f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or {FRAMES}")
+
+    @property
+    def path(self) -> str:
+        """The name of the dataset."""
+        return self.dataset or self.name
+
+    def filled(self, reconstruction: Reconstruction) -> Any:
+        """The values as a case holds them: an array, a tuple of texts, or None where there are none."""
+        values = self.value(reconstruction)
+        if values is None:
+            return None
+        return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
+
+    def stored(self, values: Any) -> Any:
+        """The values as HDF5 holds them: texts in ASCII, truth values as 0 and 1."""
+        if self.dtype is str:
+            return ascii_array(values)
+        return np.asarray(values).astype(np.uint8 if self.dtype is np.bool_ else self.dtype)
+
+    def read(self, file: Any, group: str, sizes: Mapping[str, int]) -> Any:
+        """The values in a group of a file, as a case holds them; sizes : axis → length.
+
+        Raises InputError where they are missing, damaged, of another shape or no such values.
+        """
+        path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
+        if self.dtype is str:
+            return read_texts(file, path, *shape)
+        if np.issubdtype(self.dtype, np.floating):
+            return read_array(file, path, len(shape), shape).astype(self.dtype)
+        stored = np.uint8 if self.dtype is np.bool_ else self.dtype
+        return read_whole(file, path, stored, len(shape), shape).astype(self.dtype)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Columns over the frames whose names only a case knows, in a folder of their own.
+
+    name : what a case calls them. folder : the file. value : reconstruction → name → (frames).
+    units, long_name : of the figure of a name.
+    """
+
+    name: str
+    folder: str
+    value: Callable[[Reconstruction], Mapping[str, Array]]
+    units: Callable[[str], str]
+    long_name: Callable[[str], str]
+
+
+def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Reconstruction], Array]:
+    """(frames, ...) of what every step says."""
+    return lambda reconstruction: np.stack([np.asarray(value(step)) for step in reconstruction.steps])

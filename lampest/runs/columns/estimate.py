@@ -1,0 +1,127 @@
+"""What an estimator made of every frame, and how each of its solves ended."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampest.cost.terms import term_kind
+from lampest.panel.panel import Array
+from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_if_solved
+from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
+
+if TYPE_CHECKING:
+    from lampest.estimate.sequence import Reconstruction
+
+UNITS = {"_mm": "mm", "_kpa": "kPa"}
+
+ESTIMATE = (
+    Column(
+        "cell_resistance",
+        MAPS,
+        "ohm",
+        "estimated cell resistance",
+        lambda done: done.cell_resistance,
+        (numbers_if_solved, not_zero_or_less),
+    ),
+    Column(
+        "relative_change",
+        MAPS,
+        "percent",
+        "cell resistance against its baseline",
+        lambda done: done.relative_change,
+        (numbers_if_solved,),
+    ),
+    Column(
+        "two_point_model",
+        MAPS,
+        "ohm",
+        "two-point resistance of the estimated cells",
+        of_steps(lambda step: step.solution.two_point_resistance[-1]),
+        (numbers_if_solved, not_negative),
+    ),
+    Column(
+        "open_cell",
+        MAPS,
+        "1",
+        "1: cannot be told from an open cell",
+        of_steps(lambda step: step.solution.open_cell[-1]),
+        dtype=np.uint8,
+    ),
+    Column(
+        "at_lower_bound",
+        MAPS,
+        "1",
+        "1: cell resistance stands at its lower bound",
+        of_steps(lambda step: step.solution.at_lower[-1]),
+        dtype=np.uint8,
+    ),
+    Column(
+        "baseline_resistance",
+        CELLS,
+        "ohm",
+        "estimated unloaded cell resistance",
+        lambda done: done.baseline_resistance,
+    ),
+    Column("status", FRAMES, "1", "how the solve ended", of_steps(lambda step: step.solution.status.value), dtype=str),
+    Column(
+        "iterations",
+        FRAMES,
+        "1",
+        "iterations of the solver",
+        of_steps(lambda step: step.solution.iterations),
+        dtype=np.int64,
+    ),
+    Column("solve_time", FRAMES, "s", "wall time of the solve", of_steps(lambda step: step.seconds)),
+    Column("objective", FRAMES, "1", "value of the cost function", of_steps(lambda step: step.solution.objective)),
+    Column(
+        "kkt_residual",
+        FRAMES,
+        "1",
+        "violation of the optimality conditions",
+        of_steps(lambda step: step.solution.kkt_residual),
+    ),
+    Column("solved", FRAMES, "1", "1: solved, 0: failed", of_steps(lambda step: step.solution.solved), dtype=np.bool_),
+)
+
+
+def _costs(done: Reconstruction) -> dict[str, Array]:
+    """Term → its part of the cost."""
+    return {
+        term_kind(term): np.array([step.solution.costs[number] for step in done.steps])
+        for number, term in enumerate(done.estimator.terms)
+    }
+
+
+def _weights(done: Reconstruction) -> dict[str, Array]:
+    """Term → its weight."""
+    return {
+        term_kind(term): np.array([step.weights[number] for step in done.steps])
+        for number, term in enumerate(done.estimator.terms)
+    }
+
+
+def _disc(done: Reconstruction) -> dict[str, Array]:
+    """Every number of the discs and its standard deviation; NaN where a frame failed. None without any disc."""
+    discs = [step.disc for step in done.steps]
+    first = next((disc for disc in discs if disc is not None), None)
+    numbers = {}
+    for name in () if first is None else first.disc._fields:
+        for end, part in (("", "disc"), ("_errors", "disc_errors")):
+            values = [np.nan if disc is None else getattr(getattr(disc, part), name) for disc in discs]
+            numbers[name + end] = np.array(values, dtype=float)
+    return numbers
+
+
+FIGURES = (
+    Figures("costs", "cost", _costs, lambda name: "1", lambda name: f"cost of the term {name}"),
+    Figures("weights", "weight", _weights, lambda name: "1", lambda name: f"weight of the term {name}"),
+    Figures(
+        "disc",
+        "disc",
+        _disc,
+        lambda name: next((unit for end, unit in UNITS.items() if name.removesuffix("_errors").endswith(end)), "1"),
+        lambda name: f"oral disc: {name.replace('_', ' ')}",
+    ),
+)

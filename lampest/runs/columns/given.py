@@ -1,0 +1,93 @@
+"""What every estimate of a recording was given: its frames, the readings with their noise, and the truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.recording.recording import UNLOADED
+from lampest.runs.columns.checks import finite, positive, positive_or_infinite
+from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column
+
+if TYPE_CHECKING:
+    from lampest.estimate.sequence import Reconstruction
+
+
+def _truth(reconstruction: Reconstruction) -> Array | None:
+    truth = reconstruction.recording.truth_cell_resistance
+    return None if truth is None else truth[reconstruction.frame]
+
+
+def _truth_baseline(reconstruction: Reconstruction) -> Array | None:
+    truth = reconstruction.recording.truth_cell_resistance
+    unloaded = reconstruction.recording.role == UNLOADED
+    return truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None
+
+
+TIME = Column(
+    "time",
+    FRAMES,
+    "s",
+    "time of the frame",
+    lambda done: done.recording.time[done.frame],
+    (finite,),
+    shared=True,
+)
+FRAME = Column(
+    "frame",
+    FRAMES,
+    "1",
+    "index of the frame in the recording",
+    lambda done: done.frame,
+    dtype=np.int64,
+    shared=True,
+)
+MEASURED = Column(
+    "measured",
+    MAPS,
+    "ohm",
+    "measured two-point resistance, series taken off",
+    lambda done: done.measured,
+    (positive,),
+    dataset="resistance",
+    shared=True,
+)
+GIVEN = (
+    TIME,
+    FRAME,
+    MEASURED,
+    Column(
+        "measured_baseline",
+        CELLS,
+        "ohm",
+        "mean of the unloaded frames, series taken off",
+        lambda done: done.measured_baseline,
+        (positive,),
+        dataset="baseline",
+        shared=True,
+    ),
+    Column(
+        "sigma",
+        MAPS,
+        "ohm",
+        "standard deviation of the measured two-point resistance",
+        lambda done: done.sigma,
+        (positive_or_infinite,),
+        shared=True,
+    ),
+    Column(
+        "sigma_baseline",
+        CELLS,
+        "ohm",
+        "standard deviation of the baseline",
+        lambda done: done.sigma_baseline,
+        (positive_or_infinite,),
+        shared=True,
+    ),
+    Column("truth", MAPS, "ohm", "true cell resistance", _truth, (positive,), shared=True),
+    Column(
+        "truth_baseline", CELLS, "ohm", "mean true unloaded cell resistance", _truth_baseline, (positive,), shared=True
+    ),
+)

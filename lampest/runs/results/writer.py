@@ -1,0 +1,118 @@
+"""Cases → a results file, whole or not at all."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.runs.case import SHARED, CaseResult
+from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, TIME, Column, Figures, all_columns
+from lampest.runs.published import PublishedFigures, published_text
+from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
+
+FORMAT = "results/1"
+
+
+def write_results(
+    path: str | Path,
+    cases: Sequence[CaseResult],
+    published: Mapping[str, PublishedFigures] | None = None,
+    columns: Sequence[Column] = (),
+) -> None:
+    """Write all cases into one file, whole or not at all; the same cases give the same bytes.
+
+    columns : of what the cases hold as `extra`, besides those of installed packages. Raises InputError where a case
+    appears twice, where two different recordings share a name, where an extra has no column or does not fit it, or
+    where the place cannot be written.
+    """
+    table = all_columns(columns)
+    groups: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        _check_extra(case, table)
+        groups.setdefault(case.recording, []).append(case)
+    for recording in groups.values():
+        _check_together(recording, table)
+    with hdf5.new_file(Path(path)) as file:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry", **({"default": next(iter(groups))} if groups else {}))
+        if published:
+            hdf5.set_attributes(entry, published=published_text(published))
+        for order, (name, recording) in enumerate(groups.items()):
+            _write_recording(entry.create_group(name), order, recording, table)
+
+
+def _check_extra(case: CaseResult, table: Sequence[Column]) -> None:
+    case.check(table)
+    for name in case.extra:
+        if name not in {column.name for column in table}:
+            raise InputError(f"{case.recording} × {case.estimator}: no column says what the extra '{name}' is")
+
+
+def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
+    """Cases of one recording must have been given the same."""
+    first, scene, seen = cases[0], fullest(case.scene for case in cases), set()
+    for case in cases:
+        if case.estimator in seen:
+            raise InputError(f"two cases are called {case.recording} × {case.estimator}")
+        seen.add(case.estimator)
+        pairs: list[tuple[str, Any, Any]] = [(name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()]
+        pairs += [(each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared]
+        pairs.append(("scene", fullest((case.scene, scene)), scene))
+        for name, ours, theirs in pairs:
+            if (ours is None) != (theirs is None) or (ours is not None and not np.array_equal(ours, theirs)):
+                raise InputError(
+                    f"{case.estimator} and {first.estimator} were given different recordings of the name "
+                    f"{case.recording} ({name} differs)"
+                )
+
+
+def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:
+    hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
+    given = _frames_group(group, SHARED, "resistance", cases[0])
+    write_scene(given, fullest(case.scene for case in cases))
+    _write_columns(given, cases[0], [column for column in table if column.shared and column is not TIME])
+    for number, case in enumerate(cases):
+        estimate = _frames_group(group, case.estimator, "cell_resistance", case)
+        hdf5.set_attributes(estimate, order=number, case_id=case.case_id, case=case.case_yaml)
+        hdf5.set_attributes(estimate, **{f"{library}_version": text for library, text in sorted(case.versions.items())})
+        hdf5.set_attributes(
+            estimate,
+            baseline_status=case.baseline_status,
+            baseline_solve_time_s=float(case.baseline_solve_time),
+            joint_start=np.uint8(case.joint_start),
+        )
+        _write_columns(estimate, case, [*(column for column in table if not column.shared), FRAME])
+        for folder in FIGURES:
+            _write_figures(estimate, folder, getattr(case, folder.name))
+
+
+def _frames_group(parent: h5py.Group, name: str, signal: str, case: CaseResult) -> h5py.Group:
+    group = parent.create_group(name)
+    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=list(MAPS))
+    hdf5.write_scale(group, TIME.path, np.asarray(case.time, dtype=float), TIME.units, TIME.long_name)
+    for axis, lines in zip(CELLS, case.scene.panel.shape, strict=True):
+        hdf5.write_scale(group, axis, np.arange(lines), "1", f"{axis} line")
+    return group
+
+
+def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> None:
+    for column in columns:
+        values = case.column(column.name)
+        if values is not None:
+            hdf5.write_dataset(
+                group, column.path, column.stored(values), column.units, column.long_name, column.axes
+            )
+
+
+def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> None:
+    for name, values in figures.items():
+        path, data = f"{folder.folder}/{name}", np.asarray(values, dtype=float)
+        hdf5.write_dataset(group, path, data, folder.units(name), folder.long_name(name), FRAMES)
+    if figures:
+        hdf5.set_attributes(group[folder.folder], NX_class="NXcollection")

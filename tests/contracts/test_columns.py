@@ -1,0 +1,151 @@
+"""Columns of results: the union is walked, and a further one is a line in a script or a name in a package."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+from support import invented_case
+
+import lampest
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.files.errors import InputError
+from lampest.runs.case import REQUIRED, TYPED, CaseResult
+from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAMES, MAPS, Column, all_columns, of_steps
+from lampest.runs.columns.checks import positive
+from lampest.runs.config import read_run
+from lampest.runs.filling import case_result
+from lampest.runs.results import read_results, write_results
+
+DATA = Path(__file__).parents[2] / "data"
+LEAST = Column(
+    "least_resistance",
+    FRAMES,
+    "ohm",
+    "smallest cell of the frame",
+    of_steps(lambda step: step.solution.cell_resistance[-1].min()),
+    (positive,),
+)
+CONTRAST = Column("contrast", MAPS, "1", "cell over the panel's median", lambda done: contrast(done))
+
+
+def contrast(done: Reconstruction) -> np.ndarray:
+    return done.cell_resistance / np.median(done.cell_resistance, axis=(1, 2), keepdims=True)
+
+
+ADDON = """\
+from lampest.runs.columns import FRAMES, Column, of_steps
+
+LEAST = Column(
+    "least_resistance", FRAMES, "ohm", "smallest cell", of_steps(lambda step: step.solution.cell_resistance[-1].min())
+)
+"""
+
+
+@pytest.fixture(scope="module")
+def reconstruction() -> Reconstruction:
+    recording = lampest.Recording.load(DATA / "cup_air_10kpa.h5")
+    kept = slice(0, 8)
+    few = dataclasses.replace(
+        recording,
+        resistance=recording.resistance[kept],
+        time=recording.time[kept],
+        role=recording.role[kept],
+        truth_cell_resistance=recording.truth_cell_resistance[kept],
+        truth_pressure=None,
+        raw_sums=None,
+    )
+    return reconstruct(few, Estimator((lampest.Misfit(weighting="noise"),), "reduced", bounds=Bounds()))
+
+
+@pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
+def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruction: Reconstruction) -> None:
+    values = column.filled(reconstruction)
+    sizes = dict(zip(MAPS, reconstruction.cell_resistance.shape, strict=True))
+    assert np.shape(values) == tuple(sizes[axis] for axis in column.axes)
+    assert not isinstance(values, np.ndarray) or values.dtype == column.dtype
+    assert not any(check(values, np.ones(sizes["time"], dtype=bool)) for check in column.checks)
+    assert column.units.isascii() and column.long_name.isascii() and column.long_name
+    assert column.name in TYPED, "a case has an attribute for each column of the contract"
+
+
+def test_every_array_of_a_case_is_a_column() -> None:
+    rest = {"recording", "estimator", "case_id", "case_yaml", "versions", "scene", "extra"}
+    rest |= {"baseline_status", "baseline_solve_time", "joint_start"} | {folder.name for folder in FIGURES}
+    assert {field.name for field in dataclasses.fields(CaseResult)} == rest | {column.name for column in COLUMNS}
+    assert set(TYPED) == {column.name for column in COLUMNS} and set(TYPED) > REQUIRED
+    assert len({column.path for column in COLUMNS}) == len(COLUMNS)
+
+
+def test_a_column_of_a_script_goes_in_and_comes_out(
+    disk: SimpleNamespace, tmp_path: Path, reconstruction: Reconstruction
+) -> None:
+    further = (LEAST, CONTRAST)
+    case = read_run(disk.folder / "run.yaml").cases[0]
+    result = case_result(case, reconstruction, further)
+    np.testing.assert_array_equal(result.extra["least_resistance"], reconstruction.cell_resistance.min(axis=(1, 2)))
+    write_results(tmp_path / "r.h5", [result], columns=further)
+    with h5py.File(tmp_path / "r.h5") as file:
+        dataset = file["entry/small/LSM/contrast"]
+        assert dataset.attrs["units"] == b"1" and dataset.dims[1].keys() == ["row"]
+    (found,) = read_results(tmp_path / "r.h5", further).cases
+    for name in ("least_resistance", "contrast"):
+        np.testing.assert_array_equal(found.extra[name], result.extra[name])
+    assert read_results(tmp_path / "r.h5").cases[0].extra == {}, "without its column nobody knows what it is"
+
+
+def test_a_column_of_a_package_is_in_every_run(
+    package: Callable[..., None], disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
+) -> None:
+    package("lampest.columns", "addon:LEAST", ADDON)
+    ended = lampest("run", disk.folder / "run.yaml", "--out", disk.folder / "out", "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    for case in read_results(disk.folder / "out" / "results.h5").cases:
+        np.testing.assert_array_equal(case.extra["least_resistance"], case.cell_resistance.min(axis=(1, 2)))
+
+
+@pytest.mark.parametrize(("named", "fault"), [("addon:MOST", "cannot be loaded"), ("math:pi", "is no Column")])
+def test_what_a_package_names_wrongly_is_one_sentence(
+    package: Callable[..., None], tmp_path: Path, named: str, fault: str
+) -> None:
+    write_results(tmp_path / "r.h5", [invented_case()])
+    package("lampest.columns", named, ADDON)
+    with pytest.raises(InputError, match=f"lampest.columns: extra = {named} of an installed package {fault}"):
+        read_results(tmp_path / "r.h5")
+
+
+def test_what_a_column_cannot_be() -> None:
+    for name in ("", "two words", "scene", "row", "cost", "a/b"):
+        with pytest.raises(InputError, match="cannot name a column"):
+            dataclasses.replace(LEAST, name=name)
+    with pytest.raises(InputError, match="cannot lie along"):
+        dataclasses.replace(LEAST, axes=("column", "row"))
+    with pytest.raises(InputError, match="two columns of results are called cell_resistance"):
+        all_columns((dataclasses.replace(LEAST, name="cell_resistance"),))
+
+
+def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
+    path, case = tmp_path / "r.h5", invented_case()
+    for values, message in (
+        (np.ones(2), "/entry/mouth/LSM/least_resistance is 2; the frames ask for 3"),
+        (np.zeros(3), "/entry/mouth/LSM/least_resistance must be positive"),
+    ):
+        with pytest.raises(InputError, match=message):
+            write_results(path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST,))
+    with pytest.raises(InputError, match="mouth × LSM: no column says what the extra 'least_resistance' is"):
+        write_results(path, [dataclasses.replace(case, extra={"least_resistance": np.ones(3)})])
+    assert not path.exists()
+
+
+def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
+    words = Column("word", FRAMES, "1", "a word", lambda done: None, dtype=str)
+    marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=np.bool_)
+    case = invented_case(extra={"word": ("one", "two", "three"), "marked": np.eye(10, dtype=bool)})
+    write_results(tmp_path / "r.h5", [case], columns=(words, marks))
+    (found,) = read_results(tmp_path / "r.h5", (words, marks)).cases
+    assert found.extra["word"] == ("one", "two", "three")
+    np.testing.assert_array_equal(found.extra["marked"], np.eye(10, dtype=bool))
