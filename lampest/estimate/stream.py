@@ -11,7 +11,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms.arrival import common_step
 from lampest.estimate.efforts import Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from lampest.estimate.estimator import Doubts, Estimator
-from lampest.estimate.oral_disc import OralDisc, disc_solution
+from lampest.estimate.oral_disc import OralDiscTracker, disc_solution
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt
 from lampest.loads.recognition.direct import OralDiscFit
@@ -81,7 +81,7 @@ class Stream:
     previous_deviation: Array | None = None
     anchor: LinearisedSolver | RegionSolver | None = None
     track: Track | None = None
-    disc: OralDisc | None = None
+    disc: OralDiscTracker | None = None
 
     @classmethod
     def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
@@ -129,7 +129,7 @@ class Stream:
     def _with_disc(self, scene: Scene) -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        disc = OralDisc.of(scene, self.period, self.resting)
+        disc = OralDiscTracker.of(scene, self.period, self.resting)
         data, cost = self._judged(self.resting)
         step = Step(disc.resting(cost, data), perf_counter() - begin, tuple(map(float, cost.weights)))
         return replace(self, baseline=step, disc=disc)
@@ -139,7 +139,7 @@ class Stream:
         data = self.estimator.data(readings.alone(), None, self.faults)
         return data, self.estimator.cost(self.panel, 1, Doubts.of(self.panel, self.faults, data))
 
-    def _push_disc(self, disc: OralDisc, readings: Readings) -> tuple["Stream", Step]:
+    def _push_disc(self, disc: OralDiscTracker, readings: Readings) -> tuple["Stream", Step]:
         begin = perf_counter()
         data, cost = self._judged(readings)
         weights = tuple(map(float, cost.weights))

@@ -15,7 +15,7 @@ from lampest.cost.terms import term_kind
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of
-from lampest.loads.recognition.loads import Disc
+from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.config import Case, Run, digest

@@ -9,8 +9,8 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
-from lampest.loads.recognition.settings import Settings
-from lampest.loads.recognition.verdict import KINDS
+from lampest.loads.recognition.candidates import KINDS
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, TwoPointReadout
@@ -112,11 +112,11 @@ def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
     write_results(tmp_path / "results.h5", [case])
     with pytest.raises(InputError, match=r"results\.h5: mouth: the noise of the readings is unknown"):
         detect_file(tmp_path / "results.h5")
-    _, found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
+    _, found = detect_file(tmp_path / "results.h5", RecognitionSettings(noise_percent=0.5))
     assert "lamprey" in found[0].labels[-1]
 
 
 def test_settings_out_of_range_are_refused() -> None:
     for wrong in ({"patch_mm": 0.0}, {"noise_percent": -1.0}, {"top_row_depth_mm": -5.0}):
         with pytest.raises(ValueError, match="must be"):
-            Settings(**wrong)  # type: ignore[arg-type]
+            RecognitionSettings(**wrong)  # type: ignore[arg-type]

@@ -26,7 +26,6 @@ from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import patch_pressure
 
 PANEL, NOISE, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
 ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
@@ -50,7 +49,7 @@ def scene(kind: str, seed: int, frames: int = 18) -> Recording:
     if kind == "panel":
         pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
     else:
-        pattern = np.sum(patch_pressure(PANEL, 10.0, ROD if kind == "rod" else DISC), axis=0)
+        pattern = np.sum((ROD if kind == "rod" else DISC).mean_pressure(PANEL, 10.0), axis=0)
     course = {"panel": breathing, "disc": breathing, "rod": np.ones(frames + 2), "attachment": count >= 5}[kind]
     pressure = ((count >= 0) * course)[:, None, None] * pattern
     cells = 3050 * np.exp(0.2 * rng.standard_normal(PANEL.shape)) * ratio_from_pressure(pressure)

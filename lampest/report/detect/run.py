@@ -10,8 +10,8 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Direct, Frame, TwoStep, counting
-from lampest.loads.recognition.settings import Settings
+from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counting
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Water
@@ -19,11 +19,13 @@ from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results, read_results
 
-AS_PUBLISHED = Settings()
+AS_PUBLISHED = RecognitionSettings()
 
 
 def detect_file(
-    path: str | Path, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+    path: str | Path,
+    settings: RecognitionSettings = AS_PUBLISHED,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Results, tuple[Detection, ...]]:
     """A results file and its detections. Raises InputError where it cannot be read or does not tell the noise."""
     results = read_results(path)
@@ -36,7 +38,9 @@ def detect_file(
 
 
 def detect(
-    results: Results, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+    results: Results,
+    settings: RecognitionSettings = AS_PUBLISHED,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Detection, ...]:
     """For every recording what its readings show (source SHARED), then what each estimate of it shows.
 
@@ -69,7 +73,7 @@ class Given:
     baseline: Baseline
 
     @classmethod
-    def of(cls, case: CaseResult, settings: Settings) -> "Given":
+    def of(cls, case: CaseResult, settings: RecognitionSettings) -> "Given":
         """From one case of the recording. Raises InputError where the noise is unknown."""
         _, rows, columns = case.measured.shape
         panel = Panel(rows, columns, case.pitch_mm)
@@ -77,7 +81,7 @@ class Given:
         water = water_pressure(panel, None if depth is None else Water(depth))
         sigma = _noise(case, case.sigma, case.measured, settings)
         resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
-        baseline = Baseline.of(case.measured_baseline, resting, case.series_resistance_ohm, settings.doubts)
+        baseline = Baseline.of(case.measured_baseline, resting, case.series_resistance_ohm, settings.model_errors)
         return cls(case, panel, settings.patch_of(panel), water, sigma, baseline)
 
     def frames(self) -> Iterator[Direct]:
@@ -105,11 +109,11 @@ def detected(given: Given, source: CaseResult | None) -> Detection:
     return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts))
 
 
-def _compared(frame: Direct, estimate: Array) -> Frame:
+def _compared(frame: Direct, estimate: Array) -> Observation:
     return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
 
 
-def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: Settings) -> Array:
+def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: RecognitionSettings) -> Array:
     if sigma is None and settings.noise_percent is None:
         raise InputError(
             f"{case.recording}: the noise of the readings is unknown, and without it nothing can be told from noise; "
