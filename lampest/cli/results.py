@@ -62,13 +62,13 @@ def detect(
     ] = None,
 ) -> None:
     """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""
-    from lampest.loads.recognition.settings import Settings
+    from lampest.loads.recognition.settings import RecognitionSettings
     from lampest.report.detect.report import FILE, event_table, write_detections
     from lampest.report.detect.run import detect_file
     from lampest.report.plots.timeline import plot_timelines
 
     try:
-        settings = Settings(patch, depth, noise)
+        settings = RecognitionSettings(patch, depth, noise)
     except ValueError as error:
         raise InputError(str(error)) from error
     with progress("sources") as on_case:

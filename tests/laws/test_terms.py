@@ -16,12 +16,12 @@ from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, term_kind, term_types
 from lampest.cost.terms.term import State, Term
-from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.program import Program
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.smoothing import Smoothing

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lampest.estimate.efforts import Region
 from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
@@ -15,10 +16,8 @@ from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Arrival, LogRatio, Misfit
 from lampest.cost.terms.term import Term
-from lampest.estimate.efforts import Region
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.estimate.methods import MethodName
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.response import ratio_from_pressure
@@ -29,7 +28,7 @@ from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import patch_pressure
+from lampest.solvers.ipopt.formulations import FORMULATIONS
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +54,7 @@ def scene(kind: str, seed: int, frames: int = 18) -> Recording:
     if kind == "panel":
         pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
     else:
-        pattern = np.sum(patch_pressure(PANEL, 10.0, ROD if kind == "rod" else DISC), axis=0)
+        pattern = np.sum((ROD if kind == "rod" else DISC).mean_pressure(PANEL, 10.0), axis=0)
     course = {"panel": breathing, "disc": breathing, "rod": np.ones(frames + 2), "attachment": count >= 5}[kind]
     pressure = ((count >= 0) * course)[:, None, None] * pattern
     cells = 3050 * np.exp(0.2 * rng.standard_normal(PANEL.shape)) * ratio_from_pressure(pressure)

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 
 from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.candidates import CANDIDATES, FLAT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.direct import fit_oral_disc
-from lampest.loads.recognition.doubts import Doubts
-from lampest.loads.recognition.frame import Direct, TwoStep, Weight, outliers
-from lampest.loads.recognition.loads import CUP, FLAT, LAMPREY, RING, ROD, Disc, Round, disc_pressure
+from lampest.loads.recognition.frame import Direct, TwoStep, Whitening, outliers
+from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.loads.recognition.verdict import OR, Verdict
-from lampest.loads.shapes import OralDisc
-from lampest.loads.shapes import Ring as RingLoad
-from lampest.loads.shapes import Rod as RodLoad
-from lampest.loads.shapes import SuctionCup as CupLoad
+from lampest.loads.shapes import OralDisc, Ring, Rod, SuctionCup
+from lampest.loads.shapes.disc import Disc, disc_pressure
+from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
-from lampest.recording.simulation.pressure import patch_pressure
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.events import events, states
@@ -36,9 +35,11 @@ MOUTH = OralDisc(
     kind="oral_disc", centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2
 )
 LOADS: dict[str, Any] = {
-    "rod": RodLoad(kind="rod", centre_mm=CENTRE, diameter_mm=40, mass_g=700),
-    "ring": RingLoad(kind="ring", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, mass_g=850),
-    "cup": CupLoad(kind="suction_cup", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9),
+    "rod": Rod(kind="rod", centre_mm=CENTRE, diameter_mm=40, mass_g=700),
+    "ring": Ring(kind="ring", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, mass_g=850),
+    "cup": SuctionCup(
+        kind="suction_cup", centre_mm=CENTRE, inner_diameter_mm=26, outer_diameter_mm=37, pressure_kpa=-9
+    ),
     "lamprey": MOUTH,
 }
 
@@ -52,7 +53,7 @@ def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
     readings, panel = Readings.of(recording), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None and resting.sigma is not None
-    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, Doubts())
+    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, ModelErrors())
     values = readings.resistance if measured is None else measured
     dry = np.zeros(panel.shape)
     return [Direct(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]
@@ -68,15 +69,15 @@ def seen(frames: list[Any], panel: Panel = PANEL, prepared: Direct | None = None
 
 
 def disc_of(verdict: Verdict) -> Disc:
-    assert isinstance(verdict.best.candidate, Round)
-    return verdict.best.candidate.disc(verdict.best.parameters)[0]
+    assert isinstance(verdict.best.candidate, RoundCandidate)
+    return verdict.best.candidate.disc(verdict.best.parameters)
 
 
-@pytest.mark.parametrize("kind", [ROD, RING, CUP, LAMPREY], ids=lambda kind: kind.label)
-def test_pressure_slopes_are_differences(kind: Round) -> None:
+@pytest.mark.parametrize("kind", CANDIDATES, ids=lambda kind: kind.label)
+def test_pressure_slopes_are_differences(kind: Candidate) -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
-        here = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.names))
+        here = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.priors(PANEL)))
         _, slopes = kind.pressure(PANEL, 6.0, here)
         for slope, step in zip(slopes, 1e-6 * np.eye(len(here)), strict=True):
             up, down = (kind.pressure(PANEL, 6.0, here + sign * step)[0] for sign in (1, -1))
@@ -85,7 +86,7 @@ def test_pressure_slopes_are_differences(kind: Round) -> None:
 
 
 def test_pressure_is_that_of_the_simulation_but_for_its_sampling() -> None:
-    sampled = np.sum(patch_pressure(PANEL, 6.0, MOUTH), axis=0)
+    sampled = np.sum(MOUTH.mean_pressure(PANEL, 6.0), axis=0)
     exact, _ = disc_pressure(PANEL, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
     assert np.abs(sampled - exact).max() < 0.02 * 85
 
@@ -96,7 +97,7 @@ def test_each_load_is_called_what_it_is(label: str) -> None:
     verdict = seen(frames_of(recorded(load)))[-1]
     disc = disc_of(verdict)
     assert verdict.label == label and verdict.goodness < 1.4
-    assert disc.diameter_mm == pytest.approx(load.zones()[-1].outer_mm, abs=1.5)
+    assert disc.diameter_mm == pytest.approx(load.disc().diameter_mm, abs=1.5)
     assert np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
 
 
@@ -141,7 +142,7 @@ def test_an_outlier_does_not_move_the_mouth() -> None:
 
 def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
     frame = frames_of(recorded(frames=1))[0]
-    weight = Weight.of(frame, np.zeros(PANEL.shape))
+    weight = Whitening.of(frame, np.zeros(PANEL.shape))
     residual = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
     assert list(outliers(weight, residual)) == []
     residual[17] += 60.0

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
-from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest import two_point_resistance
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.two_point.stencil import Stencil
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import convex, linearised
 from lampest.solvers.newton import directions
-from lampest.panel.readouts.two_point.stencil import Stencil
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {

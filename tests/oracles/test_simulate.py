@@ -8,7 +8,7 @@ import pytest
 
 from lampest import two_point_resistance
 from lampest.loads.response import ratio_from_pressure
-from lampest.loads.shapes import Load, OralDisc, Ring, Rod, SuctionCup
+from lampest.loads.shapes import OralDisc, Ring, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point.floating import uniform_factor
@@ -18,7 +18,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.measure import raw_sums
-from lampest.recording.simulation.pressure import patch_pressure, pressure_on_cells
+from lampest.recording.simulation.pressure import pressure_on_cells
 from lampest.recording.simulation.simulation import Cells
 from lampest.recording.simulation.unmodelled import Unmodelled
 
@@ -128,8 +128,8 @@ def test_truth_is_baseline_times_response() -> None:
         (OralDisc(kind="oral_disc", centre_mm=(40, 40), diameter_mm=35, rim_width_mm=5, pressure_kpa=-15), 0),
     ],
 )
-def test_force_on_a_fine_panel(load: Load, force_mn: float) -> None:
-    contact, suction = patch_pressure(FINE, 0.5, load)
+def test_force_on_a_fine_panel(load: Shape, force_mn: float) -> None:
+    contact, suction = load.mean_pressure(FINE, 0.5)
     area = 0.25
     scale = contact.sum() * area
     assert (contact + suction).sum() * area == pytest.approx(force_mn, abs=2e-3 * scale)
@@ -138,13 +138,13 @@ def test_force_on_a_fine_panel(load: Load, force_mn: float) -> None:
 def test_patches_average() -> None:
     """A patch half under a big straight edge sees half the pressure."""
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
-    contact, _ = patch_pressure(Panel(3, 3), 6, rod)
+    contact, _ = rod.mean_pressure(Panel(3, 3), 6)
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
 
 
 def test_tilt_points_where_it_says() -> None:
     rod = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=80, mass_g=680, tilt=0.5, tilt_direction_deg=90)
-    contact, _ = patch_pressure(PANEL, 6, rod)
+    contact, _ = rod.mean_pressure(PANEL, 6)
     assert contact[7, 4] > contact[4, 4] > contact[2, 4] > 0
     np.testing.assert_allclose(contact, contact[:, ::-1], atol=1e-12)
 

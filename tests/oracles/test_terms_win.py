@@ -24,12 +24,11 @@ from lampest.cost.terms import (
     TotalVariationOfChange,
 )
 from lampest.cost.terms.term import Reference, State, Term
-from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.estimate.methods import MethodName
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.loads.response import ratio_from_pressure
-from lampest.loads.shapes import Load, Rod, SuctionCup
+from lampest.loads.shapes import Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
@@ -37,7 +36,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
-from lampest.recording.simulation.pressure import patch_pressure
+from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution, evaluated
 from lampest.solvers.search import solved as run
@@ -52,12 +51,12 @@ NOISE = 5e-3
 
 
 @cache
-def scene(load: Load, frames: int, depth: float, seed: int) -> Recording:
+def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
     """Two unloaded frames, then `frames` of a load that swings by `depth` once in nine frames; noise of 0.5 %."""
     rng = np.random.default_rng(seed)
     course = Course(breathing_hz=1 / 9, breathing_depth=depth)
     time = np.arange(frames + 2.0) - 2
-    contact, suction = patch_pressure(PANEL, 6.0, load)
+    contact, suction = load.mean_pressure(PANEL, 6.0)
     factors = ((time >= 0) * course.contact(time), (time >= 0) * course.suction(time))
     pressure = factors[0][:, None, None] * contact + factors[1][:, None, None] * suction
     cells = 3050 * np.exp(0.2 * rng.standard_normal(PANEL.shape)) * ratio_from_pressure(pressure)

@@ -16,7 +16,6 @@ from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import patch_pressure
 
 METHODS = {
     "LSM": (Misfit(),),
@@ -40,7 +39,7 @@ def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
         rim_kpa=float(rng.uniform(50, 110)),
     )
     resting = 3050 * np.exp(0.2 * rng.standard_normal(panel.shape))
-    cells = np.stack([resting, resting * ratio_from_pressure(sum(patch_pressure(panel, 6.0, load)))])
+    cells = np.stack([resting, resting * ratio_from_pressure(sum(load.mean_pressure(panel, 6.0)))])
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * rng.standard_normal(exact.shape))
     role = np.array([0, 1], dtype=np.uint8)

@@ -10,9 +10,9 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
-from lampest.loads.recognition.doubts import Doubts
-from lampest.loads.recognition.settings import Settings
-from lampest.loads.recognition.verdict import KINDS
+from lampest.loads.recognition.candidates import KINDS
+from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -119,7 +119,7 @@ def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
     write_results(tmp_path / "results.h5", [case])
     with pytest.raises(InputError, match=r"results\.h5: mouth: the noise of the readings is unknown"):
         detect_file(tmp_path / "results.h5")
-    _, found = detect_file(tmp_path / "results.h5", Settings(noise_percent=0.5))
+    _, found = detect_file(tmp_path / "results.h5", RecognitionSettings(noise_percent=0.5))
     assert "lamprey" in found[0].labels[-1]
 
 
@@ -137,17 +137,17 @@ def test_readings_that_faults_blind_do_not_count() -> None:
 
 def test_recognition_is_given_the_scene_of_the_results() -> None:
     case = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0))
-    given = Given.of(case, Settings())
+    given = Given.of(case, RecognitionSettings())
     np.testing.assert_allclose(given.water[:, 0], 9.81e-3 * (70 + 10 * np.arange(8)))
     doubts = given.baseline.doubts
     assert (doubts.channel_ohm, doubts.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
     assert given.baseline.series_ohm == 140.0
-    stated = Settings(top_row_depth_mm=0.0, doubts=Doubts(channel_ohm=1.0))
+    stated = RecognitionSettings(top_row_depth_mm=0.0, model_errors=ModelErrors(channel_ohm=1.0))
     assert Given.of(case, stated).water[0, 0] == 0 and Given.of(case, stated).baseline.doubts == stated.doubts
-    assert Given.of(solved_case(), Settings()).baseline.doubts == Doubts()
+    assert Given.of(solved_case(), RecognitionSettings()).baseline.doubts == ModelErrors()
 
 
 def test_settings_out_of_range_are_refused() -> None:
     for wrong in ({"patch_mm": 0.0}, {"noise_percent": -1.0}, {"top_row_depth_mm": -5.0}):
         with pytest.raises(ValueError, match="must be"):
-            Settings(**wrong)  # type: ignore[arg-type]
+            RecognitionSettings(**wrong)  # type: ignore[arg-type]

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lampest import two_point_resistance
 from lampest.cost.given import Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.cell_resistance import CellResistance
 from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Estimator
-from lampest import two_point_resistance
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene

@@ -19,9 +19,9 @@ from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.direct import OralDiscFit, fit_oral_disc
-from lampest.loads.recognition.doubts import Doubts
 from lampest.loads.recognition.frame import Direct, counting
-from lampest.loads.recognition.settings import Settings
+from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class DiscSequence:
+class OralDiscTracker:
     """Where a sequence of such fits stands.
 
     panel, water : (rows, columns) kPa. baseline : of the unloaded readings. period : s between frames.
@@ -50,24 +50,24 @@ class DiscSequence:
     last: OralDiscFit | None = None
 
     @classmethod
-    def of(cls, scene: Scene, period: float, resting: Readings) -> "DiscSequence":
+    def of(cls, scene: Scene, period: float, resting: Readings) -> "OralDiscTracker":
         """Before the first frame. Raises InputError where the noise of the readings is unknown."""
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        known = scene.systematic
-        doubts = Doubts(
-            channel_ohm=0.0 if known is None else known.channel_spread_ohm,
-            reference=0.0 if known is None else known.reference_tolerance / np.sqrt(3),
+        systematic = scene.systematic
+        model_errors = ModelErrors(
+            channel_ohm=0.0 if systematic is None else systematic.channel_spread_ohm,
+            reference=0.0 if systematic is None else systematic.reference_tolerance / np.sqrt(3),
         )
-        baseline = Baseline.of(resting.resistance, _sigma(resting), scene.series_resistance_ohm, doubts)
+        baseline = Baseline.of(resting.resistance, _sigma(resting), scene.series_resistance_ohm, model_errors)
         every = period if np.isfinite(period) else 0.0
         return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every)
 
-    def push(self, readings: Readings) -> tuple["DiscSequence", OralDiscFit]:
+    def push(self, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
         """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
         seconds = (self.frames + 1) * self.period
         frame = Direct(readings.resistance, _sigma(readings), self.baseline, self.water, seconds)
-        detector = self.detector or Detector.of(self.panel, Settings().patch_of(self.panel), frame)
+        detector = self.detector or Detector.of(self.panel, RecognitionSettings().patch_of(self.panel), frame)
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
 
@@ -86,7 +86,7 @@ class OralDiscMethod(Method):
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        sequence = DiscSequence.of(stream.scene, stream.period, stream.resting)
+        sequence = OralDiscTracker.of(stream.scene, stream.period, stream.resting)
         data, cost = _judged(stream, stream.resting)
         solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
         baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))

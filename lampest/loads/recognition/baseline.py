@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from lampest.loads.recognition.doubts import Doubts
+from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 
 STEPS = 12
 SETTLED = 1e-6
-ROUGHLY = 3  # steps after which the cells are known well enough to see which reading stands alone
+ROUGHLY = 3  # steps after which the cells are near enough to see which reading stands alone
 ALONE, FAR_OFF = 4.5, 10.0
 CIRCUIT = TwoPointReadout()  # discs are fitted to two-point resistances
-SCALE_SD = 3.0  # of the mean of ln r0: nothing is known of it beforehand
+SCALE_SD = 3.0  # of the mean of ln r0: a prior that says next to nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +25,17 @@ class Baseline:
 
     logarithm : (rows, columns) mean of ln r0. offsets : (rows + columns + 1) in their standard deviations.
     covariance : of both together, (cells + rows + columns + 1)².
-    series_ohm : what was taken off the readings. doubts : the errors that are assumed.
+    series_ohm : what was taken off the readings. model_errors : the errors that are assumed.
     """
 
     logarithm: Array
     offsets: Array
     covariance: Array
     series_ohm: float
-    doubts: Doubts
+    model_errors: ModelErrors
 
     @classmethod
-    def of(cls, measured: Array, sigma: Array, series_ohm: float, doubts: Doubts) -> "Baseline":
+    def of(cls, measured: Array, sigma: Array, series_ohm: float, model_errors: ModelErrors) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², by Gauss-Newton steps.
 
         measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
@@ -43,11 +43,11 @@ class Baseline:
         rows, columns = measured.shape
         cells, lines = measured.size, rows + columns + 1
         prior = np.zeros((cells + lines,) * 2)
-        prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * doubts.cell_spread**2
+        prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * model_errors.cell_spread**2
         prior[cells:, cells:] = np.eye(lines)
         mean = np.zeros(cells + lines)
         mean[:cells] = np.log(np.median(CIRCUIT.uniform_start(measured)))
-        spread = doubts.offsets(measured + series_ohm)
+        spread = model_errors.offsets(measured + series_ohm)
         noise, state = sigma.ravel() ** 2, mean
         for step in range(STEPS):
             network = network_of(state[:cells].reshape(rows, columns))
@@ -64,7 +64,7 @@ class Baseline:
             if step > ROUGHLY and np.abs(move).max() < SETTLED:
                 break
         covariance = prior - across @ cho_solve(factor, across.T)
-        return cls(state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, doubts)
+        return cls(state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, model_errors)
 
 
 def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:

@@ -7,7 +7,8 @@ import numpy as np
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.frame import Direct
-from lampest.loads.recognition.loads import LAMPREY, Disc
+from lampest.loads.shapes import OralDisc
+from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
 
 
@@ -35,8 +36,8 @@ def fit_oral_disc(detector: Detector, frame: Direct, start: Fit | None = None) -
 
     detector : prepared for the panel and its baseline. start : the frame before, or None: all of the panel is searched.
     """
-    fit = detector.lamprey(frame, start)
-    disc, slopes = LAMPREY.disc(fit.parameters)
+    fit = detector.fitted(OralDisc.candidate, frame, start)
+    disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
     covariance = slopes @ fit.covariance @ slopes.T
     shape = frame.measured.shape
     return OralDiscFit(

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.loads.recognition.frame import Frame, Weight
-from lampest.loads.recognition.loads import Candidate
+from lampest.loads.recognition.frame import Observation, Whitening
+from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
 STEPS = 30
@@ -37,7 +37,9 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _Linearisation:
+    """The model about φ: errors of unit variance of readings and priors, their slopes by φ, and half their square."""
+
     parameters: Array
     change: Array
     residual: Array
@@ -48,26 +50,26 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A candidate on a panel with patches, before a frame with its weight."""
+    """A candidate on a panel with patches, before a frame with the whitening of its errors."""
 
     panel: Panel
     patch_mm: float
     candidate: Candidate
-    frame: Frame
-    weight: Weight
+    frame: Observation
+    whitening: Whitening
 
-    def at(self, parameters: Array) -> _Place:
+    def at(self, parameters: Array) -> _Linearisation:
         """Errors of unit variance, of readings and priors, and their slopes by φ."""
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, parameters)
         change, response = self.frame.change(pressure)
         touched = np.flatnonzero(np.any(by_parameter != 0, axis=0))
         residual, slopes = self.frame.missed(change, touched)
         of_cells = (response.ravel() * by_parameter.reshape(len(parameters), response.size))[:, touched].T
-        whitened = self.weight @ np.column_stack([residual, slopes @ of_cells])
+        whitened = self.whitening @ np.column_stack([residual, slopes @ of_cells])
         sd = self.candidate.sd(self.panel)
         prior = (parameters - self.candidate.mean(self.panel)) / sd
         errors = np.concatenate([whitened[:, 0], prior])
-        return _Place(
+        return _Linearisation(
             parameters,
             change,
             residual,
@@ -83,15 +85,14 @@ class Fitting:
         """
         damping = 1e-3
         mean, reach = self.candidate.mean(self.panel), FARTHEST * self.candidate.sd(self.panel)
-        low, high = mean - reach, mean + reach
+        low, high, longest = mean - reach, mean + reach, self.candidate.steps(self.panel)
         here, count = self.at(np.clip(start, low, high)), 1
         while count < steps and len(start):
             if count > TRIAL and here.cost > hopeless:
                 break
             normal, slope = here.slopes.T @ here.slopes, here.slopes.T @ here.errors
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
-            limit = self.limits()
-            step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
+            step *= min(1.0, float(np.min(longest / np.maximum(np.abs(step), 1e-300))))
             step = np.clip(here.parameters + step, low, high) - here.parameters
             there, count = self.at(here.parameters + step), count + 1
             gain, promised = here.cost - there.cost, -(slope @ step + step @ normal @ step / 2)
@@ -108,18 +109,12 @@ class Fitting:
                     break
         return self._fit(here, count, here.cost > hopeless)
 
-    def limits(self) -> Array:
-        """The longest step of every parameter: a third of a pitch of the centre, half a unit of logarithms."""
-        pitch = self.panel.pitch_mm
-        longest = {"x": pitch / 2, "y": pitch / 2, "tilt_x": 0.3, "tilt_y": 0.3, "diameter": 0.2}
-        return np.array([longest.get(name, 0.7) for name in self.candidate.names])
-
-    def _fit(self, here: _Place, count: int, hopeless: bool) -> Fit:
-        """The result at a place that steps no longer improve; see `_widths`."""
+    def _fit(self, here: _Linearisation, count: int, hopeless: bool) -> Fit:
+        """The result where steps no longer improve it; see `_widths`."""
         sd = self.candidate.sd(self.panel)
         precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
         stiffness, axes = np.linalg.eigh(precision)
-        widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # the priors' own is 1
+        widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # that of the priors is 1
         if not hopeless:
             widths, tried = self._widths(here, widths, sd[:, None] * axes)
         spread = sd[:, None] * axes * widths
@@ -136,7 +131,7 @@ class Fitting:
             count + tried,
         )
 
-    def _widths(self, here: _Place, widths: Array, axes: Array) -> tuple[Array, int]:
+    def _widths(self, here: _Linearisation, widths: Array, axes: Array) -> tuple[Array, int]:
         """Standard deviations along the axes of the posterior, in those of the prior, and evaluations.
 
         Where the slopes see nothing, because a rim runs between patches, they would promise the width of the prior.

@@ -30,7 +30,7 @@ def log_response(pressure: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame(ABC):
+class Observation(ABC):
     """A frame's readings and what they are compared with.
 
     measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
@@ -57,10 +57,10 @@ class Frame(ABC):
         return loaded - self._unloaded, slope
 
     def covariance(self, change: Array) -> Array:
-        """σ² + H C Hᵀ + J τ² Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, the cells' doubts."""
-        doubts, slope = self.baseline.doubts, self.slope(change)
+        """σ² + H C Hᵀ + J τ² Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, cells."""
+        model_errors, slope = self.baseline.model_errors, self.slope(change)
         both = np.hstack([slope, self._offsets])
-        scatter = slope * doubts.cells_sd(change, self.seconds).ravel()
+        scatter = slope * model_errors.cells_sd(change, self.seconds).ravel()
         total = both @ self.baseline.covariance @ both.T + scatter @ scatter.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
 
@@ -80,7 +80,7 @@ class Frame(ABC):
     @cached_property
     def _offsets(self) -> Array:
         """E (cells, rows + columns + 1) ohm: what every offset's standard deviation adds to the readings."""
-        return self.baseline.doubts.offsets(self.measured + self.baseline.series_ohm)
+        return self.baseline.model_errors.offsets(self.measured + self.baseline.series_ohm)
 
     @cached_property
     def _unloaded(self) -> Array:
@@ -89,7 +89,7 @@ class Frame(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Direct(Frame):
+class Direct(Observation):
     """A load makes cells, and cells make readings, by Kirchhoff's law: no estimate stands between."""
 
     def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -111,7 +111,7 @@ class Direct(Frame):
 
 
 @dataclass(frozen=True, eq=False)
-class TwoStep(Frame):
+class TwoStep(Observation):
     """A load is compared with an estimate r̂, weighed by what the readings know of it: f(r) ≈ f(r̂) + ∂f/∂g·(g − ĝ).
 
     With a misfit of zero the sum of squares is ‖∂f/∂g·(g − ĝ)‖² in units of σ, the estimate's distance from the load
@@ -152,14 +152,14 @@ class TwoStep(Frame):
 
 
 @dataclass(frozen=True, eq=False)
-class Weight:
+class Whitening:
     """The root of a covariance, lower triangular, with the change of the cells that it was made for."""
 
     root: Array
     change: Array
 
     @classmethod
-    def of(cls, frame: Frame, change: Array) -> "Weight":
+    def of(cls, frame: Observation, change: Array) -> "Whitening":
         """For a frame about ln r/r0 = `change`."""
         return cls(cholesky(frame.covariance(change), lower=True), change)
 
@@ -174,28 +174,28 @@ class Weight:
         return np.asarray(whitening.T @ whitening)
 
 
-def outliers(weight: Weight, residual: Array) -> NDArray[np.intp]:
+def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     """Numbers of the readings that lie far from what all the others say of them; residual (cells) ohm.
 
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
     is taken out before the next is looked for.
     """
-    precision = weight.precision.copy()
-    pull, found = precision @ residual, np.zeros(0, dtype=np.intp)
+    precision = whitening.precision.copy()
+    pull, dropped = precision @ residual, np.zeros(0, dtype=np.intp)
     left = np.ones(len(residual), dtype=bool)
-    while len(found) < max(1, int(MOST_DROPPED * len(residual))):
+    while len(dropped) < max(1, int(MOST_DROPPED * len(residual))):
         score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
         worst = int(np.argmax(score))
         if score[worst] <= ALONE:
             break
-        found, left[worst] = np.append(found, worst), False
+        dropped, left[worst] = np.append(dropped, worst), False
         column = precision[:, worst] / precision[worst, worst]
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])
-    return found
+    return dropped
 
 
-def without(frame: Frame, dropped: NDArray[np.intp]) -> Frame:
+def without(frame: Observation, dropped: NDArray[np.intp]) -> Observation:
     """The frame with some readings' σ so large that they no longer count."""
     sigma = frame.sigma.copy().ravel()
     sigma[dropped] *= DROPPED

@@ -4,14 +4,14 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, ClassVar
 
-from lampest.loads.recognition.doubts import Doubts
+from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.panel import Panel
 
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
 
 
 @dataclass(frozen=True)
-class Settings:
+class RecognitionSettings:
     """Assumptions about the panel and the errors.
 
     Parameters
@@ -20,7 +20,7 @@ class Settings:
     top_row_depth_mm : depth of row 0 below the water's surface in mm, row by row deeper; None: what the results
         say, or in air.
     noise_percent : standard deviation of every reading in percent, where the results do not hold it; None: refuse.
-    doubts : the errors beside the readings' noise.
+    model_errors : the errors beside the readings' noise.
 
     Raises ValueError where a number is out of range.
     """
@@ -29,7 +29,7 @@ class Settings:
     patch_mm: float | None = None
     top_row_depth_mm: float | None = None
     noise_percent: float | None = None
-    doubts: Doubts = field(default_factory=Doubts)
+    model_errors: ModelErrors = field(default_factory=ModelErrors)
 
     def __post_init__(self) -> None:
         for name in ("patch_mm", "noise_percent"):

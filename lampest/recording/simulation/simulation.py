@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.files.document import to_yaml
 from lampest.loads.response import ratio_from_pressure
-from lampest.loads.shapes import AnyLoad
+from lampest.loads.shapes import AnyShape
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -71,7 +71,7 @@ class Simulation:
     baseline_frames: int = 3
     frames: int = 21
     frame_period_s: float = 1.0
-    loads: tuple[AnyLoad, ...] = ()
+    loads: tuple[AnyShape, ...] = ()
     course: Course = field(default_factory=Course)
     water: Water | None = None
     unmodelled: Unmodelled = field(default_factory=Unmodelled)

@@ -1,38 +1,20 @@
 """What was seen in a recording, frame by frame."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.recognition.loads import RING, ROD, Round
-from lampest.loads.recognition.verdict import KINDS, Verdict
+from lampest.loads.recognition.candidates import KINDS, LOADS
+from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
 from lampest.panel.panel import Array
 
 NOT_SOLVED = "not solved"
 
 
-class Quantity(NamedTuple):
-    """A number of a load as files and tables name it."""
-
-    name: str
-    units: str
-    long_name: str
-
-
-QUANTITIES = (
-    Quantity("centre_x", "mm", "centre of the load across the columns, column 0 at 0"),
-    Quantity("centre_y", "mm", "centre of the load across the rows, row 0 at 0"),
-    Quantity("diameter", "mm", "outer diameter of the load; of a mouth over its rim"),
-    Quantity("rim_width", "mm", "width of the rim"),
-    Quantity("inner_pressure", "kPa", "pressure inside the rim against the surroundings; suction is negative"),
-    Quantity("rim_pressure", "kPa", "mean contact pressure under the rim, or under a rod"),
-)
-# (x, y, d, w, s, p) from the numbers of a disc.
-CHOICE = np.zeros((6, 8))
-CHOICE[[0, 1, 2, 3, 4, 5], [0, 1, 2, 2, 4, 5]] = 1, 1, 1, 0.5, 1, 1
-CHOICE[3, 3] = -0.5
+# Those of a disc first, in their order; then what other shapes report beside them.
+QUANTITIES = tuple(dict.fromkeys((*DISC_QUANTITIES, *(quantity for load in LOADS for quantity in load.quantities))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +61,11 @@ class Detection:
 
 
 def _numbers(verdict: Verdict | None) -> tuple[Array, Array]:
-    """(values, errors) of the most probable load, (quantities); NaN for what it has none of."""
-    nothing = np.full(len(QUANTITIES), np.nan)
-    fit = None if verdict is None else verdict.best
-    if fit is None or not isinstance(fit.candidate, Round):
-        return nothing, nothing
-    kind = fit.candidate
-    disc, slopes = kind.disc(fit.parameters)
-    choice = CHOICE.copy()
-    choice[3:5] *= np.nan if kind is ROD else 1.0
-    choice[4] *= np.nan if kind is RING else 1.0
-    spread = choice @ slopes
-    return choice @ np.array(disc), np.sqrt(np.einsum("qi,ij,qj->q", spread, fit.covariance, spread))
+    """(values, errors) of the most probable candidate, (quantities); NaN for what it has none of."""
+    values, errors = np.full((2, len(QUANTITIES)), np.nan)
+    if verdict is not None:
+        fit = verdict.best
+        columns = [QUANTITIES.index(quantity) for quantity in fit.candidate.quantities]
+        values[columns], slopes = fit.candidate.report(fit.parameters)
+        errors[columns] = np.sqrt(np.einsum("qi,ij,qj->q", slopes, fit.covariance, slopes))
+    return values, errors

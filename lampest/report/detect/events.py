@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.loads.recognition.loads import CUP, FLAT, LAMPREY, NOTHING
+from lampest.loads.recognition.candidates import LOADS, NOTHING, UNIFORM
 from lampest.loads.recognition.verdict import OR
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import NOT_SOLVED, Detection
 
-AWAY = frozenset((NOTHING.label, FLAT.label))
-SUCKING = frozenset((CUP.label, LAMPREY.label))
+AWAY = frozenset(candidate.label for candidate in UNIFORM)
+SUCKING = frozenset(load.label for load in LOADS if load.sucks)
 MOVED_MM, MOVED_SD = 3.0, 4.0
 
 
@@ -19,14 +19,14 @@ class Event:
     """Something that changed.
 
     kind : 'touched' something presses, 'attached' it sucks, 'moved' its centre, 'released' nothing is there any more.
-    place, frame, time : place among the frames, index into the recording, s: of the first frame that shows it.
+    number, frame, time : number among the detection's frames, index into the recording, s: of the first that shows it.
     label : what it was called most often until the next event.
     values, errors : (quantities) medians over the frames until the next event. The errors of neighbouring frames are
         alike: a mean over them would hardly be better than one.
     """
 
     kind: str
-    place: int
+    number: int
     frame: int
     time: float
     label: str
@@ -40,25 +40,25 @@ def states(labels: tuple[str, ...]) -> tuple[str, ...]:
     From the first of them on it is what either of them may be called, unless that includes all it was already. Frames
     that were not solved change nothing.
     """
-    solved = [place for place, label in enumerate(labels) if label != NOT_SOLVED]
+    solved = [number for number, label in enumerate(labels) if label != NOT_SOLVED]
     state = frozenset((NOTHING.label,))
     held: dict[int, frozenset[str]] = {}
     before: tuple[int, frozenset[str]] | None = None
-    for place in solved:
-        shown = frozenset(labels[place].split(OR))
+    for number in solved:
+        shown = frozenset(labels[number].split(OR))
         if before is not None:
             agreed = shown | before[1]
             if not state <= agreed:
                 state = agreed
                 held[before[0]] = state
-        held[place] = state
-        before = place, shown
+        held[number] = state
+        before = number, shown
     order = {label: rank for rank, label in enumerate(dict.fromkeys(part for one in labels for part in one.split(OR)))}
-    found, last = [], frozenset((NOTHING.label,))
-    for place in range(len(labels)):
-        last = held.get(place, last)
-        found.append(OR.join(sorted(last, key=lambda label: order.get(label, -1))))
-    return tuple(found)
+    calm, last = [], frozenset((NOTHING.label,))
+    for number in range(len(labels)):
+        last = held.get(number, last)
+        calm.append(OR.join(sorted(last, key=lambda label: order.get(label, -1))))
+    return tuple(calm)
 
 
 def events(detection: Detection) -> tuple[Event, ...]:
@@ -67,41 +67,41 @@ def events(detection: Detection) -> tuple[Event, ...]:
     marks: list[tuple[str, int]] = []
     present = attached = False
     reference = np.full(2, np.nan)
-    for place, state in enumerate(shown):
+    for number, state in enumerate(shown):
         if present and state <= AWAY:
             present = attached = False
-            marks.append(("released", place))
+            marks.append(("released", number))
         elif not present and not state & AWAY:
             present = True
-            marks.append(("touched", place))
-            reference = detection.values[place, :2]
+            marks.append(("touched", number))
+            reference = detection.values[number, :2]
         if present and not attached and state <= SUCKING:
             attached = True
-            if marks and marks[-1] == ("touched", place):
+            if marks and marks[-1] == ("touched", number):
                 marks.pop()
-            marks.append(("attached", place))
-            reference = detection.values[place, :2]
-        elif present and _moved(detection, place, reference):
-            marks.append(("moved", place))
-            reference = detection.values[place, :2]
-    ends = [place for _, place in marks] + [len(shown)]
-    return tuple(_event(detection, kind, place, end) for (kind, place), end in zip(marks, ends[1:], strict=True))
+            marks.append(("attached", number))
+            reference = detection.values[number, :2]
+        elif present and _moved(detection, number, reference):
+            marks.append(("moved", number))
+            reference = detection.values[number, :2]
+    ends = [number for _, number in marks] + [len(shown)]
+    return tuple(_event(detection, kind, number, end) for (kind, number), end in zip(marks, ends[1:], strict=True))
 
 
-def _moved(detection: Detection, place: int, reference: Array) -> bool:
+def _moved(detection: Detection, number: int, reference: Array) -> bool:
     """Whether the centre is away from its reference in this frame and the next, by mm and by its uncertainty."""
-    frames = slice(place, place + 2)
+    frames = slice(number, number + 2)
     step = detection.values[frames, :2] - reference
     error = np.hypot(*detection.errors[frames, :2].T)
     far = np.hypot(*step.T) > np.maximum(MOVED_MM, MOVED_SD * error)
     return len(far) == 2 and bool(np.all(far))
 
 
-def _event(detection: Detection, kind: str, place: int, end: int) -> Event:
-    labels = states(detection.labels)[place:end]
+def _event(detection: Detection, kind: str, number: int, end: int) -> Event:
+    labels = states(detection.labels)[number:end]
     label = max(dict.fromkeys(labels), key=labels.count)
-    medians = [_medians(numbers[place:end]) for numbers in (detection.values, detection.errors)]
-    return Event(kind, place, int(detection.frame[place]), float(detection.time[place]), label, *medians)
+    medians = [_medians(values[number:end]) for values in (detection.values, detection.errors)]
+    return Event(kind, number, int(detection.frame[number]), float(detection.time[number]), label, *medians)
 
 
 def _medians(numbers: Array) -> Array:

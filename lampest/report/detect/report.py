@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.loads.recognition.verdict import KINDS
+from lampest.loads.recognition.candidates import KINDS
 from lampest.panel.panel import Array
 from lampest.report.compare import Table
 from lampest.report.detect.detection import QUANTITIES, Detection
@@ -27,19 +27,19 @@ def source_name(source: str) -> str:
 
 def event_table(detections: Sequence[Detection]) -> Table:
     """One row for each event; a recording in which nothing happened has one row that says so."""
-    headers = ("recording", "from", "event", "frame", "time [s]", "what", "x, y [mm]", "diameter [mm]", "rim [mm]")
+    numbers = tuple(f"{quantity.header} [{quantity.units}]" for quantity in QUANTITIES[2:])
+    headers = ("recording", "from", "event", "frame", "time [s]", "what", "x, y [mm]", *numbers)
     rows = []
     for detection in detections:
         names = (detection.recording, source_name(detection.source))
         happened = events(detection)
         if not happened:
-            rows.append((*names, "nothing attached", *[""] * 8))
+            rows.append((*names, "nothing attached", *[""] * (len(headers) - 3)))
         for event in happened:
-            pressures = (_plus_minus(event, 4), _plus_minus(event, 5))
             when = (event.kind, str(event.frame), f"{event.time:g}", event.label)
-            place = ", ".join(filter(None, (_plus_minus(event, 0), _plus_minus(event, 1))))
-            rows.append((*names, *when, place, _plus_minus(event, 2), _plus_minus(event, 3), *pressures))
-    return Table((*headers, "inside [kPa]", "rim [kPa]"), tuple(rows))
+            x, y, *others = (_plus_minus(event, number) for number in range(len(QUANTITIES)))
+            rows.append((*names, *when, ", ".join(filter(None, (x, y))), *others))
+    return Table(headers, tuple(rows))
 
 
 def _plus_minus(event: Event, quantity: int) -> str:

@@ -10,9 +10,9 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.doubts import Doubts
-from lampest.loads.recognition.frame import Direct, Frame, TwoStep, counting
-from lampest.loads.recognition.settings import Settings
+from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counting
+from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
@@ -20,11 +20,13 @@ from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results, read_results
 
-AS_PUBLISHED = Settings()
+AS_PUBLISHED = RecognitionSettings()
 
 
 def detect_file(
-    path: str | Path, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+    path: str | Path,
+    settings: RecognitionSettings = AS_PUBLISHED,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Results, tuple[Detection, ...]]:
     """A results file and its detections. Raises InputError where it cannot be read or does not tell the noise."""
     results = read_results(path)
@@ -37,7 +39,9 @@ def detect_file(
 
 
 def detect(
-    results: Results, settings: Settings = AS_PUBLISHED, on_case: Callable[[int, int], None] = lambda done, total: None
+    results: Results,
+    settings: RecognitionSettings = AS_PUBLISHED,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Detection, ...]:
     """For every recording what its readings show (source SHARED), then what each estimate of it shows.
 
@@ -69,14 +73,14 @@ class Given:
     baseline: Baseline
 
     @classmethod
-    def of(cls, case: CaseResult, settings: Settings) -> "Given":
+    def of(cls, case: CaseResult, settings: RecognitionSettings) -> "Given":
         """From one case of the recording. Raises InputError where the noise is unknown."""
         scene, depth = case.scene, settings.top_row_depth_mm
         water = water_pressure(scene.panel, scene.water if depth is None else Water(depth))
         sigma = _noise(case, case.sigma, case.measured, settings)
         resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
-        doubts = _doubts(settings, scene)
-        baseline = Baseline.of(case.measured_baseline, resting, scene.series_resistance_ohm, doubts)
+        errors = _model_errors(settings, scene)
+        baseline = Baseline.of(case.measured_baseline, resting, scene.series_resistance_ohm, errors)
         return cls(case, settings.patch_of(scene.panel), water, sigma, baseline)
 
     def frames(self) -> Iterator[Direct]:
@@ -104,19 +108,19 @@ def detected(given: Given, source: CaseResult | None) -> Detection:
     return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts))
 
 
-def _compared(frame: Direct, estimate: Array) -> Frame:
+def _compared(frame: Direct, estimate: Array) -> Observation:
     return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
 
 
-def _doubts(settings: Settings, scene: Scene) -> Doubts:
+def _model_errors(settings: RecognitionSettings, scene: Scene) -> ModelErrors:
     """What the settings assume; where they leave it as published, how far off the scene says all readings may be."""
-    if scene.systematic is None or settings.doubts != AS_PUBLISHED.doubts:
-        return settings.doubts
+    if scene.systematic is None or settings.model_errors != AS_PUBLISHED.model_errors:
+        return settings.model_errors
     reference = scene.systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-    return replace(settings.doubts, channel_ohm=scene.systematic.channel_spread_ohm, reference=reference)
+    return replace(settings.model_errors, channel_ohm=scene.systematic.channel_spread_ohm, reference=reference)
 
 
-def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: Settings) -> Array:
+def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: RecognitionSettings) -> Array:
     if sigma is None and settings.noise_percent is None:
         raise InputError(
             f"{case.recording}: the noise of the readings is unknown, and without it nothing can be told from noise; "

@@ -1,6 +1,7 @@
-"""What was attached, over time: probabilities, diameter, pressures and place; and the strongest frame with circles."""
+"""What was attached, over time: probabilities, diameter, pressures and centre; and the strongest frame with circles."""
 
 from collections.abc import Sequence
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
-from lampest.loads.recognition.verdict import KINDS
+from lampest.loads.recognition.candidates import KINDS
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
@@ -31,7 +32,8 @@ from lampest.runs.results import CaseResult, Results
 
 HEIGHT_INCH = 4.6
 NEAR = 0.14  # of the width: the names of events that are closer stand one above the other
-KIND_COLOURS = ("0.93", "0.75", "#56B4E9", "#0072B2", "#E69F00", "#D55E00")  # in the order of KINDS
+# In the order of KINDS, and again from the third for more of them: those of Okabe and Ito, apart for the colour-blind.
+UNIFORM_COLOURS, LOAD_COLOURS = ("0.93", "0.75"), ("#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#F0E442")
 LINE, OTHER = "#222222", "#CC79A7"
 X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
 BANDS_PERCENT = np.array([-100, -80, -60, -40, -20, -5, 5, 20, 40, 60, 80, 100])
@@ -52,7 +54,7 @@ def plot_timelines(results: Results, detections: Sequence[Detection], folder: st
 
 
 def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
-    """Five panels of one recording: probabilities of the loads, diameter, pressures, place; and a map with the circles.
+    """Five panels of one recording: probabilities of the loads, diameter, pressures, centre; and a map with circles.
 
     Bands are one standard deviation. The map is the first estimate's relative change in the frame that
     `strongest_frame` chooses; vertical lines are the events.
@@ -71,8 +73,8 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     panels[4].set_xlabel("time [s]", fontsize=TEXT_POINT)
     _events(panels, detection)
     left.align_ylabels(panels)
-    place = strongest_frame(cases)
-    _map(right, cases[0], detection, place)
+    frame = strongest_frame(cases)
+    _map(right, cases[0], detection, frame)
     title = f"{detection.recording}: what is attached, from the two-point resistances"
     figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)
     return figure
@@ -82,7 +84,8 @@ def _probabilities(axes: Axes, detection: Detection) -> None:
     """A column for every frame, shared among the kinds; white where a frame was not solved."""
     edges = _edges(detection.time)
     below = np.zeros(len(detection.time))
-    for kind, colour, part in zip(KINDS, KIND_COLOURS, np.nan_to_num(detection.probabilities).T, strict=True):
+    colours = (*UNIFORM_COLOURS, *islice(cycle(LOAD_COLOURS), len(KINDS) - len(UNIFORM_COLOURS)))
+    for kind, colour, part in zip(KINDS, colours, np.nan_to_num(detection.probabilities).T, strict=True):
         axes.bar(edges[:-1], part, np.diff(edges), bottom=below, align="edge", color=colour, linewidth=0, label=kind)
         below = below + part
     axes.set_ylim(0, 1)
@@ -106,8 +109,7 @@ def _line(axes: Axes, detection: Detection, lines: Sequence[tuple[int, str, str]
         value, error = detection.values[:, quantity], detection.errors[:, quantity]
         axes.fill_between(detection.time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
         axes.plot(detection.time, value, ".-", color=colour, ms=3, lw=0.9, label=name)
-    known = np.isfinite(detection.values[:, [line[0] for line in lines]])
-    if not known.any():
+    if not np.isfinite(detection.values[:, [line[0] for line in lines]]).any():
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
         axes.set_yticks([])
     else:
@@ -131,31 +133,31 @@ def _events(panels: Sequence[Axes], detection: Detection) -> None:
     edges = _edges(detection.time)
     last, level = -np.inf, 0
     for event in events(detection):
-        edge = edges[event.place]
+        edge = edges[event.number]
         level = 1 - level if edge - last < NEAR * (edges[-1] - edges[0]) else 0
         last = edge
         for axes in panels:
             axes.axvline(edge, color="black", lw=0.7, ls=(0, (3, 2)))
-        place = (edge, 1.02 + 0.16 * level)
+        corner = (edge, 1.02 + 0.16 * level)
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "transform": panels[0].get_xaxis_transform()}
-        mark = panels[0].text(*place, f" {event.kind}", **look)
+        mark = panels[0].text(*corner, f" {event.kind}", **look)
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 
-def _map(figure: Any, case: CaseResult, detection: Detection, place: int) -> None:
-    """Relative change of the cells, and the circles of what was found there."""
+def _map(figure: Any, case: CaseResult, detection: Detection, frame: int) -> None:
+    """Relative change of the cells, and the circles of what is there."""
     axes = figure.subplots()
     panel = case.scene.panel
     x, y = panel.centres_mm()
-    change = case.relative_change[place]
+    change = case.relative_change[frame]
     name = case.estimator
-    if not case.solved[place]:
-        change, name = percent_change(case.measured[place], case.measured_baseline), "two-point resistance"
+    if not case.solved[frame]:
+        change, name = percent_change(case.measured[frame], case.measured_baseline), "two-point resistance"
     norm = BoundaryNorm(BANDS_PERCENT, colormaps[COLOURS].N, extend="both")
     half = panel.pitch_mm / 2
     edges = (np.append(centres - half, centres[-1] + half) for centres in (x, y))
     image = axes.pcolormesh(*edges, change, cmap=COLOURS, norm=norm)
-    values, errors = detection.values[place], detection.errors[place]
+    values, errors = detection.values[frame], detection.errors[frame]
     if np.isfinite(values[DIAMETER]):
         radii = [values[DIAMETER] / 2]
         if np.isfinite(values[WIDTH]):
@@ -171,7 +173,7 @@ def _map(figure: Any, case: CaseResult, detection: Detection, place: int) -> Non
     axes.tick_params(labelsize=SMALL_POINT)
     axes.set_xlabel("position across the columns [mm]", fontsize=TEXT_POINT)
     axes.set_ylabel("position across the rows [mm]", fontsize=TEXT_POINT)
-    lines = [f"frame {case.frame[place]} at {case.time[place]:g} s: {detection.labels[place]}"]
+    lines = [f"frame {case.frame[frame]} at {case.time[frame]:g} s: {detection.labels[frame]}"]
     if np.isfinite(values[DIAMETER]):
         lines.append(f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm")
     axes.set_title("\n".join(lines), fontsize=TEXT_POINT, linespacing=1.3)

@@ -38,7 +38,7 @@ ESTIMATE = (
         MAPS,
         "ohm",
         "two-point resistance of the estimated cells",
-        of_steps(lambda step: step.solution.two_point_resistance[-1]),
+        of_steps(lambda step: step.solution.reading[-1]),
         (numbers_if_solved, not_negative),
     ),
     Column(

@@ -1,4 +1,4 @@
-"""What the model does not know: the sources of error that stand beside the noise of the readings."""
+"""What the model does not describe: the sources of error that stand beside the noise of the readings."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -11,7 +11,7 @@ from lampest.panel.panel import Array
 
 
 @dataclass(frozen=True)
-class Doubts:
+class ModelErrors:
     """Standard deviations of what is not measured. Every one of them widens error bars and tempers verdicts.
 
     Parameters

@@ -1,0 +1,156 @@
+"""What round shapes share: the disc that they are, and how recognition fits it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import exp, log, sqrt
+
+import numpy as np
+
+from lampest.loads.pressure import VACUUM_KPA
+from lampest.loads.shapes.disc import Disc, bearing_kpa, bearing_slope, checked_contact, disc_pressure, log_bearing
+from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Shape, Template, centre_priors
+from lampest.panel.panel import Array, Panel
+
+CLOSED = 0.05  # d_i/d where the rim would leave no inside
+RIM_WIDTH_MM = 5.5  # an assumption: mouths have 4 to 7 mm, the paper's suction cup 4
+# Assumptions: 95 % of diameters within 15 and 60 mm, of suctions within 1.8 and 35 kPa, of tilts below a half.
+DIAMETER = Prior(log(30), 0.35, step=0.2)
+WIDTH = Prior(log(RIM_WIDTH_MM), 0.45)
+SUCTION = Prior(log(8), 0.75)
+TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
+SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
+QUANTITIES = (
+    Quantity("centre_x", "mm", "x", "centre of the load across the columns, column 0 at 0"),
+    Quantity("centre_y", "mm", "y", "centre of the load across the rows, row 0 at 0"),
+    Quantity("diameter", "mm", "diameter", "outer diameter of the load; of a mouth over its rim"),
+    Quantity("rim_width", "mm", "rim", "width of the rim"),
+    Quantity(
+        "inner_pressure", "kPa", "inside", "pressure inside the rim against the surroundings; suction is negative"
+    ),
+    Quantity("rim_pressure", "kPa", "rim", "mean contact pressure under the rim, or under a rod"),
+)
+# These from the numbers of a disc.
+CHOICE = np.zeros((6, 8))
+CHOICE[[0, 1, 2, 3, 4, 5], [0, 1, 2, 2, 4, 5]] = 1, 1, 1, 0.5, 1, 1
+CHOICE[3, 3] = -0.5
+
+
+def disc_of(shape: Shape, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float = 0.0) -> Disc:
+    """The disc that a round shape is. Raises ValueError where a pressure is out of range."""
+    if not VACUUM_KPA < suction_kpa <= 0:
+        raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
+    direction = np.radians(shape.tilt_direction_deg)
+    tilt = (shape.tilt * float(np.cos(direction)), shape.tilt * float(np.sin(direction)))
+    return Disc(*shape.centre_mm, outer_mm, inner_mm, suction_kpa, checked_contact(rim_kpa), *tilt)
+
+
+def sucking_disc(
+    shape: Shape, inner_mm: float, outer_mm: float, pressure_kpa: float, rim_kpa: float | None = None
+) -> Disc:
+    """A sucking inside and its rim, which bears the suction's force unless its pressure is given. Raises ValueError."""
+    bearing = bearing_kpa(pressure_kpa, inner_mm, outer_mm)
+    if not pressure_kpa < 0:
+        raise ValueError("pressure_kpa is a suction: it must be negative")
+    return disc_of(shape, inner_mm, outer_mm, bearing if rim_kpa is None else rim_kpa, pressure_kpa)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoundCandidate(Candidate):
+    """A disc described by φ: x, y and tilts themselves, other numbers by their logarithms.
+
+    Parameters
+    ----------
+    numbers : priors of what stands beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
+        is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
+    bound : margin of φ within a bound with its slopes, or None.
+    """
+
+    numbers: Mapping[str, Prior]
+    bound: Callable[["RoundCandidate", Array], tuple[float, Array]] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters in order."""
+        return ("x", "y", *self.numbers)
+
+    def priors(self, panel: Panel) -> Mapping[str, Prior]:
+        """Those of the centre and of all other numbers."""
+        return {**centre_priors(panel), **self.numbers}
+
+    def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
+        """That of the disc which φ describes."""
+        disc, by_parameter = self.disc_with_slopes(parameters)
+        pressure, by_disc = disc_pressure(panel, patch_mm, disc)
+        return pressure, (by_parameter.T @ by_disc.reshape(8, -1)).reshape(-1, *panel.shape)
+
+    def disc(self, parameters: Array) -> Disc:
+        """The disc of φ."""
+        return self.disc_with_slopes(parameters)[0]
+
+    def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
+        """The disc of φ, and its derivatives (8, parameters)."""
+        at = dict(zip(self.names, parameters, strict=True))
+        slopes = {name: np.zeros(8) for name in self.names}
+        for number, name in ((0, "x"), (1, "y"), (6, "tilt_x"), (7, "tilt_y")):
+            slopes[name][number] = 1.0
+        diameter, share = exp(at["diameter"]), 0.0
+        slopes["diameter"][2] = diameter
+        if "width" in at:
+            share, bend = _share(2 * exp(at["width"]) / diameter)
+            slopes["diameter"][3], slopes["width"][3] = diameter * (share - bend), diameter * bend
+        suction = -exp(at["suction"]) if "suction" in at else 0.0
+        if "suction" in at:
+            slopes["suction"][4] = suction
+        if "push" in at:
+            bearing, push = exp(log_bearing(suction, share)), exp(at["push"])
+            rim = bearing + push
+            slopes["push"][5], slopes["suction"][5] = push, bearing
+            slopes["width"][5] = bearing * bearing_slope(share) * bend
+            slopes["diameter"][5] = -slopes["width"][5]
+        else:
+            rim = exp(at["rim"])
+            slopes["rim"][5] = rim
+        disc = Disc(at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"])
+        return disc, np.stack([slopes[name] for name in self.names], axis=1)
+
+    def start(self, disc: Disc) -> Array:
+        """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement."""
+        width = (disc.diameter_mm - disc.inner_mm) / 2 if disc.inner_mm else RIM_WIDTH_MM
+        values = {
+            "diameter": log(disc.diameter_mm),
+            "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
+            "suction": log(max(-disc.suction_kpa, 1.0)),
+            "rim": log(max(disc.rim_kpa, 0.1)),
+            "tilt_x": disc.tilt_x,
+            "tilt_y": disc.tilt_y,
+        }
+        others = (values.get(name, prior.mean) for name, prior in self.numbers.items())
+        return np.array([disc.x_mm, disc.y_mm, *others])
+
+    def margin(self, parameters: Array) -> tuple[float, Array] | None:
+        """That of `bound`."""
+        return None if self.bound is None else self.bound(self, parameters)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All but what a full disc, or one that does not suck, has none of."""
+        return tuple(QUANTITIES[number] for number in self._reported)
+
+    def report(self, parameters: Array) -> tuple[Array, Array]:
+        """Those of the disc."""
+        disc, slopes = self.disc_with_slopes(parameters)
+        choice = CHOICE[self._reported]
+        return choice @ np.array(disc), choice @ slopes
+
+    @property
+    def _reported(self) -> list[int]:
+        """Which of QUANTITIES it has."""
+        needed = {3: "width", 4: "suction"}
+        return [number for number in range(len(QUANTITIES)) if needed.get(number, "diameter") in self.numbers]
+
+
+def _share(solid: float) -> tuple[float, float]:
+    """ι = d_i/d of 2w/d, and its slope by ln w, which is that by −ln d: 1 − 2w/d, but never quite zero."""
+    hollow = 1 - solid
+    root = sqrt(hollow * hollow + CLOSED * CLOSED)
+    return (hollow + root) / 2, -solid * (1 + hollow / root) / 2

@@ -1,0 +1,183 @@
+"""What a shape must say: its pressure at a point for simulation, and its parameters with priors for recognition."""
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from lampest.loads.shapes.disc import Disc
+from lampest.panel.panel import Array, Panel
+
+POINTS = 8  # along either edge of a patch; an edge of a footprint is then off by a sixteenth of it at most
+
+
+class Prior(NamedTuple):
+    """A parameter's mean and standard deviation before anything is measured, and its longest step of Gauss-Newton."""
+
+    mean: float
+    sd: float
+    step: float = 0.7
+
+
+class Quantity(NamedTuple):
+    """A number of a load as files, with name, units and long name, and tables, with a header, report it."""
+
+    name: str
+    units: str
+    header: str
+    long_name: str
+
+
+class Template(NamedTuple):
+    """A disc that is laid over a map of the cells, where a search begins.
+
+    outer_mm, inner_mm : diameters; 0 where it is full. inside : what the inside does to ln r, 0 nothing, 1 as much as
+    the rim the other way. faint : whether it is looked for in the noise of a panel at rest too.
+    """
+
+    outer_mm: float
+    inner_mm: float = 0.0
+    inside: float = 0.0
+    faint: bool = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Candidate(ABC):
+    """What recognition may take a load for: parameters φ without bounds, their priors and the pressure they mean.
+
+    Parameters
+    ----------
+    label : what tables, files and pictures call it.
+    sucks : whether it is attached, and not only touching.
+    target : whether the panel is there to detect it: sure of it only at 99.9 %, and named wherever it does as well.
+    hollow : whether a rim about an inside presses. Hollow kinds can do nearly all that others do, and are tried again
+        from the best of all.
+    follows : whether its search begins about the best hollow fits, where there are any, and not all over the panel.
+    templates : what the search lays over the panel because of it, for all kinds to begin at.
+    """
+
+    label: str
+    sucks: bool = False
+    target: bool = False
+    hollow: bool = False
+    follows: bool = False
+    templates: tuple[Template, ...] = ()
+
+    @abstractmethod
+    def priors(self, panel: Panel) -> Mapping[str, Prior]:
+        """Independent Gaussian priors by the parameters' names, in the order of φ."""
+
+    @abstractmethod
+    def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
+        """Mean pressure on every patch, (rows, columns) kPa, and its derivatives by φ (parameters, rows, columns)."""
+
+    @abstractmethod
+    def start(self, disc: Disc) -> Array:
+        """φ where a fit begins that a disc suggests, (parameters)."""
+
+    def disc(self, parameters: Array) -> Disc | None:
+        """The disc that is most like it, from which other kinds may start; None: there is none."""
+        return None
+
+    def margin(self, parameters: Array) -> tuple[float, Array] | None:
+        """How far φ lies within a bound, positive inside, and its slopes (parameters); None: there is no bound."""
+        return None
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is reported of it."""
+        return ()
+
+    def report(self, parameters: Array) -> tuple[Array, Array]:
+        """The values of these (quantities), and their slopes by φ (quantities, parameters)."""
+        return np.zeros(0), np.zeros((0, len(parameters)))
+
+    def mean(self, panel: Panel) -> Array:
+        """Prior mean of φ, (parameters)."""
+        return np.array([prior.mean for prior in self.priors(panel).values()])
+
+    def sd(self, panel: Panel) -> Array:
+        """Prior standard deviation of φ, (parameters)."""
+        return np.array([prior.sd for prior in self.priors(panel).values()])
+
+    def steps(self, panel: Panel) -> Array:
+        """The longest step of φ, (parameters)."""
+        return np.array([prior.step for prior in self.priors(panel).values()])
+
+
+def centre_priors(panel: Panel) -> dict[str, Prior]:
+    """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
+    extents = {"x": panel.columns * panel.pitch_mm, "y": panel.rows * panel.pitch_mm}
+    pitch = panel.pitch_mm
+    return {name: Prior((extent - pitch) / 2, extent / 12**0.5, pitch / 2) for name, extent in extents.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(ABC):
+    """A load somewhere on the panel, of any footprint.
+
+    A subclass adds its numbers and `kind`, and says `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
+    is how recognition fits it, None: it is only simulated. `positive` names the numbers that must be above zero.
+
+    Parameters
+    ----------
+    centre_mm : (x, y) of the centre; column k lies at x = k·pitch, row j at y = j·pitch.
+    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean stays where the
+        contact is symmetrical about the centre.
+    tilt_direction_deg : where the contact is strongest; 0 towards higher columns, 90 towards higher rows.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    candidate: ClassVar[Candidate | None] = None
+    positive: ClassVar[tuple[str, ...]] = ()
+    centre_mm: tuple[float, float]
+    tilt: float = 0.0
+    tilt_direction_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            for part in value if isinstance(value, tuple) else (value,):
+                if isinstance(part, float | int) and not isfinite(part):
+                    raise ValueError(f"{field.name} must be finite")
+            if field.name in self.positive and value <= 0:
+                raise ValueError(f"{field.name} must be positive")
+        if not 0 <= self.tilt <= 1:
+            raise ValueError("tilt must lie between 0 and 1")
+        # Numbers that make no pressure together are refused now, and not where the shape is used.
+        self.pressure_at(np.zeros(1), np.zeros(1))
+
+    @property
+    @abstractmethod
+    def reach_mm(self) -> float:
+        """The largest distance of the footprint from the centre in mm."""
+
+    @abstractmethod
+    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Contact pressure ≥ 0 without tilt and suction ≤ 0, kPa, at points x, y mm from the centre; all one shape.
+
+        Raises ValueError where the shape's numbers make no sense together.
+        """
+
+    def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
+        """Mean contact pressure and mean suction over square patches of edge `patch_mm`, both (rows, columns) kPa.
+
+        From POINTS² points in every patch.
+        """
+        offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
+        columns, rows = panel.centres_mm()
+        across = (columns[:, None] + offset).ravel() - self.centre_mm[0]
+        down = (rows[:, None] + offset).ravel() - self.centre_mm[1]
+        x, y = np.meshgrid(across, down)
+        contact, suction = self.pressure_at(x, y)
+        direction = np.radians(self.tilt_direction_deg)
+        tilting = 1 + self.tilt * (x * np.cos(direction) + y * np.sin(direction)) / self.reach_mm
+        blocks = (panel.rows, POINTS, panel.columns, POINTS)
+        contact, suction = (part.reshape(blocks).mean(axis=(1, 3)) for part in (contact * tilting, suction))
+        return contact, suction
