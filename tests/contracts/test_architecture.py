@@ -184,12 +184,12 @@ def test_contracts_know_the_public_face_alone(path: Path) -> None:
         (floors, "lampest.files", "def f():\n    from lampest.cli import screen"),
         (floors, "lampest.cost.cost", "import_module('lampest.runs.config')"),
         (floors, "lampest.cost.cost", "if TYPE_CHECKING:\n    from lampest.estimate import estimator"),
-        (privates, "lampest.cost.cost", "
-        (privates, "lampest.cost.cost", "from lampest.panel.readouts.two_point.floating import FloatingNetwork
+        (privates, "lampest.cost.cost", "from lampest.panel.network import _solve"),
+        (privates, "lampest.cost.cost", "from lampest.panel.network import Network, _solve as solve"),
         (privates, "lampest.cost.cost", "import lampest.panel._network"),
         (privates, "lampest.cost.cost", "from lampest.panel._network import solve"),
         (privates, "lampest.cost.cost", "from lampest.panel import network\nnetwork._solve()"),
-        (privates, "lampest.cost.cost", "
+        (privates, "lampest.cost.cost", "from lampest.panel.network import Network\nNetwork._of(1)"),
         (privates, "lampest.cost.cost", "import lampest.panel.network\nlampest.panel.network._solve()"),
         (generators, "lampest.cost.cost", "np.random.seed(1)"),
         (generators, "lampest.cost.cost", "x = np.random.rand(3)"),

@@ -14,7 +14,7 @@ from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, of_steps
 
 if TYPE_CHECKING:
     from lampest.estimate.sequence import Reconstruction
-    from lampest.estimate.stream import Step
+    from lampest.estimate.step import Step
     from lampest.posterior.certainty import Certainty
     from lampest.posterior.track import Change
 

@@ -16,7 +16,7 @@ from lampest.runs.columns.checks import Check
 
 if TYPE_CHECKING:  # what reads results need not load what solves
     from lampest.estimate.sequence import Reconstruction
-    from lampest.estimate.stream import Step
+    from lampest.estimate.step import Step
 
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
