@@ -10,7 +10,6 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.efforts import AnyEffort, Converged, Truncated
 from lampest.files.errors import InputError
@@ -122,16 +121,16 @@ class Estimator:
     def __post_init__(self) -> None:
         if not self.terms:
             raise ValueError("an estimator needs at least one term")
-        if self.automatic and not any(isinstance(term, Misfit) for term in self.terms):
+        if self.automatic and not any(term.reads_measurement for term in self.terms):
             raise ValueError("weight: auto needs the term misfit")
-        if self.unknowns == "oral_disc" and not all(isinstance(term, Misfit) for term in self.terms):
+        if self.unknowns == "oral_disc" and not all(term.reads_measurement for term in self.terms):
             raise ValueError("unknowns: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
         if self.unknowns == "oral_disc" and not isinstance(self.effort, Converged):
             raise ValueError("unknowns: oral_disc needs effort: converged")
         if self.weighs_previous:
             if self.error_bars is False or not self._of_cells:
                 raise ValueError("arrival weighs frames by their error bars: it needs error_bars and effort: converged")
-            if not any(isinstance(term, Misfit) for term in self.terms):
+            if not any(term.reads_measurement for term in self.terms):
                 raise ValueError("arrival needs the term misfit")
         if self.automatic and self.auto_weight.per == "frame" and not isinstance(self.effort, Converged):
             raise ValueError("auto_weight.per: frame needs effort: converged")

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.panel.network import grounding, laplacian, uniform_factor
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
@@ -149,7 +148,7 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
     """Solve as a sequence does; scipy's from the cheapest of the same starts."""
     wall, cpu = perf_counter(), process_time()
     if isinstance(solver, Trf):
-        plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
+        plain = all(term.reads_measurement for term in solver.cost.terms)
         starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
         starts += [convex(data, previous)] if previous is None or plain else []
         starts += [] if previous is None else [previous]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import first_stream, frame_period
@@ -102,9 +101,7 @@ def measured(task: Task) -> tuple[Solve, ...]:
         for name, method in atlas.estimators.items():
             terms = method.parts
             if scene.weight is not None:
-                terms = tuple(
-                    term if isinstance(term, Misfit) else replace(term, weight=scene.weight) for term in terms
-                )
+                terms = tuple(term if term.reads_measurement else replace(term, weight=scene.weight) for term in terms)
             estimator = Estimator(terms, formulation, atlas.solver)
             try:
                 solves += _solves(task, name, estimator, recording, scene)
@@ -199,7 +196,7 @@ def _judged(task: Task, method: str, estimator: Estimator, part: _Part, scene: M
 
 def _against_convex(estimator: Estimator, data: Data, cells: Array) -> float:
     """LRE against the convex solution where that is the answer: no penalties, no marks, no bound in the way."""
-    if not all(isinstance(term, Misfit) for term in estimator.terms) or data.marks is not None:
+    if not all(term.reads_measurement for term in estimator.terms) or data.marks is not None:
         return NAN
     certified = convex_estimate(data.measured[0])
     if certified is None or np.any(certified < data.lower[0]) or np.any(certified > data.upper[0]):

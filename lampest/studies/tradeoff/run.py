@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import Reconstruction, first_stream, reconstruct
 from lampest.panel.panel import Array
@@ -198,7 +197,7 @@ def _noise_cost(cost: Cost, data: Data) -> float:
     missed = (data.measured + data.sigma).ravel()
     nothing = np.zeros(len(cost.slope))
     costs = cost.functions.costs(data.measured.ravel(), missed, *data.parameters, cost.weights, nothing)
-    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if isinstance(term, Misfit)))
+    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
 
 
 Task = tuple[Estimator, Recording]

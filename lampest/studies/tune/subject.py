@@ -9,7 +9,6 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import deciding_data, resting_readings, strongest_frame
@@ -57,7 +56,7 @@ class Subject:
     @cached_property
     def penalty(self) -> int:
         """The penalty's number among the terms."""
-        return next(number for number, term in enumerate(self.cost.terms) if not isinstance(term, Misfit))
+        return next(number for number, term in enumerate(self.cost.terms) if not term.reads_measurement)
 
     @property
     def given(self) -> float | None:
@@ -73,7 +72,7 @@ class Subject:
     def with_weight(self, weight: float) -> Cost:
         """The cost with a weight of the penalty."""
         return self.search.weighted(
-            [float(term.weight) if isinstance(term, Misfit) else weight for term in self.cost.terms]
+            [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
         )
 
     @property
@@ -118,7 +117,7 @@ def squared(unit: str) -> str:
 def why_not(estimator: Estimator, readings: int) -> str | None:
     """Why an estimator cannot be tuned on so many readings in one solve; None where it can."""
     terms: tuple[Term, ...] = estimator.terms
-    misfits = sum(isinstance(term, Misfit) for term in terms)
+    misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
         return f"it has {len(terms) - misfits} penalty terms, not one"
     if not all(isinstance(term.loss, Squared) for term in terms):
