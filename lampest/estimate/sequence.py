@@ -13,7 +13,7 @@ from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Faults
 from lampest.posterior.certainty import Certainty
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import UNLOADED, Recording
 
 
@@ -88,8 +88,8 @@ def first_stream(recording: Recording, readings: Readings, estimator: Estimator)
     """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
-        strongest = readings[strongest_frame(recording, readings, resting)]
-        estimator = with_weights_of_a_recording(estimator, scene.panel, resting, strongest, scene.faults)
+        frame = strongest_frame(readings.resistance, resting.resistance, recording.measured_frames())
+        estimator = with_weights_of_a_recording(estimator, scene.panel, resting, readings[frame], scene.faults)
     return Stream.begin(estimator, scene, frame_period(recording), resting)
 
 
@@ -97,13 +97,6 @@ def resting_readings(recording: Recording, readings: Readings) -> Readings:
     """The mean of the unloaded frames, or the first frame where there is none."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     return readings[unloaded if len(unloaded) else [0]].mean()
-
-
-def strongest_frame(recording: Recording, readings: Readings, resting: Readings) -> int:
-    """The measured frame whose two-point resistances differ most from the unloaded ones: mean |log R/R₀|."""
-    frames = recording.measured_frames()
-    change = np.abs(np.log(readings.resistance[frames] / resting.resistance)).mean(axis=(1, 2))
-    return int(frames[np.argmax(change)])
 
 
 def with_weights_of_a_recording(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.divider import rails, sigma_resistance
@@ -89,6 +90,16 @@ class Readings:
     def alone(self) -> "Readings":
         """One frame (rows, columns) as (1, rows, columns)."""
         return self[None]
+
+
+def strongest_frame(resistance: Array, resting: Array, frames: NDArray[np.intp], within: float = 0.0) -> int:
+    """argmax of mean |log R/R₀| over those of the frames: where readings differ most from the unloaded ones.
+
+    resistance (frames, rows, columns) and resting (rows, columns) ohm, series resistance taken off. The last that comes
+    within a share of the largest, because a load settles after it has set in.
+    """
+    change = np.abs(np.log(resistance[frames] / resting)).mean(axis=(1, 2))
+    return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
 
 
 def plain(resistance: Array, sigma: Array | None) -> Readings:

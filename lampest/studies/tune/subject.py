@@ -11,11 +11,11 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Doubts, Estimator
-from lampest.estimate.sequence import deciding_data, resting_readings, strongest_frame
+from lampest.estimate.sequence import deciding_data, resting_readings
 from lampest.estimate.weights import Search
 from lampest.panel.panel import Array
 from lampest.posterior.track import MOST_DENSE
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 
@@ -43,7 +43,7 @@ class Subject:
         """The recording's strongest frame; with the baseline where terms compare it with that."""
         readings, scene = Readings.of(recording), recording.scene
         resting = resting_readings(recording, readings)
-        frame = strongest_frame(recording, readings, resting)
+        frame = strongest_frame(readings.resistance, resting.resistance, recording.measured_frames())
         data = deciding_data(case.estimator, resting, readings[frame], scene.faults)
         doubts = Doubts.of(scene.panel, scene.faults, data)
         truth = None
