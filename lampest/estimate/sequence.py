@@ -60,7 +60,7 @@ def reconstruct(
     A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
     InputError where readings do not exceed the series resistance or the noise is needed and unknown.
     """
-    readings = Readings.of(recording)
+    readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     frames = recording.measured_frames()
     steps: list[Step] = []

@@ -1,4 +1,4 @@
-"""What a recording's readings say to an estimator: values, bounds, or nothing."""
+"""What recorded values say to an estimator: numbers, bounds, or nothing. All values, of a file or not, come in here."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.divider import rails, sigma_resistance
 from lampest.panel.panel import Array
-from lampest.panel.scene import TwoPointReadout
-from lampest.recording.recording import Recording
+from lampest.panel.scene import Scene, TwoPointReadout
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR_ZERO = 3.0
@@ -31,30 +30,34 @@ class Readings:
     seen: Array
 
     @classmethod
-    def of(cls, recording: Recording) -> "Readings":
-        """A recording's readings, series resistance taken off.
+    def of(cls, scene: Scene, resistance: Array, sigma: Array | None = None, dataset: str | None = None) -> "Readings":
+        """R − R_series of recorded values, and what each of them says; one frame (rows, columns) or many.
 
-        A code at a rail of the converter, and a reading that is zero within three σ, are bounds. Raises InputError
-        where a reading is below the series resistance by more than four σ (by anything where σ is unknown).
+        A code at a rail of the converter, and a reading that is zero within three σ, are bounds; what the scene's
+        faults make blind says nothing.
+
+        Parameters
+        ----------
+        scene : what was measured, and how.
+        resistance : ohm, what the divider equation gives, series resistance included.
+        sigma : same shape or (rows, columns) ohm, or None: then the readout's.
+        dataset : what to call the values in an error; by default their row and column are named.
+
+        Raises InputError where shapes disagree, a value is not positive and finite, or below the series resistance by
+        more than four σ (by anything where σ is unknown).
         """
-        scene, sigma = recording.scene, recording.sigma_or_none()
-        total, side = recording.resistance.copy(), np.zeros(recording.resistance.shape)
-        if scene.readout is not None:
-            least, largest = rails(scene.readout)
-            side[total < least], side[total > largest] = AT_MOST, AT_LEAST
-            total = np.clip(total, least, largest)
-        network = total - scene.series_resistance_ohm
-        seen = np.ones(network.shape)
+        _check(scene, resistance, sigma, dataset)
+        sigma = _noise(scene.readout, resistance, sigma)
+        total, side = _within_rails(scene.readout, resistance)
+        network, seen = total - scene.series_resistance_ohm, np.ones(resistance.shape)
         if scene.faults is not None:
-            seen[:, scene.faults.blind(scene.panel)] = 0.0
-        if sigma is None:
-            recording.check_above_series(np.where(seen > 0, network, 1.0))
-        else:
-            recording.check_above_series(np.where(seen > 0, network + IMPOSSIBLE * sigma, 1.0))
-            # The noise where nothing but the series resistance is read; that of a large resistance says no such thing.
-            noise = sigma if scene.readout is None else _at_most(sigma, scene.readout, scene.series_resistance_ohm)
-            small = (network <= NEAR_ZERO * noise) & (seen > 0) & (side != AT_LEAST)
-            side[small] = AT_MOST
+            seen[..., scene.faults.blind(scene.panel)] = 0.0
+        least = network if sigma is None else network + IMPOSSIBLE * sigma
+        why = f", not above the scene's series resistance of {scene.series_resistance_ohm:g} ohm"
+        _refuse((least <= 0) & (seen > 0), resistance, dataset, why)
+        if sigma is not None:
+            small = (network <= NEAR_ZERO * _least_noise(scene, sigma)) & (seen > 0) & (side != AT_LEAST)
+            side = np.where(small, AT_MOST, side)
             network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * sigma, network)
         return cls(_filled(network, seen), sigma, side, seen)
 
@@ -80,12 +83,16 @@ class Readings:
         strongest = np.take_along_axis(self.side, np.abs(self.side).argmax(axis=0)[None], axis=0)[0]
         return Readings(self.resistance.mean(axis=0), sigma, strongest, self.seen.min(axis=0))
 
-    def together(self, other: "Readings") -> "Readings":
-        """Two frames (rows, columns) as (2, rows, columns)."""
-        pairs = ((self.resistance, other.resistance), (self.side, other.side), (self.seen, other.seen))
-        resistance, side, seen = (np.stack(pair) for pair in pairs)
-        sigma = None if self.sigma is None or other.sigma is None else np.stack([self.sigma, other.sigma])
-        return Readings(resistance, sigma, side, seen)
+    def together(self, *others: "Readings") -> "Readings":
+        """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
+        frames = (self, *others)
+        known = [frame.sigma for frame in frames if frame.sigma is not None]
+        return Readings(
+            np.stack([frame.resistance for frame in frames]),
+            np.stack(known) if len(known) == len(frames) else None,
+            np.stack([frame.side for frame in frames]),
+            np.stack([frame.seen for frame in frames]),
+        )
 
     def alone(self) -> "Readings":
         """One frame (rows, columns) as (1, rows, columns)."""
@@ -102,13 +109,53 @@ def strongest_frame(resistance: Array, resting: Array, frames: NDArray[np.intp],
     return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
 
 
-def plain(resistance: Array, sigma: Array | None) -> Readings:
-    """Readings that are all values."""
-    return Readings(resistance, sigma, np.zeros(resistance.shape), np.ones(resistance.shape))
+def check_positive(values: Array, dataset: str | None) -> None:
+    """Raise InputError with the place of the first value, in ohm, that is not positive and finite."""
+    _refuse(~(np.isfinite(values) & (values > 0)), values, dataset, "; it must be positive and finite")
 
 
-def _at_most(sigma: Array, readout: TwoPointReadout, series_ohm: float) -> Array:
-    return np.minimum(sigma, sigma_resistance(readout, np.array(series_ohm)))
+def _refuse(bad: NDArray[np.bool_], values: Array, dataset: str | None, why: str) -> None:
+    """Raise InputError with the first bad value, `why` after it; without a dataset's name by its row and column."""
+    if np.any(bad):
+        index = tuple(int(part) for part in np.argwhere(bad)[0])
+        named = f"the reading at row {index[-2]}, column {index[-1]}" if dataset is None else f"{dataset}{list(index)}"
+        raise InputError(f"{named} is {values[index]:.6g} ohm{why}")
+
+
+def _check(scene: Scene, resistance: Array, sigma: Array | None, dataset: str | None) -> None:
+    shape = scene.panel.shape
+    if resistance.shape[-2:] != shape:
+        size = " × ".join(str(length) for length in resistance.shape)
+        raise InputError(f"the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
+    check_positive(resistance, dataset)
+    if sigma is not None:
+        if sigma.shape not in (resistance.shape, shape):
+            raise InputError("sigma has another shape than the readings")
+        check_positive(sigma, "sigma")
+
+
+def _noise(readout: TwoPointReadout | None, resistance: Array, sigma: Array | None) -> Array | None:
+    """σ of every reading, ohm: the one that is given, else the readout's, else None."""
+    if sigma is not None:
+        return np.broadcast_to(sigma, resistance.shape)
+    return None if readout is None else sigma_resistance(readout, resistance)
+
+
+def _within_rails(readout: TwoPointReadout | None, resistance: Array) -> tuple[Array, Array]:
+    """Resistances put within the converter's rails, and the side on which those beyond them bound the truth."""
+    side = np.zeros(resistance.shape)
+    if readout is None:
+        return resistance, side
+    least, largest = rails(readout)
+    side[resistance < least], side[resistance > largest] = AT_MOST, AT_LEAST
+    return np.clip(resistance, least, largest), side
+
+
+def _least_noise(scene: Scene, sigma: Array) -> Array:
+    """The noise where nothing but the series resistance is read; that of a large resistance says no such thing."""
+    if scene.readout is None:
+        return sigma
+    return np.minimum(sigma, sigma_resistance(scene.readout, np.array(scene.series_resistance_ohm)))
 
 
 def _filled(network: Array, seen: Array) -> Array:

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.panel.divider import sigma_resistance
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
+from lampest.recording.readings import Readings, check_positive
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = 0, 1
+RESISTANCE = "/entry/two_point/resistance"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +58,14 @@ class Recording:
         if self.resistance.shape[1:] != shape or frames == 0:
             found = " × ".join(str(size) for size in self.resistance.shape)
             raise InputError(
-                f"{self.name}: /entry/two_point/resistance is {found}, but the scene's panel asks for frames × "
+                f"{self.name}: {RESISTANCE} is {found}, but the scene's panel asks for frames × "
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
-        _check_positive(self.name, "/entry/two_point/resistance", self.resistance)
+        check_positive(self.resistance, f"{self.name}: {RESISTANCE}")
         if self.sigma is not None:
             if self.sigma.shape not in (self.resistance.shape, shape):
                 raise InputError(f"{self.name}: /entry/two_point/sigma has another shape than the frames")
-            _check_positive(self.name, "/entry/two_point/sigma", self.sigma)
+            check_positive(self.sigma, f"{self.name}: /entry/two_point/sigma")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: /entry/two_point/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
@@ -161,24 +162,9 @@ class Recording:
         hdf5.write_scale(group, "column", np.arange(columns), "1", "column line")
         return group
 
-    def network_resistance(self) -> Array:
-        """R − R_series, (frames, rows, columns) ohm: what the cells alone would show.
-
-        Raises InputError where a reading is not larger than the series resistance.
-        """
-        network = self.resistance - self.scene.series_resistance_ohm
-        self.check_above_series(network)
-        return network
-
-    def check_above_series(self, network: Array) -> None:
-        """Raise InputError where `network`, what is left of the readings, is not positive."""
-        if np.any(network <= 0):
-            frame, row, column = np.argwhere(network <= 0)[0]
-            raise InputError(
-                f"{self.name}: /entry/two_point/resistance[{frame}, {row}, {column}] is "
-                f"{self.resistance[frame, row, column]:.6g} ohm, not above the scene's series resistance of "
-                f"{self.scene.series_resistance_ohm:g} ohm"
-            )
+    def readings(self) -> Readings:
+        """What the frames say to an estimator. Raises InputError as `Readings.of`."""
+        return Readings.of(self.scene, self.resistance, self.sigma, f"{self.name}: {RESISTANCE}")
 
     def measured_frames(self) -> NDArray[np.intp]:
         """Indices of the frames with role 1. Raises InputError where there is none."""
@@ -186,14 +172,6 @@ class Recording:
         if len(frames) == 0:
             raise InputError(f"{self.name}: /entry/two_point/role has no measured frame (role 1)")
         return frames
-
-    def sigma_or_none(self) -> Array | None:
-        """σ of every reading, (frames, rows, columns) ohm: the file's, else the readout's, else None."""
-        if self.sigma is not None:
-            return np.broadcast_to(self.sigma, self.resistance.shape)
-        if self.scene.readout is None:
-            return None
-        return sigma_resistance(self.scene.readout, self.resistance)
 
 
 def _whole_frames(file: h5py.File, resistance: Array) -> slice:
@@ -204,11 +182,3 @@ def _whole_frames(file: h5py.File, resistance: Array) -> slice:
     frames = min(len(hdf5.read_array(file, f"/entry/{path}", 3 if path == "raw/sums" else 1)) for path in paths)
     torn = np.any(resistance[:frames] <= 0, axis=(1, 2))
     return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(resistance)))
-
-
-def _check_positive(name: str, path: str, values: Array) -> None:
-    bad = ~(np.isfinite(values) & (values > 0))
-    if np.any(bad):
-        index = tuple(int(part) for part in np.argwhere(bad)[0])
-        where = ", ".join(str(part) for part in index)
-        raise InputError(f"{name}: {path}[{where}] is {values[index]} ohm; it must be positive and finite")

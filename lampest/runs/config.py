@@ -144,7 +144,7 @@ class _Source:
         recording.measured_frames()
         sha256 = digest(path)
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
-        return cls(path.absolute(), sha256, Readings.of(recording), blocks)
+        return cls(path.absolute(), sha256, recording.readings(), blocks)
 
 
 @dataclass(frozen=True, eq=False)

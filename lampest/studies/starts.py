@@ -10,7 +10,6 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.newton.newton import Newton
@@ -41,7 +40,7 @@ class Tally:
 def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
     """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60))."""
     recording = Recording.load(case.path)
-    readings = Readings.of(recording)
+    readings = recording.readings()
     stream = first_stream(recording, readings, case.estimator)
     generator = np.random.default_rng(seed)
     excess, minima, ended = [], [], 0

@@ -14,7 +14,6 @@ from lampest.loads.recognition.verdict import KINDS
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, TwoPointReadout
-from lampest.recording.readings import Readings
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
@@ -33,7 +32,7 @@ def solved_case(estimator: str = "LSM", failed: tuple[int, ...] = ()) -> CaseRes
     )
     scene = Scene(panel=panel, readout=TwoPointReadout(kind="two_point", noise_lsb=0.7), series_resistance_ohm=140.0)
     recording = simulate(Simulation(schema=1, seed=2, scene=scene, frames=FRAMES, loads=(load,)))
-    readings = Readings.of(recording)
+    readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
     assert recording.truth_cell_resistance is not None and readings.sigma is not None
     cells = recording.truth_cell_resistance[3:].copy()

@@ -18,7 +18,6 @@ from lampest.loads.shapes import Rod as RodLoad
 from lampest.loads.shapes import SuctionCup as CupLoad
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, TwoPointReadout
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.pressure import patch_pressure
@@ -46,7 +45,7 @@ def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, 
 
 
 def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
-    readings, panel = Readings.of(recording), recording.scene.panel
+    readings, panel = recording.readings(), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None and resting.sigma is not None
     baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, Doubts())
@@ -129,7 +128,7 @@ def test_drift_and_outliers_are_nothing(seed: int) -> None:
 
 def test_an_outlier_does_not_move_the_mouth() -> None:
     recording = recorded(MOUTH, frames=1)
-    measured = Readings.of(recording).resistance.copy()
+    measured = recording.readings().resistance.copy()
     measured[3, 4, 6] += 80.0
     verdict = seen(frames_of(recording, measured))[-1]
     assert verdict.label == "lamprey"

@@ -104,9 +104,10 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
     sizes: list[float] = []
     for frame in range(bench.frames + 1):
         fresh = frame_data(bench, recording, method, frame, best)
-        solvers = {name: solver_of(bench, method, name, recording.scene.panel, len(fresh().measured)) for name in names}
+        example = fresh()
+        solvers = {name: solver_of(bench, method, name, example) for name in names}
         turns: list[list[_Run]] = []
-        sizes.append(float(np.sum(fresh().measured ** 2)))
+        sizes.append(float(np.sum(example.measured**2)))
         for _ in range(bench.repeats if frame else 1):
             turns.append([_timed(solver, fresh(), None if best is None else best[None]) for solver in solvers.values()])
             inverse_times.append(_inverse_time(matrix))
@@ -164,7 +165,7 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
 
 def _tied(recording: Recording) -> Array:
     """The Laplacian of size M + N − 1 of a network like the recording's."""
-    cells = recording.network_resistance()[0] / uniform_factor(*recording.scene.panel.shape)
+    cells = recording.readings().resistance[0] / uniform_factor(*recording.scene.panel.shape)
     return (laplacian(1 / cells) + np.diag(grounding(cells)))[1:, 1:]
 
 

@@ -14,7 +14,6 @@ from lampest.files.errors import InputError
 from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array
 from lampest.panel.starmesh import exact_two_point_resistance
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.executors import local
 from lampest.solvers.solution import VERIFIED
@@ -155,7 +154,7 @@ class _Part:
 
 
 def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
-    readings = Readings.of(recording)
+    readings = recording.readings()
     blank = Stream(estimator, recording.scene.panel, frame_period(recording), readings[0], recording.scene.faults)
     stream = first_stream(recording, readings, estimator)
     if stream.baseline is not None:

@@ -18,7 +18,6 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimator import Doubts, Estimator
 from lampest.estimate.sequence import Reconstruction, first_stream, reconstruct
 from lampest.panel.panel import Array
-from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import relative_error
 from lampest.runs.executors import Processes
@@ -177,7 +176,7 @@ def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
 def _costs(reference: Reconstruction) -> Iterator[tuple[Cost, Data]]:
     """Every frame's cost and data, with the reference's estimate of the frame before."""
     recording, estimator = reference.recording, reference.estimator
-    panel, readings = recording.scene.panel, Readings.of(recording)
+    panel, readings = recording.scene.panel, recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
     before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
     for frame, previous in zip(reference.frame, before, strict=True):

@@ -15,7 +15,7 @@ from lampest.estimate.sequence import deciding_data, resting_readings
 from lampest.estimate.weights import Search
 from lampest.panel.panel import Array
 from lampest.posterior.track import MOST_DENSE
-from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 
@@ -41,7 +41,7 @@ class Subject:
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "Subject":
         """The recording's strongest frame; with the baseline where terms compare it with that."""
-        readings, scene = Readings.of(recording), recording.scene
+        readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)
         frame = strongest_frame(readings.resistance, resting.resistance, recording.measured_frames())
         data = deciding_data(case.estimator, resting, readings[frame], scene.faults)
