@@ -16,12 +16,14 @@ from typing import Any
 __version__ = version("lampest")
 _HOMES = {
     "Recording": "lampest.recording.recording",
+    "Readings": "lampest.recording.readings",
     "Scene": "lampest.panel.scene",
     "TwoPointReadout": "lampest.panel.readouts",
     "Panel": "lampest.panel.panel",
     "InputError": "lampest.files.errors",
     "Estimator": "lampest.estimate.estimator",
     "Bounds": "lampest.estimate.estimator",
+    "Stream": "lampest.estimate.stream",
     "Settings": "lampest.solvers.solution",
     "Misfit": "lampest.cost.terms",
     "CellResistance": "lampest.cost.terms",

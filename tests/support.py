@@ -1,18 +1,23 @@
-"""What several tests need: invented but consistent results. No test stands here.
+"""What several tests need: invented but consistent results, and live without haste. No test stands here.
 
 Tests of contracts take from here what they need of the package and its public face does not offer.
 """
 
 import dataclasses
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from lampest.cost.terms import term_types
+from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.importing import import_file, read_scene
 from lampest.recording.simulation import read_simulations
+from lampest.report.live.engine import Engine, Scan, Source
+from lampest.report.live.view import Picture
 from lampest.runs.config import read_run
 from lampest.runs.results import CaseResult, PublishedFigures, StepFigures, write_results
 
@@ -96,3 +101,29 @@ def invented_case(
         truth_baseline=baseline if truth else None,
     )
     return dataclasses.replace(case, **changes)
+
+
+class Patient(Engine):
+    """An engine in which every frame waits until the one before was solved; it keeps all pictures."""
+
+    def __init__(self, estimator: Estimator, baseline: int) -> None:
+        super().__init__("test", "test", estimator, baseline)
+        self.pictures: list[Picture] = []
+
+    def take(self, source: Source, scan: Scan) -> None:
+        super().take(source, scan)
+        while self._solving is not None and self._arrivals._news.number > len(self.pictures):
+            picture = self.shown.thing.picture
+            if picture is not None and picture.number == self.shown.thing.frames:
+                self.pictures.append(picture)
+            elif self._solving.done():
+                self._solving.result()
+            time.sleep(1e-3)
+
+
+def live_pictures(estimator: Estimator, baseline: int, feed: Callable[[Engine], None]) -> list[Picture]:
+    """Every picture of what is fed to an engine; `baseline` frames are unloaded where the feed says of none."""
+    with Patient(estimator, baseline) as engine:
+        feed(engine)
+        engine.finish()
+        return engine.pictures

@@ -30,7 +30,7 @@ def tradeoff(
     config: Annotated[Path, typer.Argument(help="The trade-off's YAML file.")],
     out: Folder = None,
 ) -> None:
-    """Measure what every rung of the ladder of efforts costs in time and in accuracy; table, HDF5 and figure."""
+    """Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure."""
     from lampest.studies.tradeoff.figure import plot_tradeoff
     from lampest.studies.tradeoff.report import summary_table, write_tradeoff
     from lampest.studies.tradeoff.run import run_tradeoff

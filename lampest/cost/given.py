@@ -20,7 +20,7 @@ class FrameReadings(Protocol):
     """The readings that a solve is given, all (frames, rows, columns); see `lampest.recording.readings`."""
 
     @property
-    def resistance(self) -> Array:
+    def value(self) -> Array:
         """The network's readings, in the readout's unit."""
 
     @property
@@ -100,7 +100,7 @@ class Given:
     previous_deviation : standard deviation of log r0; 0 where r0 is an unknown of the same solve.
     """
 
-    measured: Any = given(Source(lambda readings, behind: readings.resistance, 1.0, per_frame=True))
+    measured: Any = given(Source(lambda readings, behind: readings.value, 1.0, per_frame=True))
     sigma: Any = given(Source(lambda readings, behind: _noise(readings), 1.0, per_frame=True))
     side: Any = given(Source(lambda readings, behind: _mark(readings, readings.side), 0.0, True, partial=True))
     seen: Any = given(Source(lambda readings, behind: _mark(readings, readings.seen), 1.0, True, partial=True))
@@ -162,7 +162,7 @@ class Given:
 
 
 def _noise(readings: FrameReadings) -> Array:
-    return np.ones_like(readings.resistance) if readings.sigma is None else readings.sigma
+    return np.ones_like(readings.value) if readings.sigma is None else readings.sigma
 
 
 def _mark(readings: FrameReadings, mark: Array) -> Array | None:

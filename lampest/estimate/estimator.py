@@ -10,9 +10,8 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
-from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
+from lampest.estimate.methods import Method, MethodName, named_method
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
@@ -104,7 +103,7 @@ class Estimator:
     """
 
     terms: tuple[Term, ...]
-    formulation: MethodName | AnyMethod = "nodal"
+    formulation: MethodName | Method = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"
@@ -113,7 +112,7 @@ class Estimator:
     def __post_init__(self) -> None:
         if not self.terms:
             raise ValueError("an estimator needs at least one term")
-        if self.automatic and not any(isinstance(term, Misfit) for term in self.terms):
+        if self.automatic and not any(term.reads_measurement for term in self.terms):
             raise ValueError("weight: auto needs the term misfit")
         self.method.check(self.terms)
         if self.weighs_previous:
@@ -121,7 +120,7 @@ class Estimator:
                 raise ValueError(
                     "arrival weighs frames by their error bars: it needs error_bars, and an optimum to have them"
                 )
-            if not any(isinstance(term, Misfit) for term in self.terms):
+            if not any(term.reads_measurement for term in self.terms):
                 raise ValueError("arrival needs the term misfit")
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
             raise ValueError("auto_weight.per: frame needs a formulation that ends at an optimum")
@@ -166,7 +165,7 @@ class Estimator:
 
     def barred(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
-        rows, columns = readings.resistance.shape[-2:]
+        rows, columns = readings.value.shape[-2:]
         few = rows * columns <= BARRED_CELLS or self.weighs_previous
         asked = self.error_bars if isinstance(self.error_bars, bool) else few
         return asked and self.method.optimum and readings.sigma is not None
@@ -177,7 +176,7 @@ class Estimator:
 
     def data(self, readings: Readings, background: Background) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
-        measured, sigma, scene = readings.resistance, readings.sigma, background.scene
+        measured, sigma, scene = readings.value, readings.sigma, background.scene
         if sigma is None and self.needs_sigma():
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:

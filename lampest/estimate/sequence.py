@@ -15,7 +15,7 @@ from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import UNLOADED, Recording
 
 
@@ -62,7 +62,7 @@ def reconstruct(
     A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
     InputError where readings do not exceed the series resistance or the noise is needed and unknown.
     """
-    readings = Readings.of(recording)
+    readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     frames = recording.measured_frames()
     steps: list[Step] = []
@@ -74,8 +74,8 @@ def reconstruct(
         recording,
         stream.estimator,
         frames,
-        readings.resistance[frames],
-        stream.resting.resistance,
+        readings.value[frames],
+        stream.resting.value,
         readings[frames].sigma_of_values,
         stream.resting.sigma_of_values,
         stream.baseline_resistance,
@@ -90,8 +90,8 @@ def first_stream(recording: Recording, readings: Readings, estimator: Estimator)
     """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
-        strongest = readings[strongest_frame(recording, readings, resting)]
-        estimator = with_weights_of_a_recording(estimator, scene, resting, strongest)
+        frame = strongest_frame(readings.value, resting.value, recording.measured_frames())
+        estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
     return Stream.begin(estimator, scene, frame_period(recording), resting)
 
 
@@ -99,13 +99,6 @@ def resting_readings(recording: Recording, readings: Readings) -> Readings:
     """The mean of the unloaded frames, or the first frame where there is none."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     return readings[unloaded if len(unloaded) else [0]].mean()
-
-
-def strongest_frame(recording: Recording, readings: Readings, resting: Readings) -> int:
-    """The measured frame whose two-point resistances differ most from the unloaded ones: mean |log R/R₀|."""
-    frames = recording.measured_frames()
-    change = np.abs(np.log(readings.resistance[frames] / resting.resistance)).mean(axis=(1, 2))
-    return int(frames[np.argmax(change)])
 
 
 def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Estimator:

@@ -121,7 +121,7 @@ class Stream:
             return self.estimator.data(self.resting.together(readings), self.background), None
         known = resting = None
         if self.estimator.relative:
-            guess = self.estimator.method.guess(self.scene.circuit, readings.resistance)
+            guess = self.estimator.method.guess(self.scene.circuit, readings.value)
             known = guess if self.previous is None else self.previous
             resting = None if self.baseline is None else self.baseline.estimate(0)
         behind = replace(self.background, previous=known, baseline=resting, previous_deviation=self._known_deviation())

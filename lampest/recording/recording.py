@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.panel.divider import sigma_resistance
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
+from lampest.recording.readings import Readings, check_positive, check_recorded
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = 0, 1
@@ -26,21 +27,22 @@ class Recording:
     Parameters
     ----------
     scene : panel, readout and series resistance as the estimator is told them.
-    resistance : (frames, rows, columns) ohm, what the divider equation gives, series resistance included.
+    recorded : (frames, rows, columns) what the readout's equation gives: ohm of two-point readouts, series resistance
+        included; else volt at the converter.
     time : (frames) s.
     role : (frames) 0 unloaded baseline, 1 measured.
-    sigma : (frames, rows, columns) or (rows, columns) ohm, or None: then the readout's.
+    sigma : (frames, rows, columns) or (rows, columns), the same unit, or None: then the readout's.
     truth_cell_resistance, truth_pressure : (frames, rows, columns) ohm and kPa, or None.
     raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
     name : what results call it (the file's stem).
     simulation : for simulated ones, all that made them, as YAML text, or None.
     acquisition : for those from a board, its clocks, gaps and events, or None.
 
-    Raises InputError where shapes disagree or a value is not positive and finite.
+    Raises InputError where shapes disagree or a value is none that the readout can give.
     """
 
     scene: Scene
-    resistance: Array
+    recorded: Array
     time: Array
     role: NDArray[np.uint8]
     sigma: Array | None = None
@@ -53,40 +55,56 @@ class Recording:
     acquisition: Acquisition | None = None
 
     def __post_init__(self) -> None:
-        frames, shape = len(self.resistance), self.scene.panel.shape
-        if self.resistance.shape[1:] != shape or frames == 0:
-            found = " × ".join(str(size) for size in self.resistance.shape)
+        frames, shape = len(self.recorded), self.scene.panel.shape
+        if self.recorded.shape[1:] != shape or frames == 0:
+            found = " × ".join(str(size) for size in self.recorded.shape)
             raise InputError(
-                f"{self.name}: /entry/two_point/resistance is {found}, but the scene's panel asks for frames × "
+                f"{self.name}: {self.path} is {found}, but the scene's panel asks for frames × "
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
-        _check_positive(self.name, "/entry/two_point/resistance", self.resistance)
+        check_recorded(self.scene, self.recorded, f"{self.name}: {self.path}")
         if self.sigma is not None:
-            if self.sigma.shape not in (self.resistance.shape, shape):
-                raise InputError(f"{self.name}: /entry/two_point/sigma has another shape than the frames")
-            _check_positive(self.name, "/entry/two_point/sigma", self.sigma)
+            if self.sigma.shape not in (self.recorded.shape, shape):
+                raise InputError(f"{self.name}: {self._group}/sigma has another shape than the frames")
+            check_positive(self.sigma, f"{self.name}: {self._group}/sigma", self.scene.circuit.unit)
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
-            raise InputError(f"{self.name}: /entry/two_point/time must hold one finite time for each frame")
+            raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
-            raise InputError(f"{self.name}: /entry/two_point/role must hold 0 or 1 for each frame")
+            raise InputError(f"{self.name}: {self._group}/role must hold 0 or 1 for each frame")
         for truth, path in ((self.truth_cell_resistance, "cell_resistance"), (self.truth_pressure, "pressure")):
-            if truth is not None and truth.shape != self.resistance.shape:
+            if truth is not None and truth.shape != self.recorded.shape:
                 raise InputError(f"{self.name}: /entry/truth/{path} has another shape than the frames")
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
+
+    @property
+    def _group(self) -> str:
+        return f"/entry/{group_of(self.scene.circuit)}"
+
+    @property
+    def path(self) -> str:
+        """Of the recorded values in a file."""
+        return f"{self._group}/{self.scene.circuit.signal}"
+
+    @property
+    def resistance(self) -> Array:
+        """`recorded` of a two-point readout, ohm. Raises InputError of any other."""
+        if self.scene.circuit.unit != "ohm":
+            raise InputError(f"{self.name}: was read in volt, not in ohm")
+        return self.recorded
 
     @classmethod
     def load(cls, path: str | Path) -> "Recording":
         """Read a recording file, finished or not. Raises InputError with the dataset's path where it is wrong."""
         path = Path(path)
         with hdf5.existing_file(path) as file:
-            base = "/entry/two_point/"
-            optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
-            resistance = np.asarray(hdf5.read_array(file, base + "resistance", 3), dtype=float)
-            kept = _whole_frames(file, resistance)
-            resistance = resistance[kept]
-            frames = len(resistance)
             scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
+            base = f"/entry/{group_of(scene.circuit)}/"
+            optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
+            recorded = np.asarray(hdf5.read_array(file, base + scene.circuit.signal, 3), dtype=float)
+            kept = _whole_frames(file, base, recorded)
+            recorded = recorded[kept]
+            frames = len(recorded)
             sigma = None
             if optional["sigma"]:
                 sigma = np.asarray(hdf5.read_array(file, base + "sigma", (2, 3)), dtype=float)
@@ -106,7 +124,7 @@ class Recording:
             acquisition = Acquisition.read(file, kept)
         return cls(
             scene,
-            resistance,
+            recorded,
             np.asarray(time, dtype=float),
             np.asarray(role),
             sigma,
@@ -127,14 +145,16 @@ class Recording:
     def _write(self, file: h5py.File) -> None:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry", default="two_point")
+        circuit, axes = self.scene.circuit, ("time", "row", "column")
+        hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
         hdf5.write_text(entry, "scene", to_yaml(self.scene))
-        group = self._frames_group(entry, "two_point", "resistance")
-        axes = ("time", "row", "column")
-        hdf5.write_dataset(group, "resistance", self.resistance, "ohm", "two-point resistance, divider equation", axes)
+        group = self._frames_group(entry, group_of(circuit), circuit.signal)
+        hdf5.write_dataset(group, circuit.signal, self.recorded, circuit.unit, circuit.signal_name, axes)
         if self.sigma is not None:
             scales = axes[-self.sigma.ndim :]
-            hdf5.write_dataset(group, "sigma", self.sigma, "ohm", "standard deviation of resistance", scales)
+            hdf5.write_dataset(
+                group, "sigma", self.sigma, circuit.unit, f"standard deviation of {circuit.signal}", scales
+            )
         role = self.role.astype(np.uint8)
         hdf5.write_dataset(group, "role", role, "1", "0 unloaded baseline, 1 measured", ("time",))
         if self.truth_cell_resistance is not None:
@@ -161,54 +181,29 @@ class Recording:
         hdf5.write_scale(group, "column", np.arange(columns), "1", "column line")
         return group
 
-    def network_resistance(self) -> Array:
-        """R − R_series, (frames, rows, columns) ohm: what the cells alone would show.
-
-        Raises InputError where a reading is not larger than the series resistance.
-        """
-        network = self.resistance - self.scene.series_resistance_ohm
-        self.check_above_series(network)
-        return network
-
-    def check_above_series(self, network: Array) -> None:
-        """Raise InputError where `network`, what is left of the readings, is not positive."""
-        if np.any(network <= 0):
-            frame, row, column = np.argwhere(network <= 0)[0]
-            raise InputError(
-                f"{self.name}: /entry/two_point/resistance[{frame}, {row}, {column}] is "
-                f"{self.resistance[frame, row, column]:.6g} ohm, not above the scene's series resistance of "
-                f"{self.scene.series_resistance_ohm:g} ohm"
-            )
+    def readings(self) -> Readings:
+        """What the frames say to an estimator. Raises InputError as `Readings.of`."""
+        return Readings.of(self.scene, self.recorded, self.sigma, f"{self.name}: {self.path}")
 
     def measured_frames(self) -> NDArray[np.intp]:
         """Indices of the frames with role 1. Raises InputError where there is none."""
         frames = np.flatnonzero(self.role == MEASURED)
         if len(frames) == 0:
-            raise InputError(f"{self.name}: /entry/two_point/role has no measured frame (role 1)")
+            raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
 
-    def sigma_or_none(self) -> Array | None:
-        """σ of every reading, (frames, rows, columns) ohm: the file's, else the readout's, else None."""
-        if self.sigma is not None:
-            return np.broadcast_to(self.sigma, self.resistance.shape)
-        if self.scene.readout is None:
-            return None
-        return sigma_resistance(self.scene.readout, self.resistance)
+
+def group_of(circuit: Readout) -> str:
+    """The group of a recording that holds the recorded values: two-point resistances have one of their own."""
+    return "two_point" if circuit.unit == "ohm" else "readings"
 
 
-def _whole_frames(file: h5py.File, resistance: Array) -> slice:
+def _whole_frames(file: h5py.File, base: str, recorded: Array) -> slice:
     """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
     if "lampest_unfinished" not in file.attrs:
         return slice(None)
-    paths = ("two_point/time", "two_point/role", "raw/sums", *(f"acquisition/{name}" for name, *_ in FRAME_FIELDS))
-    frames = min(len(hdf5.read_array(file, f"/entry/{path}", 3 if path == "raw/sums" else 1)) for path in paths)
-    torn = np.any(resistance[:frames] <= 0, axis=(1, 2))
-    return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(resistance)))
-
-
-def _check_positive(name: str, path: str, values: Array) -> None:
-    bad = ~(np.isfinite(values) & (values > 0))
-    if np.any(bad):
-        index = tuple(int(part) for part in np.argwhere(bad)[0])
-        where = ", ".join(str(part) for part in index)
-        raise InputError(f"{name}: {path}[{where}] is {values[index]} ohm; it must be positive and finite")
+    acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
+    paths = (f"{base}time", f"{base}role", "/entry/raw/sums", *acquired)
+    frames = min(len(hdf5.read_array(file, path, 3 if path.endswith("sums") else 1)) for path in paths)
+    torn = np.any(recorded[:frames] <= 0, axis=(1, 2))
+    return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(recorded)))

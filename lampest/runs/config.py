@@ -6,13 +6,15 @@ from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from lampest.cost.given import Background
 from lampest.cost.terms import term_types
 from lampest.cost.terms.term import Term
-from lampest.estimate.efforts import AnyEffort, Word, named
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator, FormulationName, Unknowns
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
 from lampest.files.errors import InputError
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor, Executor
@@ -43,13 +45,11 @@ class EstimatorEntry:
 
     __pydantic_config__: ClassVar[Any] = FORBID
     terms: Terms  # type: ignore[valid-type]
-    formulation: FormulationName | None = None
+    formulation: MethodName | AnyMethod | None = None
     solver: Settings | None = None
     bounds: Bounds | None = None
-    effort: Word | AnyEffort | None = None
     error_bars: Literal["auto"] | bool | None = None
     auto_weight: AutoWeight | None = None
-    unknowns: Unknowns = "cells"
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,9 @@ class RunFile:
     schema: Literal[1]
     recordings: list[str]
     estimators: dict[str, EstimatorEntry]
-    formulation: FormulationName = "nodal"
+    formulation: MethodName | AnyMethod = "nodal"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
-    effort: Word | AnyEffort = "converged"
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     executor: AnyExecutor | None = None
@@ -124,7 +123,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
             for method in methods:
-                method.estimator.data(source.readings)
+                method.estimator.data(source.readings, Background(source.scene))
                 cases.append(_case(source, method))
     return Run(_distinct(cases), published, executor)
 
@@ -135,6 +134,7 @@ class _Source:
 
     path: Path
     sha256: str
+    scene: Scene
     readings: Readings
     blocks: dict[str, str]
 
@@ -144,7 +144,7 @@ class _Source:
         recording.measured_frames()
         sha256 = digest(path)
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
-        return cls(path.absolute(), sha256, Readings.of(recording), blocks)
+        return cls(path.absolute(), sha256, recording.scene, recording.readings(), blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +206,10 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     terms = terms_of(entry.terms)
     try:
         check_name(name, "estimator")
-        formulation, effort = entry.formulation or run.formulation, named(entry.effort or run.effort)
+        formulation = entry.formulation or run.formulation
         bars = run.error_bars if entry.error_bars is None else entry.error_bars
         choice = entry.auto_weight or run.auto_weight
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], effort, bars, choice, entry.unknowns)
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.misfit import Misfit
 from lampest.panel.panel import Array
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
@@ -45,7 +44,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
-    plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
+    plain = all(term.reads_measurement for term in solver.cost.terms)
     uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
     starts += [convex(data, previous)] if previous is not None and plain else []

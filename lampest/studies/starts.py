@@ -7,10 +7,9 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.newton.newton import Newton
@@ -41,7 +40,7 @@ class Tally:
 def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
     """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60))."""
     recording = Recording.load(case.path)
-    readings = Readings.of(recording)
+    readings = recording.readings()
     stream = first_stream(recording, readings, case.estimator)
     generator = np.random.default_rng(seed)
     excess, minima, ended = [], [], 0
@@ -67,7 +66,7 @@ def _objectives(
     cost = _cost(estimator, recording, data)
     found = []
     for _ in range(count):
-        start: Array = data.measured * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
+        start: Array = data.apparent_resistance * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
         solution = solved(Newton(cost, estimator.solver), evaluated(cost, data, start))
         if solution.solved:
             found.append(solution.objective)
@@ -75,8 +74,7 @@ def _objectives(
 
 
 def _cost(estimator: Estimator, recording: Recording, data: Data) -> Cost:
-    panel, faults = recording.scene.panel, recording.scene.faults
-    return estimator.cost(panel, len(data.measured), Doubts.of(panel, faults, data))
+    return estimator.cost(recording.scene, len(data.measured), data.partial)
 
 
 def _size(estimator: Estimator, recording: Recording, data: Data) -> float:

@@ -1,27 +1,34 @@
 """Firmware → pseudo-terminal → record → file → cells, compared with the truth on the simulated board's pins."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
+from support import live_pictures
 
 from lampest import Recording, two_point_resistance
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
+from lampest.panel.scene import Faults
 from lampest.recording.board.record import record
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.live.feed import recorded_from_board
 
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 
 
 def median_cell_error(recording: Recording, truth: Array) -> float:
     """Median over all measured frames and cells of |r̂/r − 1|. The one place that says how cells are estimated."""
-    from lampest import Misfit, reconstruct
+    import lampest
 
-    found = reconstruct(recording, terms=[Misfit()])
+    found = lampest.reconstruct(recording, terms=[lampest.Misfit()])
     return float(np.median(np.abs(found.cell_resistance / truth[found.frame] - 1)))
 
 
@@ -40,6 +47,25 @@ def test_cells_come_back_as_well_as_from_the_same_scene_simulated_in_python(tmp_
     error = median_cell_error(real, truth)
     assert error <= 0.01
     assert error == pytest.approx(median_cell_error(simulated, truth), rel=0.1)
+
+
+def test_live_and_the_file_agree_on_a_panel_with_a_dead_row(tmp_path: Path) -> None:
+    """One unloaded frame: without repeats the file's σ is the readout's, as it is for live."""
+    truth = np.repeat(some_cells(np.random.default_rng(8), 1), 4, axis=0)
+    truth[1:, 5:8, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
+    truth[:, 3] = np.inf
+    broken = replace(scene(), faults=Faults(dead_rows=(3,)))
+    estimator, out = Estimator((Misfit(),), "reduced"), tmp_path / "r.h5"
+    with bench(tmp_path, truth) as board:
+        pictures = live_pictures(
+            estimator, 1, lambda engine: recorded_from_board(engine, board.port, out, broken, 1, None, 4)
+        )
+    found = reconstruct(Recording.load(out), estimator)
+    assert [picture.status for picture in pictures] == ["optimum verified"] * 3
+    ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
+    np.testing.assert_allclose(ratio, found.cell_resistance / found.baseline_resistance, rtol=1e-9)
+    ratio, truth = np.delete(ratio, 3, axis=1), np.delete(truth, 3, axis=1)
+    assert np.median(np.abs(ratio / (truth[1:] / truth[0]) - 1)) < 0.02
 
 
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:

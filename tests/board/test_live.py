@@ -5,6 +5,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,21 @@ def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
         assert window.run("return document.getElementById('cells').getAttribute('aria-label')").endswith("not solved")
         assert "NaN" not in window.run("return document.body.innerText")
     assert np.ptp(np.delete(drawn, [4, 5], axis=0)) == 0, "one colour but for the words"
+
+
+def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: Path) -> None:
+    ring = Recording.load(RING)
+    resistance = ring.resistance.copy()
+    resistance[-1, 2, 3] = 100.0
+    replace(ring, resistance=resistance, raw_sums=None, raw_readings=None).save(tmp_path / "low.h5")
+    with live(tmp_path, "--recording", tmp_path / "low.h5", "--speed", 5) as (window, _):
+        window.until(NUMBER, lambda number: number == len(ring.measured_frames()))
+        why = "the reading at row 2, column 3 is 100 ohm, not above the scene's series resistance of 140 ohm."
+        assert window.text("failed").endswith(why)
+        assert window.text("measured-range") == window.text("cells-range") == ""
+        window.run("describe()")
+        for name, words in (("measured", "no readings"), ("cells", "not solved")):
+            assert window.run(f"return document.getElementById('{name}').getAttribute('aria-label')").endswith(words)
 
 
 def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:

@@ -82,6 +82,15 @@ def test_each_has_a_kind_a_unit_and_a_formula() -> None:
         assert (term.__doc__ or "").strip()
 
 
+@pytest.mark.parametrize(("term", "words"), VARIANTS)
+def test_only_data_terms_read_what_was_measured(term: type[Term], words: dict[str, Any]) -> None:
+    data, cells = example(1)
+    told = state(data, cells)
+    moved = dataclasses.replace(told, measured=told.measured + 1.0)
+    same = np.array_equal(residual(term(**words), told), residual(term(**words), moved))
+    assert term.reads_measurement == (not same)
+
+
 @pytest.mark.parametrize("weight", [-1e-9, float("nan"), float("inf")])
 @pytest.mark.parametrize("kind", term_types())
 def test_weight_must_be_finite_and_not_negative(kind: str, weight: float) -> None:

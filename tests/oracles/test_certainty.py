@@ -21,7 +21,7 @@ from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
-from lampest.recording.readings import plain
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Solution
@@ -41,7 +41,7 @@ def panel_cells(shape: tuple[int, int] = SHAPE, seed: int = 1) -> Array:
 
 def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array | None = None) -> Solution:
     estimator = Estimator(terms, formulation="reduced")
-    data = estimator.data(plain(measured[None], sigma[None]))
+    data = estimator.data(Readings.of(Scene(Panel(*measured.shape)), measured[None], sigma[None]))
     return best_solution(
         estimator.problem(Panel(*measured.shape), 1, 1.0), data, None if start is None else start[None]
     )
@@ -217,7 +217,7 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     cells = panel_cells()
     measured = two_point_resistance(cells)
     estimator = Estimator((Misfit(),), formulation="reduced")
-    readings = plain(measured[None], 0.003 * measured[None])
+    readings = Readings.of(Scene(Panel(*SHAPE)), measured[None], 0.003 * measured[None])
     seen = np.ones((1, *SHAPE))
     seen[0, 0, :] = 0
     data = estimator.data(replace(readings, seen=seen))

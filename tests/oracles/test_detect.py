@@ -19,7 +19,6 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
@@ -50,7 +49,7 @@ def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, 
 
 
 def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
-    readings, panel = Readings.of(recording), recording.scene.panel
+    readings, panel = recording.readings(), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None and resting.sigma is not None
     baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, ModelErrors())
@@ -133,7 +132,7 @@ def test_drift_and_outliers_are_nothing(seed: int) -> None:
 
 def test_an_outlier_does_not_move_the_mouth() -> None:
     recording = recorded(MOUTH, frames=1)
-    measured = Readings.of(recording).resistance.copy()
+    measured = recording.readings().resistance.copy()
     measured[3, 4, 6] += 80.0
     verdict = seen(frames_of(recording, measured))[-1]
     assert verdict.label == "lamprey"

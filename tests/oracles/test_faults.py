@@ -15,7 +15,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
 
 SHAPE = (6, 7)
@@ -113,13 +113,13 @@ def test_saturated_codes_are_bounds() -> None:
     made = recording(truth, readout=readout)
     least, largest = readout.rails()
     made = replace(made, resistance=np.where(made.resistance > largest, 10 * largest, made.resistance))
-    readings = Readings.of(made)
+    readings = made.readings()
     beyond = made.resistance > largest
     assert np.any(beyond)
     assert np.all(readings.side[beyond] == AT_LEAST)
     assert np.all(readings.resistance[beyond] == largest)
     low = replace(made, resistance=np.full_like(made.resistance, least / 2))
-    assert np.all(Readings.of(low).side == AT_MOST)
+    assert np.all(low.readings().side == AT_MOST)
     found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
     model = found.steps[0].solution.reading[-1]
     assert found.steps[0].solution.solved
@@ -144,4 +144,4 @@ def test_reading_far_below_the_series_resistance_is_an_error() -> None:
     made = recording(cells())
     wrong = replace(made, scene=replace(made.scene, series_resistance_ohm=float(made.resistance.max()) * 2))
     with pytest.raises(InputError, match="not above the scene's series resistance"):
-        Readings.of(wrong)
+        wrong.readings()

@@ -20,7 +20,6 @@ from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.readout import resolution_limit
 from lampest.panel.scene import Scene
-from lampest.recording.readings import plain
 from lampest.recording.recording import Recording
 
 WEIGHTS = {
@@ -225,7 +224,7 @@ def test_optimality_conditions_hold(paper: SimpleNamespace, method: str, formula
 def test_optimality_residual_tells_optima_from_other_points() -> None:
     recorded = recording(truth((4, 6), 1, 9), 3e-3)
     chosen = estimator("gradient")
-    data = chosen.data(plain(recorded.resistance, recorded.sigma))
+    data = chosen.data(recorded.readings())
     cost = Cost(Panel(4, 6), chosen.terms)
     optimum = reconstruct(recorded, chosen).cell_resistance
     assert Evaluation.at(cost, data, optimum).kkt_residual(np.zeros(0)) < 1e-8

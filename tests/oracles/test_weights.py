@@ -20,7 +20,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.recording.readings import plain
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 
@@ -39,7 +39,7 @@ def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
 def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -> Data:
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * np.random.default_rng(seed).standard_normal(exact.shape))
-    return estimator.data(plain(measured[None], noise * exact[None]))
+    return estimator.data(Readings.of(Scene(Panel(*cells.shape)), measured[None], noise * exact[None]))
 
 
 def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:

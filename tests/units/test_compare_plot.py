@@ -15,7 +15,7 @@ from lampest.recording.recording import Recording
 from lampest.report.compare import compare, compare_files, csv_text, screen_table, write_csv
 from lampest.report.info import describe
 from lampest.report.plots import contours, plot_results, save
-from lampest.report.plots.contours import strongest_frame
+from lampest.report.plots.contours import shown_frame
 from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
 
 PUBLISHED = {
@@ -107,8 +107,8 @@ def test_the_same_picture_twice(tmp_path: Path) -> None:
 
 def test_the_frame_that_most_estimators_solved() -> None:
     cases = [invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS]
-    assert strongest_frame(cases[1:]) == 2
-    assert strongest_frame(cases) == 1
+    assert shown_frame(cases[1:]) == 2
+    assert shown_frame(cases) == 1
 
 
 def test_where_pictures_go(tmp_path: Path) -> None:

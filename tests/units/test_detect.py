@@ -17,7 +17,6 @@ from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
-from lampest.recording.readings import Readings
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
@@ -39,7 +38,7 @@ def solved_case(
     scene = Scene(panel=panel, readout=TwoPointReadout(kind="two_point", noise_lsb=0.7), series_resistance_ohm=140.0)
     recording = simulate(Simulation(schema=1, seed=2, scene=scene, frames=FRAMES, loads=(load,)))
     recording = dataclasses.replace(recording, scene=dataclasses.replace(scene, faults=faults, **known))
-    readings = Readings.of(recording)
+    readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
     assert recording.truth_cell_resistance is not None and readings.sigma is not None
     cells = recording.truth_cell_resistance[3:].copy()

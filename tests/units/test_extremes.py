@@ -17,7 +17,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.reach import within_reach
 from lampest.solvers.search import best_solution, evaluated
@@ -136,7 +136,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
 
     recording, _ = recording_of(Sample("log-uniform", 3, 3, 1.0, 0.0, 0))
     estimator = Estimator((Misfit(),), "reduced")
-    data = estimator.data(Readings.of(recording)[0].alone())
+    data = estimator.data(recording.readings()[0].alone())
     solver = estimator.problem(Panel(3, 3), 1, 1.0)
     for place in (
         "lampest.solvers.newton.newton.direction",
@@ -159,7 +159,7 @@ def test_code_at_the_upper_rail_is_never_taken_for_zero() -> None:
     resistance = np.array([[[0.4, 2000.0, 3e5], [2.047e6, 6.8e5, 5000.0]]])
     scene = Scene(Panel(2, 3), readout)
     made = Recording(scene, resistance, np.zeros(1), np.ones(1, dtype=np.uint8))
-    np.testing.assert_array_equal(Readings.of(made).side[0], [[AT_MOST, 0, 0], [AT_LEAST, 0, 0]])
+    np.testing.assert_array_equal(made.readings().side[0], [[AT_MOST, 0, 0], [AT_LEAST, 0, 0]])
 
 
 def test_shipped_atlas_is_in_order() -> None:

@@ -15,17 +15,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import live_pictures
 
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.loads.pressure import water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Panel
+from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.recording import MEASURED, Recording
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.engine import Engine, Reading, Source, total_pressure, with_picture
+from lampest.report.live.engine import Engine, Scan, Source, total_pressure, with_picture
 from lampest.report.live.feed import from_recording
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
@@ -49,20 +52,7 @@ def lamprey() -> Recording:
 
 def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> list[Picture]:
     """A replay in which every frame waits until the one before was solved."""
-    found: list[Picture] = []
-    with Engine("test", "test", estimator, baseline) as engine:
-
-        def wait(seconds: float) -> None:
-            while engine._solving is not None and engine._arrivals._news.number > len(found):
-                picture = engine.shown.thing.picture
-                if picture is not None and (not found or picture.number > found[-1].number):
-                    found.append(picture)
-                time.sleep(1e-3)
-
-        from_recording(engine, recording, 1e9, None, wait)
-        wait(0.0)
-        engine.finish()
-    return found
+    return live_pictures(estimator, baseline, lambda engine: from_recording(engine, recording, 1e9, None))
 
 
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
@@ -105,15 +95,15 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
         return stream, picture
 
     monkeypatch.setattr(engine_module, "solved", slowly)
-    source = Source(lamprey.scene.panel, 1.0, "receiving")
-    reading = Reading(lamprey.network_resistance()[5], lamprey.sigma_or_none()[5], 1.0, time.time())  # type: ignore[index]
+    source = Source(lamprey.scene, 1.0, "receiving")
+    scan = Scan(lamprey.resistance[5], None, 1.0, time.time())
     with Engine("test", "test", LSM, 1) as engine:
         for _ in range(2):
-            engine.take(source, reading)
+            engine.take(source, scan)
         assert begun.acquire(timeout=20)
         began = time.monotonic()
         for _ in range(5):
-            engine.take(source, dataclasses.replace(reading, lost=2))
+            engine.take(source, dataclasses.replace(scan, lost=2))
         assert time.monotonic() - began < 1, "taking a frame must not wait for the solver"
         go.release(10)
         engine.finish()
@@ -127,7 +117,10 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
     resistance[4, 2, 3] = 100.0
     found = pictures(LSM, dataclasses.replace(lamprey, resistance=resistance))
     failed, after = found[1], found[2]
-    assert failed.status == "a reading does not exceed the series resistance"
+    assert failed.status == (
+        "the reading at row 2, column 3 is 100 ohm, not above the scene's series resistance of 140 ohm"
+    )
+    assert np.isnan(failed.measured_change).all()
     assert np.isnan(failed.relative_change).all() and np.isnan(failed.total) and not failed.open_cell.any()
     assert after.status == "optimum verified" and np.isfinite(after.relative_change).all()
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
@@ -147,7 +140,7 @@ def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
 
 def test_an_unloaded_panel_below_the_series_resistance_ends_live(lamprey: Recording) -> None:
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0)
-    with pytest.raises(InputError, match=r"unloaded panel reads -\d+ ohm at row 0, column 0"):
+    with pytest.raises(InputError, match=r"unloaded panel is no baseline: the reading at row 0, column 0 is \d"):
         pictures(LSM, dataclasses.replace(lamprey, scene=scene))
 
 
@@ -170,9 +163,21 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 
 def test_total_pressure_is_a_force() -> None:
     """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
-    assert total_pressure(ratio_from_pressure(np.full((10, 10), 10.0)), 10.0) == pytest.approx(100.0)
+    scene = Scene(Panel(10, 10))
+    assert total_pressure(ratio_from_pressure(np.full((10, 10), 10.0)), scene) == pytest.approx(100.0)
     half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert total_pressure(ratio_from_pressure(half), 10.0) == pytest.approx(0.0, abs=1e-9)
+    assert total_pressure(ratio_from_pressure(half), scene) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_total_pressure_is_that_of_the_scene() -> None:
+    """Water that stood there before counts as nothing, nor does what a broken cell seems to say."""
+    wet = Scene(Panel(10, 10), water=Water(500.0))
+    depth = water_pressure(wet.panel, wet.water)
+    ratio = ratio_from_pressure(depth + 10.0) / ratio_from_pressure(depth)
+    assert total_pressure(ratio, wet) == pytest.approx(100.0)
+    broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
+    ratio = ratio_from_pressure(np.where(broken.faults.blind(broken.panel), -9.0, 10.0))  # type: ignore[union-attr]
+    assert total_pressure(ratio, broken) == pytest.approx(89.0)
 
 
 def test_history_ends_somewhere() -> None:

@@ -12,6 +12,7 @@ from lampest.cost.terms.term import State, Term
 class Misfit(Term):
     """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11)."""
 
+    reads_measurement: ClassVar[bool] = True
     unit: ClassVar[str] = "ohm"
     kind: Literal["misfit"] = "misfit"
     weight: float = 1.0

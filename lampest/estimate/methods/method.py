@@ -30,6 +30,12 @@ class Method(ABC):
     optimum: ClassVar[bool] = False
     joint: ClassVar[bool] = False
 
+    if TYPE_CHECKING:
+
+        @property
+        def kind(self) -> str:
+            """The word that names it."""
+
     def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
         """Raise ValueError where the method cannot minimise these terms."""
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.step import Step
@@ -59,14 +58,14 @@ class OralDiscTracker:
             channel_ohm=0.0 if systematic is None else systematic.channel_spread_ohm,
             reference=0.0 if systematic is None else systematic.reference_tolerance / np.sqrt(3),
         )
-        baseline = Baseline.of(resting.resistance, _sigma(resting), scene.series_resistance_ohm, model_errors)
+        baseline = Baseline.of(resting.value, _sigma(resting), scene.series_resistance_ohm, model_errors)
         every = period if np.isfinite(period) else 0.0
         return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every)
 
     def push(self, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
         """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
         seconds = (self.frames + 1) * self.period
-        frame = Direct(readings.resistance, _sigma(readings), self.baseline, self.water, seconds)
+        frame = Direct(readings.value, _sigma(readings), self.baseline, self.water, seconds)
         detector = self.detector or Detector.of(self.panel, RecognitionSettings().patch_of(self.panel), frame)
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
@@ -80,7 +79,7 @@ class OralDiscMethod(Method):
 
     def check(self, terms: tuple[Term, ...]) -> None:
         """Raise ValueError unless the misfit is alone."""
-        if not all(isinstance(term, Misfit) for term in terms):
+        if not all(term.reads_measurement for term in terms):
             raise ValueError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
 
     def begin(self, stream: "Stream") -> "Stream":
@@ -127,4 +126,4 @@ def _fitted(cost: Cost, data: Data, cells: Array, steps: int) -> Solution:
 def _sigma(readings: Readings) -> Array:
     sigma = readings.sigma_of_values
     assert sigma is not None
-    return counting(sigma, readings.resistance)
+    return counting(sigma, readings.value)

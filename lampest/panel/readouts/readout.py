@@ -34,15 +34,17 @@ class Readout(ABC):
     readings : conversions that are averaged for one cell.
     noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
 
-    unit : of a reading, 'ohm' or 'volt'. signal : its dataset in files. homogeneous : whether readings grow with all
-    cells by one factor. unique : whether theory promises that plain least squares without noise has one minimum; where
-    it does not, the reduced solver searches and others go on from what it finds.
+    unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
+    whether readings grow with all cells by one factor. unique : whether theory promises that plain least squares
+    without noise has one minimum; where it does not, the reduced solver searches and others go on from what it finds.
 
     Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     unit: ClassVar[str] = "volt"
+    signal: ClassVar[str] = "volt"
+    signal_name: ClassVar[str] = "voltage at the converter"
     homogeneous: ClassVar[bool] = False
     unique: ClassVar[bool] = False
     supply_volt: float = 5.0
@@ -147,6 +149,11 @@ class Readout(ABC):
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
         return recorded
+
+    @property
+    def direction(self) -> float:
+        """1 where a network's reading grows with the recorded one, -1 where it falls."""
+        return 1.0
 
     def to_recorded(self, reading: Array, scene: "Scene") -> Array:
         """The recorded reading of a network's, any shape ending in (rows, columns)."""

@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from lampest.files.errors import InputError
-from lampest.panel.divider import resistance_from_sums, sigma_code, sigma_resistance
-from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.stream import Sample, scene_of, stream
+from lampest.recording.board.stream import Sample, scene_and_resistance, stream
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 FEWEST_REPEATS = 50
@@ -94,10 +93,10 @@ def record(
             journal: Journal | None = None
             for sample in samples:
                 if sample is not None:
-                    agreed = scene_of(sample.hello, scene)
+                    agreed, resistance = scene_and_resistance(sample, scene)
                     if journal is None:
                         journal = stack.enter_context(Journal.create(out, agreed, sample.hello.readings))
-                    journal.append(sample, _resistance(agreed, sample), UNLOADED if count < baseline else MEASURED)
+                    journal.append(sample, resistance, UNLOADED if count < baseline else MEASURED)
                     count, lost, restarts, state = count + 1, lost + sample.lost, sample.session, ""
                     for key in keys():
                         journal.mark(sample.time, key)
@@ -133,7 +132,7 @@ def _finish(path: Path) -> tuple[int, float | None]:
     readout = recording.scene.readout
     if readout is not None:
         seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
-        recording = dataclasses.replace(recording, sigma=sigma_resistance(seen, recording.resistance))
+        recording = dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
     recording.save(path)
     return len(recording.time), noise
 
@@ -157,21 +156,15 @@ def noise_from_repeats(recording: Recording) -> float | None:
     return _noise_of_variance(readout, float(np.mean(difference**2)) / 2)
 
 
-def _noise_of_variance(readout: TwoPointReadout, variance: float) -> float:
+def _noise_of_variance(readout: Readout, variance: float) -> float:
     """The noise with that variance = σ²(readings) − b², where b² = σ²(endlessly many readings); by bisection."""
     low, high = 0.0, 2.0**readout.adc_bits
     while high - low > 1e-6:
         middle = (low + high) / 2
         noisy = dataclasses.replace(readout, noise_lsb=middle)
-        bias = sigma_code(dataclasses.replace(noisy, readings=65535)) ** 2
-        low, high = (middle, high) if sigma_code(noisy) ** 2 - bias < variance else (low, middle)
+        bias = dataclasses.replace(noisy, readings=65535).sigma_code() ** 2
+        low, high = (middle, high) if noisy.sigma_code() ** 2 - bias < variance else (low, middle)
     return low
-
-
-def _resistance(scene: Scene, sample: Sample) -> Array:
-    if scene.readout is None:
-        raise InputError("the scene has no readout")
-    return resistance_from_sums(scene.readout, sample.frame.sums, sample.frame.readings)
 
 
 def _enough(sample: Sample | None, count: int, began: float, frames: int | None, seconds: float | None) -> bool:

@@ -5,8 +5,9 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.board.port import Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Hello
 
@@ -59,6 +60,16 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
         if ours > theirs:
             raise InputError(f"the scene's {name} is {ours}, but the board can do at most {theirs}")
     return scene
+
+
+def scene_and_resistance(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
+    """The agreed scene, and R of the mean code, (rows, columns) ohm, as the divider equation gives it.
+
+    Raises InputError as `scene_of`.
+    """
+    agreed = scene_of(sample.hello, scene)
+    assert agreed.readout is not None
+    return agreed, agreed.readout.recorded_from_sums(sample.frame.sums, sample.frame.readings)
 
 
 def stream(

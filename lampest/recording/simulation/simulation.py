@@ -103,7 +103,7 @@ class Simulation:
 
 
 def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
-    """r = r0·e^drift·f(p)·e^(α(T − T_b)), R = network(r), measured: the recording with its truth, all from the seed.
+    """r = r0·e^drift·f(p)·e^(α(T − T_b)), y = network(r), measured: the recording with its truth, all from the seed.
 
     Raises ValueError where a cell's or a measured resistance leaves its range.
     """
@@ -121,11 +121,11 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
             cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
     if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
         raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
-    resistance, sums = measured(simulation.scene, cells, simulation.unmodelled, simulation.seed)
+    recorded, sums = measured(simulation.scene, cells, simulation.unmodelled, simulation.seed)
     raw = raw_sums(simulation.scene.readout, sums)
     return Recording(
         scene=simulation.scene,
-        resistance=resistance,
+        recorded=recorded,
         time=time,
         role=np.where(loaded_time < 0, UNLOADED, MEASURED).astype(np.uint8),
         truth_cell_resistance=cells,

@@ -1,5 +1,6 @@
 """Frames in, pictures out: the baseline from the first frames, then always the newest frame, in one solving thread."""
 
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -7,21 +8,22 @@ from functools import partial
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.stream import Step, Stream
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.response import pressure_from_ratio
-from lampest.panel.panel import Array, Panel
+from lampest.loads.pressure import pressure_of
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.readings import plain
+from lampest.recording.readings import Readings
 from lampest.report.live.newest import Newest
 from lampest.report.live.view import POINTS, Picture, Point, View
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Scan:
     """One frame as it arrives.
 
-    resistance, sigma : (rows, columns) ohm, series resistance taken off; σ may be None.
+    resistance, sigma : (rows, columns) ohm, as `Readings.of` takes them; σ may be None.
     time : s, on the recording's axis. arrived : s since 1970-01-01 UTC. lost : frames missing before this one.
     """
 
@@ -31,12 +33,20 @@ class Reading:
     arrived: float
     lost: int = 0
 
+    def readings(self, scene: Scene) -> Readings:
+        """What the frame says to an estimator. Raises InputError as `Readings.of`."""
+        return Readings.of(scene, self.resistance, self.sigma)
+
 
 @dataclass(frozen=True)
 class Source:
-    """Where frames come from: the panel, s between frames, and the sentence that holds while they come."""
+    """Where frames come from.
 
-    panel: Panel
+    scene : what they are taken in, and how. period : s between them when they were taken, however fast they are
+    replayed. state : the sentence that holds while they come.
+    """
+
+    scene: Scene
     period: float
     state: str
 
@@ -51,8 +61,8 @@ class Engine:
         self.shown = Newest(View(name, method, "starting"))
         self._estimator = estimator
         self._baseline = baseline
-        self._unloaded: list[Reading] = []
-        self._arrivals: Newest[Reading | None] = Newest(None)
+        self._unloaded: list[Scan] = []
+        self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
 
@@ -74,87 +84,60 @@ class Engine:
         """Show a state of the port or the recording."""
         self.shown.change(lambda view: replace(view, state=sentence))
 
-    def begin(self, source: Source, resting: Array, resting_sigma: Array | None) -> None:
-        """Start solving against a baseline (rows, columns) ohm, series resistance taken off.
+    def begin(self, source: Source, unloaded: Sequence[Scan]) -> None:
+        """Start solving against the mean of unloaded frames. Raises InputError where one of them makes no readings."""
+        try:
+            first, *others = (scan.readings(source.scene) for scan in unloaded)
+        except InputError as error:
+            hint = "check series_resistance_ohm and measured_across"
+            raise InputError(f"the unloaded panel is no baseline: {error}; {hint}") from error
+        resting = first.together(*others).mean()
+        self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
+        self._solving = self._pool.submit(self._solve, source, resting)
 
-        Raises InputError where a reading of it does not exceed the series resistance.
-        """
-        if not above_series(resting):
-            row, column = np.argwhere(~(resting > 0))[0]
-            raise InputError(
-                f"the unloaded panel reads {resting[row, column]:.4g} ohm at row {row}, column {column} once the "
-                f"scene's series resistance is taken off; check series_resistance_ohm and measured_across"
-            )
-        self.shown.change(lambda view: replace(view, panel=source.panel, state=source.state))
-        self._solving = self._pool.submit(self._solve, source, resting, resting_sigma)
-
-    def take(self, source: Source, reading: Reading) -> None:
+    def take(self, source: Source, scan: Scan) -> None:
         """A frame has come. Never waits for the solver; raises what stopped it."""
         if self._solving is not None and self._solving.done():
             self._solving.result()
-        self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + reading.lost))
+        self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost))
         if self._solving is not None:
-            self._arrivals.put(reading)
+            self._arrivals.put(scan)
             if self.shown.thing.state != source.state:
                 self.say(source.state)
             return
-        self._unloaded.append(reading)
+        self._unloaded.append(scan)
         self.say(f"baseline: {len(self._unloaded)} of {self._baseline} unloaded frames; keep the panel free")
         if len(self._unloaded) == self._baseline:
-            self.begin(source, *mean_reading(self._unloaded))
+            self.begin(source, self._unloaded)
 
-    def _solve(self, source: Source, resting: Array, resting_sigma: Array | None) -> None:
+    def _solve(self, source: Source, resting: Readings) -> None:
         """Solve the newest frame again and again until nothing more will come."""
         # Nobody sees error bars here, but terms may need them.
         estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)
-        stream = Stream.begin(estimator, Scene(source.panel), source.period, plain(resting, resting_sigma))
+        stream = Stream.begin(estimator, source.scene, source.period, resting)
         seen = 0
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
-            stream, picture = solved(stream, news.thing, len(self._unloaded) + seen, skipped)
+            stream, picture = solved(stream, source.scene, news.thing, len(self._unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture))
 
 
-def mean_reading(readings: list[Reading]) -> tuple[Array, Array | None]:
-    """Mean resistance and its σ, (rows, columns) ohm; None where a σ is unknown."""
-    resistance = np.mean([reading.resistance for reading in readings], axis=0)
-    known = [reading.sigma for reading in readings if reading.sigma is not None]
-    sigma = np.sqrt(np.sum(np.square(known), axis=0)) / len(readings) if len(known) == len(readings) else None
-    return resistance, sigma
-
-
-def above_series(resistance: Array) -> bool:
-    """Whether every reading leaves something once the series resistance is taken off."""
-    return bool(np.all(np.isfinite(resistance) & (resistance > 0)))
-
-
-def solved(stream: Stream, reading: Reading, number: int, skipped: int) -> tuple[Stream, Picture]:
+def solved(stream: Stream, scene: Scene, scan: Scan, number: int, skipped: int) -> tuple[Stream, Picture]:
     """Solve one frame; where that cannot be, the picture holds NaN and says why, and the stream stays as it was."""
-    measured = 100 * (reading.resistance / stream.resting.resistance - 1)
-    nothing = np.full(stream.panel.shape, np.nan)
-    picture = Picture(
-        number,
-        reading.time,
-        reading.arrived,
-        measured,
-        nothing,
-        np.zeros(stream.panel.shape, dtype=bool),
-        float("nan"),
-        "a reading does not exceed the series resistance",
-        0.0,
-        skipped,
-    )
-    if not above_series(reading.resistance):
-        return stream, picture
+    nothing = np.full(scene.panel.shape, np.nan)
+    flags = np.zeros(scene.panel.shape, dtype=bool)
+    picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
     try:
-        stream, step = stream.push(plain(reading.resistance, reading.sigma))
+        readings = scan.readings(scene)
+        picture = replace(picture, measured_change=100 * (readings.value / stream.resting.value - 1))
+        stream, step = stream.push(readings)
     except InputError as error:
         return stream, replace(picture, status=str(error))
-    return stream, with_step(picture, stream, step)
+    return stream, with_step(picture, stream, scene, step)
 
 
-def with_step(picture: Picture, stream: Stream, step: Step) -> Picture:
+def with_step(picture: Picture, stream: Stream, scene: Scene, step: Step) -> Picture:
     """The picture with what the solver found."""
     solution, baseline = step.solution, stream.baseline_resistance
     picture = replace(picture, status=solution.status.value, seconds=step.seconds)
@@ -168,13 +151,17 @@ def with_step(picture: Picture, stream: Stream, step: Step) -> Picture:
         picture,
         relative_change=100 * (ratio - 1),
         open_cell=solution.open_cell[-1],
-        total=total_pressure(ratio, stream.panel.pitch_mm),
+        total=total_pressure(ratio, scene),
     )
 
 
-def total_pressure(ratio: Array, pitch_mm: float) -> float:
-    """F = Σ p(r/r0)·pitch², newton: kPa · mm² = mN; suction counts as negative."""
-    return float(np.sum(pressure_from_ratio(ratio)) * pitch_mm**2 * 1e-3)
+def total_pressure(ratio: Array, scene: Scene) -> float:
+    """F = Σ p(r/r0)·pitch² over the cells that are not known to be broken, newton; suction counts as negative."""
+    frame, panel = ratio[None], scene.panel
+    pressure = pressure_of(frame, frame, frame, scene).pressure[0]
+    if scene.faults is not None:
+        pressure = np.where(scene.faults.open_cells(panel) | scene.faults.shorted_cells(panel), 0.0, pressure)
+    return float(np.sum(pressure) * panel.pitch_mm**2 * 1e-3)  # kPa · mm² = mN
 
 
 def with_picture(view: View, picture: Picture) -> View:

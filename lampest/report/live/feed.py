@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from lampest.estimate.sequence import frame_period
-from lampest.panel.divider import resistance_from_voltage, sigma_resistance, voltage_from_code
 from lampest.panel.scene import Scene
 from lampest.recording.board.record import Progress, Recorded, record
-from lampest.recording.board.stream import Sample, scene_of, stream
+from lampest.recording.board.stream import Sample, scene_and_resistance, stream
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.report.live.engine import Engine, Reading, Source, mean_reading
+from lampest.report.live.engine import Engine, Scan, Source
 
 
 def from_board(engine: Engine, url: str, scene: Scene | None, period: float | None, frames: int | None) -> None:
@@ -55,19 +54,10 @@ def recorded_from_board(
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
     """Hand a board's frame on, as resistance."""
-    agreed = scene_of(sample.hello, scene)
-    assert agreed.readout is not None
-    mean_code = sample.frame.sums / sample.frame.readings
-    resistance = resistance_from_voltage(agreed.readout, voltage_from_code(agreed.readout, mean_code))
+    agreed, resistance = scene_and_resistance(sample, scene)
     engine.take(
-        Source(agreed.panel, sample.hello.period_us * 1e-6, "receiving"),
-        Reading(
-            resistance - agreed.series_resistance_ohm,
-            sigma_resistance(agreed.readout, resistance),
-            sample.time,
-            sample.host_time,
-            sample.lost,
-        ),
+        Source(agreed, sample.hello.period_us * 1e-6, "receiving"),
+        Scan(resistance, None, sample.time, sample.host_time, sample.lost),
     )
 
 
@@ -75,24 +65,24 @@ def from_recording(
     engine: Engine, recording: Recording, speed: float, frames: int | None, wait: Callable[[float], None] = time.sleep
 ) -> None:
     """A recording's measured frames, `speed` times as fast as they were taken; its unloaded frames are the baseline."""
-    source = Source(recording.scene.panel, frame_period(recording) / speed, f"replaying at {speed:g} times its speed")
-    unloaded = [reading_of(recording, int(place)) for place in np.flatnonzero(recording.role == UNLOADED)]
+    source = Source(recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed")
+    unloaded = [scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)]
     if unloaded:
-        engine.begin(source, *mean_reading(unloaded))
+        engine.begin(source, unloaded)
     measured = recording.measured_frames()[:frames]
     began = time.monotonic() - recording.time[measured[0]] / speed
-    for place in measured:
-        wait(max(0.0, began + recording.time[place] / speed - time.monotonic()))
-        engine.take(source, reading_of(recording, int(place)))
+    for frame in measured:
+        wait(max(0.0, began + recording.time[frame] / speed - time.monotonic()))
+        engine.take(source, scan_of(recording, int(frame)))
 
 
-def reading_of(recording: Recording, place: int) -> Reading:
+def scan_of(recording: Recording, frame: int) -> Scan:
     """One frame of a recording, as if it arrived now."""
-    sigma, origin = recording.sigma_or_none(), recording.acquisition
-    return Reading(
-        recording.resistance[place] - recording.scene.series_resistance_ohm,
-        None if sigma is None else sigma[place],
-        float(recording.time[place]),
+    sigma, origin = recording.sigma, recording.acquisition
+    return Scan(
+        recording.resistance[frame],
+        None if sigma is None else np.broadcast_to(sigma, recording.resistance.shape)[frame],
+        float(recording.time[frame]),
         time.time(),
-        0 if origin is None else int(origin.lost[place]),
+        0 if origin is None else int(origin.lost[frame]),
     )

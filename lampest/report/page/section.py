@@ -11,7 +11,7 @@ from lampest.report.page.differences import Disagreement, disagreements
 from lampest.report.page.measures import Measures, weighted_residual
 from lampest.report.page.tables import Sheet, failures, recording_sheet
 from lampest.report.page.words import counted, digits
-from lampest.report.plots.contours import contours, percent_change, strongest_frame
+from lampest.report.plots.contours import contours, percent_change, shown_frame
 from lampest.report.plots.profiles import histogram_figure, profile_figure
 from lampest.report.plots.report import Scale, Tile, data_uri, maps_figure, positive_scale, share_scale, signed_scale
 from lampest.runs.case import CaseResult
@@ -75,7 +75,7 @@ def section(
     """
     kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     subject = Subject(subject.name, kept)
-    first, place = subject.cases[0], strongest_frame(subject.cases)
+    first, place = subject.cases[0], shown_frame(subject.cases)
     panel = first.scene.panel
     about = (
         f"{panel.rows} × {panel.columns} cells, pitch {panel.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "

@@ -11,7 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, strongest_frame
+from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, shown_frame
 from lampest.report.plots.report import Scale, Tile, draw_map, positive_scale, share_scale, signed_scale
 from lampest.runs.results import CaseResult, Results
 
@@ -28,7 +28,7 @@ def certainty(results: Results, recording: str) -> Figure:
     cases = [case for case in results.of(recording) if case.cell_resistance_errors is not None][:MOST_ACROSS]
     if not cases:
         raise InputError(f"{recording}: these results hold no error bars")
-    place = strongest_frame(cases)
+    place = shown_frame(cases)
     maps = [[values(case, place) for case in cases] for values in (_deviation, _resolution)]
     scales = [positive_scale(maps[0], "standard deviation [%]"), share_scale("resolution [1]")]
     if cases[0].truth is not None:

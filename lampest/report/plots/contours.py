@@ -19,12 +19,13 @@ from matplotlib.patheffects import withStroke
 from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
 from lampest.panel.panel import Array, Panel
+from lampest.recording.readings import strongest_frame
 from lampest.runs.results import CaseResult, Results
 
 COLOURS = "RdBu_r"
 LIMITS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 WIDTH_INCH, TALLEST_INCH, MOST_ACROSS = 7.2, 9.0, 7
-REFINEMENT, STRONG = 8, 0.9
+REFINEMENT, NEARLY = 8, 0.1
 TEXT_POINT, SMALL_POINT = 8, 6.5
 DOTS_PER_INCH = 200
 Extend = Literal["both", "min", "max", "neither"]
@@ -66,11 +67,11 @@ def contours(results: Results, recording: str, frame: int | None = None) -> Figu
     """Maps of one frame side by side: measured two-point resistance, each estimator's cell resistance, the truth.
 
     All show 100·(R/R₀ − 1) in percent on one scale that is symmetric about zero. `frame` is an index into the
-    recording; without it `strongest_frame` chooses. Raises InputError where the recording or the frame has no results.
+    recording; without it `shown_frame` chooses. Raises InputError where the recording or the frame has no results.
     Source: paper, figure 8.
     """
     cases = results.of(recording)
-    place = strongest_frame(cases) if frame is None else place_of(cases[0], frame)
+    place = shown_frame(cases) if frame is None else place_of(cases[0], frame)
     maps = _maps(cases, place)
     panel = cases[0].scene.panel
     scale = _scale([item.change for item in maps if item.change is not None])
@@ -96,15 +97,11 @@ def contours(results: Results, recording: str, frame: int | None = None) -> Figu
     return figure
 
 
-def strongest_frame(cases: Sequence[CaseResult]) -> int:
-    """The last frame whose mean |R/R₀ − 1|, two-point resistance, reaches 90 % of the largest.
-
-    Only frames that most of the cases solved count. The last one, because a load settles after it has set in.
-    """
+def shown_frame(cases: Sequence[CaseResult]) -> int:
+    """Where the last of those frames stands that are nearly the strongest and that most of the cases solved."""
     solved = np.sum([case.solved for case in cases], axis=0)
-    change = np.abs(cases[0].measured / cases[0].measured_baseline - 1).mean(axis=(1, 2))
-    strength = np.where(solved == solved.max(), change, -1.0)
-    return int(np.flatnonzero(strength >= STRONG * strength.max())[-1])
+    frames = np.flatnonzero(solved == solved.max())
+    return strongest_frame(cases[0].measured, cases[0].measured_baseline, frames, NEARLY)
 
 
 def place_of(case: CaseResult, frame: int) -> int:

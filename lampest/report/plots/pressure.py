@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.loads.response import TOLD_KPA, ratio_from_pressure
 from lampest.panel.panel import Array, Panel
-from lampest.report.plots.contours import COLOURS, SMALL_POINT, TEXT_POINT, WIDTH_INCH, place_of, strongest_frame
+from lampest.report.plots.contours import COLOURS, SMALL_POINT, TEXT_POINT, WIDTH_INCH, place_of, shown_frame
 from lampest.runs.results import CaseResult
 
 HEIGHT_INCH = 3.2
@@ -29,10 +29,10 @@ Marks = NDArray[np.bool_]
 def pressure_figure(case: CaseResult, frame: int | None = None) -> Figure:
     """Three panels of one frame: pressure, half its 95 % interval, resistance against pressure with the response curve.
 
-    `frame` is an index into the recording; without it `strongest_frame` chooses. Crosses mark cells whose pressure the
+    `frame` is an index into the recording; without it `shown_frame` chooses. Crosses mark cells whose pressure the
     response does not tell. Raises InputError where the case holds no pressure, or the frame has no solution.
     """
-    place = strongest_frame((case,)) if frame is None else place_of(case, frame)
+    place = shown_frame((case,)) if frame is None else place_of(case, frame)
     pressure, lower, upper, marked = _shown(case, place)
     panel = case.scene.panel
     figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")

@@ -25,7 +25,7 @@ from lampest.report.plots.contours import (
     WIDTH_INCH,
     percent_change,
     save,
-    strongest_frame,
+    shown_frame,
 )
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results
@@ -57,7 +57,7 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     """Five panels of one recording: probabilities of the loads, diameter, pressures, centre; and a map with circles.
 
     Bands are one standard deviation. The map is the first estimate's relative change in the frame that
-    `strongest_frame` chooses; vertical lines are the events.
+    `shown_frame` chooses; vertical lines are the events.
     """
     figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
     FigureCanvasAgg(figure)
@@ -73,7 +73,7 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     panels[4].set_xlabel("time [s]", fontsize=TEXT_POINT)
     _events(panels, detection)
     left.align_ylabels(panels)
-    frame = strongest_frame(cases)
+    frame = shown_frame(cases)
     _map(right, cases[0], detection, frame)
     title = f"{detection.recording}: what is attached, from the two-point resistances"
     figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)

@@ -61,7 +61,9 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
         seen.add(case.estimator)
-        pairs: list[tuple[str, Any, Any]] = [(name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()]
+        pairs: list[tuple[str, Any, Any]] = [
+            (name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()
+        ]
         pairs += [(each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared]
         pairs.append(("scene", fullest((case.scene, scene)), scene))
         for name, ours, theirs in pairs:
@@ -105,9 +107,7 @@ def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column
     for column in columns:
         values = case.column(column.name)
         if values is not None:
-            hdf5.write_dataset(
-                group, column.path, column.stored(values), column.units, column.long_name, column.axes
-            )
+            hdf5.write_dataset(group, column.path, column.stored(values), column.units, column.long_name, column.axes)
 
 
 def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> None:

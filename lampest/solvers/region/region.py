@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array, Panel
@@ -72,7 +71,7 @@ class RegionSolver:
     def _exact(self) -> Network:
         """A network that reproduces the baseline's readings, which a baseline with penalties does not."""
         resting, data = self.baseline.networks[0], self.baseline.data
-        if all(isinstance(term, Misfit) for term in self.cost.terms):
+        if all(term.reads_measurement for term in self.cost.terms):
             return resting
         cells = data.readout.exact_start(data.measured[0], data.upper[0])
         return data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
@@ -162,8 +161,8 @@ class Inside:
         cross[block[0]] = cross[:, block[1]] = True
         around = widened(block, HALO, shape)
         reads = np.flatnonzero(cross)
-        misfit = tuple(term for term in cost.terms if isinstance(term, Misfit))
-        penalty = tuple(term for term in cost.terms if not isinstance(term, Misfit))
+        misfit = tuple(term for term in cost.terms if term.reads_measurement)
+        penalty = tuple(term for term in cost.terms if not term.reads_measurement)
         high, wide = data.measured[0][around].shape
         return cls(
             network,

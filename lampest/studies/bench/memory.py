@@ -29,7 +29,7 @@ def solving(task: tuple[BenchFile, tuple[int, int]]) -> float:
         previous = first_estimate(bench, recording, method)
         for frame in range(FRAMES):
             data = frame_data(bench, recording, method, frame, previous)()
-            solver = solver_of(bench, method, "reduced", recording.scene.panel, len(data.measured))
+            solver = solver_of(bench, method, "reduced", data)
             solution = best_solution(solver, data, None if previous is None else previous[None])
             previous = solution.cell_resistance[-1] if solution.solved else previous
     return peak_mb()

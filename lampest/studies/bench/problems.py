@@ -4,16 +4,15 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal
 
-import numpy as np
-
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Estimator
-from lampest.panel.network import uniform_factor
+from lampest.estimate.sequence import resting_readings
 from lampest.panel.panel import Array, Panel
-from lampest.recording.readings import plain
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solver
 from lampest.studies.bench.settings import BenchFile
@@ -35,47 +34,36 @@ def frame_data(
     A relative method without a previous frame takes the baseline in.
     """
     estimator = bench.estimator(method, "reduced")
-    chosen = np.flatnonzero(recording.role == MEASURED)[frame]
-    network, sigma = recording.network_resistance()[chosen], _sigma(recording)[chosen]
+    readings = recording.readings()
+    resting, measured = resting_readings(recording, readings), readings[recording.measured_frames()[frame]]
     if previous is not None or not estimator.relative:
-        known = previous if estimator.relative else None
-        return lambda: estimator.data(plain(network, sigma).alone(), known)
-    resting, resting_sigma = _baseline(recording)
-    return lambda: estimator.data(plain(resting, resting_sigma).together(plain(network, sigma)))
-
-
-def _sigma(recording: Recording) -> Array:
-    """(frames, rows, columns) ohm; a benchmark's scenes have a readout."""
-    sigma = recording.sigma_or_none()
-    return np.ones_like(recording.resistance) if sigma is None else sigma
-
-
-def _baseline(recording: Recording) -> tuple[Array, Array]:
-    """Mean of the unloaded readings and its σ, (rows, columns) ohm."""
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    noise = np.sqrt(np.sum(_sigma(recording)[unloaded] ** 2, axis=0)) / len(unloaded)
-    return recording.network_resistance()[unloaded].mean(axis=0), noise
+        background = Background(recording.scene, previous=previous if estimator.relative else None)
+        return lambda: estimator.data(measured.alone(), background)
+    return lambda: estimator.data(resting.together(measured), Background(recording.scene))
 
 
 def resting_cells(bench: BenchFile, recording: Recording, method: str) -> Array:
     """The baseline's cells (rows, columns) ohm by the terms that need no previous frame, else a uniform panel's."""
     terms = tuple(term for term in bench.estimators[method].parts if not term.needs_previous) or (Misfit(),)
     estimator = Estimator(terms, "reduced", bench.solver)
-    resting, noise = _baseline(recording)
-    solver = estimator.problem(recording.scene.panel, 1, 1.0)
-    solution = best_solution(solver, estimator.data(plain(resting, noise).alone()), None)
-    cells: Array = solution.cell_resistance[0] if solution.solved else resting / uniform_factor(*resting.shape)
+    scene = recording.scene
+    data = estimator.data(resting_readings(recording, recording.readings()).alone(), Background(scene))
+    solution = best_solution(estimator.problem(scene, 1, 1.0, data.partial), data, None)
+    cells: Array = solution.cell_resistance[0] if solution.solved else data.uniform_start[0]
     return cells
 
 
-def solver_of(bench: BenchFile, method: str, name: str, panel: Panel, frames: int) -> Solver:
-    """A solver by its name, built before anything is timed; kept, like those of a run, for the frames to come."""
+def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
+    """A solver by its name for such data, built before anything is timed; kept for the frames to come."""
+    frames, *shape = data.measured.shape
+    scene = Scene(Panel(*shape))
+    estimator = bench.estimator(method, "nodal" if name == "nodal" else "reduced")
     solver: Solver
     if name in ("reduced", "nodal"):
-        solver = bench.estimator(method, "reduced" if name == "reduced" else "nodal").problem(panel, frames, 1.0)
+        solver = estimator.problem(scene, frames, 1.0, data.partial)
     else:
-        cost = Cost(Panel(*panel.shape), bench.estimators[method].parts, frames)
-        solver = _trf(cost, bench.solver, "exact" if name == "scipy_exact" else "2-point")
+        exact = "exact" if name == "scipy_exact" else "2-point"
+        solver = _trf(estimator.cost(scene, frames, data.partial), bench.solver, exact)
     solver.prepare()
     return solver
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
-from lampest.panel.network import grounding, laplacian, uniform_factor
+from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution, convex, evaluated
@@ -105,9 +104,10 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
     sizes: list[float] = []
     for frame in range(bench.frames + 1):
         fresh = frame_data(bench, recording, method, frame, best)
-        solvers = {name: solver_of(bench, method, name, recording.scene.panel, len(fresh().measured)) for name in names}
+        example = fresh()
+        solvers = {name: solver_of(bench, method, name, example) for name in names}
         turns: list[list[_Run]] = []
-        sizes.append(float(np.sum(fresh().measured ** 2)))
+        sizes.append(float(np.sum(example.measured**2)))
         for _ in range(bench.repeats if frame else 1):
             turns.append([_timed(solver, fresh(), None if best is None else best[None]) for solver in solvers.values()])
             inverse_times.append(_inverse_time(matrix))
@@ -149,8 +149,8 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
     """Solve as a sequence does; scipy's from the cheapest of the same starts."""
     wall, cpu = perf_counter(), process_time()
     if isinstance(solver, Trf):
-        plain = all(isinstance(term, Misfit) for term in solver.cost.terms)
-        starts = [data.measured / uniform_factor(*data.measured.shape[1:])]
+        plain = all(term.reads_measurement for term in solver.cost.terms)
+        starts = [data.uniform_start]
         starts += [convex(data, previous)] if previous is None or plain else []
         starts += [] if previous is None else [previous]
         points = [evaluated(solver.cost, data, start) for start in starts]
@@ -165,8 +165,9 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
 
 def _tied(recording: Recording) -> Array:
     """The Laplacian of size M + N − 1 of a network like the recording's."""
-    cells = recording.network_resistance()[0] / uniform_factor(*recording.scene.panel.shape)
-    return (laplacian(1 / cells) + np.diag(grounding(cells)))[1:, 1:]
+    circuit = recording.scene.circuit
+    cells = circuit.uniform_start(recording.readings().value[0])
+    return (laplacian(1 / cells) + np.diag(circuit.ties(cells)))[1:, 1:]
 
 
 def _inverse_time(matrix: Array) -> float:

@@ -11,7 +11,8 @@ from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeCha
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.relative_change import RelativeChange
 from lampest.cost.terms.term import Term
-from lampest.estimate.estimator import Estimator, FormulationName
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import MethodName
 from lampest.files.document import read_document, validated
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
@@ -127,7 +128,7 @@ class BenchFile:
         """The names of the solvers that run on a panel."""
         return tuple(name for name in SOLVERS if max(shape) <= getattr(self.limits, name))
 
-    def estimator(self, name: str, formulation: FormulationName) -> Estimator:
+    def estimator(self, name: str, formulation: MethodName) -> Estimator:
         """A method in a formulation."""
         return Estimator(self.estimators[name].parts, formulation, self.solver)
 

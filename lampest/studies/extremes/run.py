@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
-from lampest.estimate.stream import Step, Stream
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.panel.network import two_point_resistance
 from lampest.panel.panel import Array
-from lampest.panel.starmesh import exact_two_point_resistance
-from lampest.recording.readings import Readings
+from lampest.panel.readouts.two_point.exact import two_point_resistance
+from lampest.panel.readouts.two_point.starmesh import exact_two_point_resistance
 from lampest.recording.recording import Recording
 from lampest.runs.executors import local
 from lampest.solvers.solution import VERIFIED
@@ -102,9 +101,7 @@ def measured(task: Task) -> tuple[Solve, ...]:
         for name, method in atlas.estimators.items():
             terms = method.parts
             if scene.weight is not None:
-                terms = tuple(
-                    term if isinstance(term, Misfit) else replace(term, weight=scene.weight) for term in terms
-                )
+                terms = tuple(term if term.reads_measurement else replace(term, weight=scene.weight) for term in terms)
             estimator = Estimator(terms, formulation, atlas.solver)
             try:
                 solves += _solves(task, name, estimator, recording, scene)
@@ -140,7 +137,7 @@ def _solves(task: Task, method: str, estimator: Estimator, recording: Recording,
 
 def _divided(recording: Recording, scale: float) -> Recording:
     sigma = None if recording.sigma is None else recording.sigma / scale
-    return replace(recording, resistance=recording.resistance / scale, sigma=sigma)
+    return replace(recording, recorded=recording.recorded / scale, sigma=sigma)
 
 
 def _unitless(term: Term, scale: float) -> Term:
@@ -158,8 +155,8 @@ class _Part:
 
 
 def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
-    readings = Readings.of(recording)
-    blank = Stream(estimator, recording.scene.panel, frame_period(recording), readings[0], recording.scene.faults)
+    readings = recording.readings()
+    blank = Stream(estimator, recording.scene, frame_period(recording), readings[0])
     stream = first_stream(recording, readings, estimator)
     if stream.baseline is not None:
         yield _Part("baseline", slice(0, 1), blank.given(blank.resting)[0], stream.baseline)
@@ -171,12 +168,11 @@ def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
 
 def _judged(task: Task, method: str, estimator: Estimator, part: _Part, scene: Made, recording: Recording) -> Solve:
     solution, data = part.step.solution, part.data
-    panel, faults = recording.scene.panel, recording.scene.faults
-    cost = estimator.cost(panel, len(data.measured), Doubts.of(panel, faults, data))
+    cost = estimator.cost(recording.scene, len(data.measured), data.partial)
     solve = Solve(
         task.sample,
         method,
-        estimator.formulation,
+        estimator.method.kind,
         part.name,
         solution.solved,
         solution.status.value,
@@ -192,14 +188,14 @@ def _judged(task: Task, method: str, estimator: Estimator, part: _Part, scene: M
         solve,
         audited=exact_residual(cost, data, cells) if audit else NAN,
         excess=(exact_cost(cost, data, cells) - exact_cost(cost, data, truth)) / exact_scale(cost, data, cells),
-        model_digits=correct_digits(solution.two_point_resistance, exact_two_point_resistance(cells)),
+        model_digits=correct_digits(solution.reading, exact_two_point_resistance(cells)),
         estimate_digits=_against_convex(estimator, data, cells),
     )
 
 
 def _against_convex(estimator: Estimator, data: Data, cells: Array) -> float:
     """LRE against the convex solution where that is the answer: no penalties, no marks, no bound in the way."""
-    if not all(isinstance(term, Misfit) for term in estimator.terms) or data.marks is not None:
+    if not all(term.reads_measurement for term in estimator.terms) or data.partial:
         return NAN
     certified = convex_estimate(data.measured[0])
     if certified is None or np.any(certified < data.lower[0]) or np.any(certified > data.upper[0]):

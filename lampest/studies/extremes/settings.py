@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
-from lampest.estimate.estimator import FormulationName
+from lampest.estimate.methods import MethodName
 from lampest.files.document import read_document, validated
 from lampest.runs.config import FORBID
 from lampest.runs.executors import AnyExecutor
@@ -94,7 +94,7 @@ class AtlasFile:
         )
         return tuple(Task(sample, self, self._formulations(sample)) for sample in samples)
 
-    def _formulations(self, sample: Sample) -> tuple[FormulationName, ...]:
+    def _formulations(self, sample: Sample) -> tuple[MethodName, ...]:
         part = self.nodal
         own = CASES[sample.case].shapes
         chosen = (sample.shape in part.shapes or (bool(own) and sample.rows * sample.columns < 100)) and (
@@ -109,7 +109,7 @@ class Task:
 
     sample: Sample
     atlas: AtlasFile
-    formulations: tuple[FormulationName, ...]
+    formulations: tuple[MethodName, ...]
 
 
 def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[Sample]:

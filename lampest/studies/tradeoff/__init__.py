@@ -1,1 +1,1 @@
-"""What every saved millisecond costs in accuracy: the ladder of efforts, measured side by side."""
+"""What every saved millisecond costs in accuracy: the ladder of formulations, measured side by side."""

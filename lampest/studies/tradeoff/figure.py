@@ -98,7 +98,7 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
         )
         axes.set_ylim(bottom=FLOOR / 30)
     axes.margins(0.12, 0.14)
-    return [(row.effort.replace("_", " "), point) for row, point in placed]
+    return [(row.formulation.replace("_", " "), point) for row, point in placed]
 
 
 def _place(row: Row, gap: bool) -> tuple[float, float] | None:

@@ -25,7 +25,7 @@ class Row:
 
     Parameters
     ----------
-    rows, columns, recording, scene, noise, method, effort : what was measured.
+    rows, columns, recording, scene, noise, method, formulation : what was measured.
     first_ms : median time until the first estimate, baseline included. frame_ms : median of the frames after it.
     cell_error, changed_error : median over the frames of a frame's median error in percent, of all cells and of those
         that have changed; None without a truth.
@@ -41,7 +41,7 @@ class Row:
     scene: str
     noise: str
     method: str
-    effort: str
+    formulation: str
     first_ms: float
     frame_ms: float
     cell_error: float | None
@@ -73,21 +73,21 @@ def method_rows(found: Tradeoff) -> list[Row]:
 def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[Row]:
     for shape in dict.fromkeys(one.shape for one in chosen):
         here = [one for one in chosen if one.shape == shape]
-        for effort in dict.fromkeys(one.effort for one in here):
-            yield _row(found, [one for one in here if one.effort == effort])
+        for formulation in dict.fromkeys(one.formulation for one in here):
+            yield _row(found, [one for one in here if one.formulation == formulation])
 
 
 def _row(found: Tradeoff, parts: Sequence[Measured]) -> Row:
     gap = np.nan_to_num(np.concatenate([part.gap for part in parts]), nan=np.inf)
     solved = np.concatenate([part.solved for part in parts])
-    shape, effort = parts[0].shape, parts[0].effort
+    shape, formulation = parts[0].shape, parts[0].formulation
     return Row(
         *shape,
         _one(part.subject.recording.name for part in parts),
         _one(part.subject.scene for part in parts),
         _one(part.subject.noise for part in parts),
         _one(part.method for part in parts),
-        effort,
+        formulation,
         first_ms=1e3 * float(np.median([part.baseline_s + part.times()[0] for part in parts])),
         frame_ms=1e3 * float(np.median(np.concatenate([part.times()[1:] for part in parts]))),
         cell_error=_median([part.cell_error for part in parts]),
@@ -97,7 +97,7 @@ def _row(found: Tradeoff, parts: Sequence[Measured]) -> Row:
         reached=float(np.mean(gap <= REACHED)),
         frames=len(gap),
         failed=int(np.sum(~solved)),
-        memory_mb=found.memory_mb.get((shape, effort)),
+        memory_mb=found.memory_mb.get((shape, formulation)),
     )
 
 
@@ -127,7 +127,7 @@ def on_front(rows: Sequence[Row]) -> list[str]:
     """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
     kept = set(front([(row.frame_ms, row.gap) for row in rows]))
     measured = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
-    return [rows[index].effort for index in sorted(kept | set(front(measured)))]
+    return [rows[index].formulation for index in sorted(kept | set(front(measured)))]
 
 
 def first_method(found: Tradeoff) -> list[Row]:
@@ -141,7 +141,7 @@ def summary_table(found: Tradeoff) -> Table:
     headers = (
         "panel",
         "method",
-        "effort",
+        "formulation",
         "first [ms]",
         "frame [ms]",
         "cell error [%]",
@@ -160,7 +160,7 @@ def summary_table(found: Tradeoff) -> Table:
             (
                 f"{row.rows} × {row.columns}",
                 row.method,
-                row.effort,
+                row.formulation,
                 f"{row.first_ms:.3g}",
                 f"{row.frame_ms:.3g}",
                 _text(row.cell_error),
@@ -169,7 +169,7 @@ def summary_table(found: Tradeoff) -> Table:
                 f"{100 * row.reached:.0f}",
                 f"{row.failed}/{row.frames}",
                 "" if row.memory_mb is None else f"{row.memory_mb:.0f}",
-                "*" if row.effort in on_front(here) else "",
+                "*" if row.formulation in on_front(here) else "",
             )
         )
     return Table(headers, tuple(cells))
@@ -191,7 +191,7 @@ def write_tradeoff(folder: Path, found: Tradeoff) -> tuple[Path, Path]:
 
 
 def write_samples(path: Path, found: Tradeoff) -> None:
-    """/entry/<recording>/<method>/<effort>: times, errors, objectives and gaps of every frame; memory beside them."""
+    """/entry/<recording>/<method>/<formulation>: times, errors, objectives and gaps of every frame; and memory."""
     with samples_file(path, "tradeoff/1") as entry:
         for one in found.measured:
             recording = entry.require_group(one.subject.recording.name)
@@ -200,15 +200,15 @@ def write_samples(path: Path, found: Tradeoff) -> None:
             hdf5.set_attributes(recording, scene=one.subject.scene, noise=one.subject.noise)
             method = recording.require_group(one.method)
             hdf5.set_attributes(method, NX_class="NXcollection")
-            group = method.create_group(one.effort.replace(" ", "_"))
+            group = method.create_group(one.formulation.replace(" ", "_"))
             _write_measured(group, one)
-            memory = found.memory_mb.get((one.shape, one.effort))
+            memory = found.memory_mb.get((one.shape, one.formulation))
             if memory is not None:
                 hdf5.set_attributes(group, peak_memory_mb=memory)
 
 
 def _write_measured(group: Any, one: Measured) -> None:
-    hdf5.set_attributes(group, NX_class="NXdata", signal="wall_time", axes=list(SAMPLES), effort=one.effort)
+    hdf5.set_attributes(group, NX_class="NXdata", signal="wall_time", axes=list(SAMPLES), formulation=one.formulation)
     hdf5.set_attributes(group, baseline_s=one.baseline_s)
     frames, repeats = one.wall.shape
     hdf5.write_scale(group, "frame", np.arange(frames), "1", "frame in sequence")

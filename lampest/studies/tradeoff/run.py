@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.misfit import Misfit
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, first_stream, reconstruct
 from lampest.panel.panel import Array
-from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import relative_error
 from lampest.runs.executors import Processes
@@ -36,7 +34,7 @@ class Measured:
 
     Parameters
     ----------
-    subject, method, effort : what was measured.
+    subject, method, formulation : what was measured.
     shape : (rows, columns).
     wall, cpu : (frames, repeats) s, of the solve, and of the processor from one frame to the next; the first frame of
         relative methods may hold the baseline as well.
@@ -50,7 +48,7 @@ class Measured:
 
     subject: Subject
     method: str
-    effort: str
+    formulation: str
     shape: tuple[int, int]
     wall: Array
     cpu: Array
@@ -85,7 +83,7 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class Tradeoff:
-    """measured : of every rung. memory_mb : by (shape, effort): peak of a fresh process, libraries included."""
+    """measured : of every rung. memory_mb : by (shape, formulation): peak of a fresh process, libraries included."""
 
     measured: tuple[Measured, ...]
     memory_mb: dict[tuple[tuple[int, int], str], float]
@@ -120,8 +118,8 @@ def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[M
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
-        for name, effort in rungs.items():
-            runs[name].append(_Run.of(recording, settings.estimator(method, effort)))
+        for name, formulation in rungs.items():
+            runs[name].append(_Run.of(recording, settings.estimator(method, formulation)))
     objective, noise = _judged({name: run[0].found for name, run in runs.items()})
     least = np.nanmin(np.stack(list(objective.values())), axis=0)
     for name, run in runs.items():
@@ -178,12 +176,12 @@ def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
 def _costs(reference: Reconstruction) -> Iterator[tuple[Cost, Data]]:
     """Every frame's cost and data, with the reference's estimate of the frame before."""
     recording, estimator = reference.recording, reference.estimator
-    panel, readings = recording.scene.panel, Readings.of(recording)
+    readings = recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
     before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
     for frame, previous in zip(reference.frame, before, strict=True):
         data, _ = replace(stream, previous=previous).given(readings[frame])
-        yield estimator.cost(panel, len(data.measured), Doubts.of(panel, recording.scene.faults, data)), data
+        yield estimator.cost(recording.scene, len(data.measured), data.partial), data
 
 
 def _objective(cost: Cost, data: Data, cells: Array) -> float:
@@ -195,10 +193,8 @@ def _objective(cost: Cost, data: Data, cells: Array) -> float:
 
 def _noise_cost(cost: Cost, data: Data) -> float:
     """The misfit terms where every reading is missed by its standard deviation."""
-    missed = (data.measured + data.sigma).ravel()
-    nothing = np.zeros(len(cost.slope))
-    costs = cost.functions.costs(data.measured.ravel(), missed, *data.parameters, cost.weights, nothing)
-    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if isinstance(term, Misfit)))
+    costs = Evaluation(cost, data, data.apparent_resistance, data.measured + data.sigma, ()).costs
+    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
 
 
 Task = tuple[Estimator, Recording]
@@ -216,8 +212,8 @@ def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
             continue
         seen.add(shape)
         short = first_frames(subject.recording, MEMORY_FRAMES)
-        for name, effort in settings.rungs(shape).items():
-            yield shape, name, (settings.estimator(settings.memory, effort), short)
+        for name, formulation in settings.rungs(shape).items():
+            yield shape, name, (settings.estimator(settings.memory, formulation), short)
 
 
 def _in_fresh_process(task: Task) -> float:

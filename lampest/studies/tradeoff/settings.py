@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from lampest.cost.terms.term import Term
-from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint, Word, named
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
+from lampest.estimate.methods.truncated import TruncatedMethod
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.loads.shapes import OralDisc
@@ -25,23 +26,23 @@ from lampest.solvers.solution import Settings
 from lampest.studies.bench.settings import BREATHING, LARGEST_SIDE, PAPER
 
 REFERENCE = "reduced"
-LADDER: tuple[AnyEffort, ...] = (
-    TwoPoint(),
-    Scaled(),
-    Linearised(),
-    Truncated(steps=1),
-    Truncated(steps=2),
-    Truncated(steps=4),
-    Region(),
-    Converged("reduced"),
-    Converged("nodal"),
-    Converged("per_pixel"),
+LADDER: tuple[MethodName | AnyMethod, ...] = (
+    "naive",
+    "scaled",
+    "linearised",
+    TruncatedMethod(steps=1),
+    TruncatedMethod(steps=2),
+    TruncatedMethod(steps=4),
+    "region",
+    "reduced",
+    "nodal",
+    "per_pixel",
 )
 LEAST_SIDE = 8
 
 
 @dataclass(frozen=True)
-class Method:
+class RungTerms:
     """The terms and bounds of one method. Raises ValueError without a term."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
@@ -58,9 +59,9 @@ class Method:
         return terms_of(self.terms)
 
 
-def paper_methods() -> dict[str, Method]:
+def paper_methods() -> dict[str, RungTerms]:
     """The five methods of the paper with its weights."""
-    return {name: Method(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+    return {name: RungTerms(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Limits:
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID
-    two_point: int = LARGEST_SIDE
+    naive: int = LARGEST_SIDE
     scaled: int = LARGEST_SIDE
     linearised: int = LARGEST_SIDE
     truncated: int = LARGEST_SIDE
@@ -80,9 +81,9 @@ class Limits:
     per_pixel: int = 10
     joint: int = 16
 
-    def allow(self, effort: AnyEffort, shape: tuple[int, int]) -> bool:
+    def allow(self, formulation: Method, shape: tuple[int, int]) -> bool:
         """Whether a rung runs on a panel."""
-        return max(shape) <= getattr(self, effort.kind, LARGEST_SIDE)
+        return max(shape) <= getattr(self, formulation.kind, LARGEST_SIDE)
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class TradeoffFile:
     ----------
     recordings : files, relative to this one. simulated : recordings made for the purpose.
     estimators : methods by name; the paper's five by default.
-    efforts : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
+    formulations : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
     frames : of each recording at most so many measured frames, in sequence, from the first.
     repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
     memory : the method with which the peak memory of a fresh process is measured; None: it is not.
@@ -189,8 +190,8 @@ class TradeoffFile:
     schema: Literal[1]
     recordings: list[str] = field(default_factory=list)
     simulated: Simulated | None = None
-    estimators: dict[str, Method] = field(default_factory=paper_methods)
-    efforts: tuple[Word | AnyEffort, ...] = LADDER
+    estimators: dict[str, RungTerms] = field(default_factory=paper_methods)
+    formulations: tuple[MethodName | AnyMethod, ...] = LADDER
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
@@ -205,13 +206,11 @@ class TradeoffFile:
             raise ValueError("estimators must hold at least one")
         for name in self.estimators:
             check_name(name, "estimator")
-        labels = [label(effort) for effort in self.ladder]
+        labels = [label(formulation) for formulation in self.ladder]
         if REFERENCE not in labels:
-            raise ValueError(f"efforts must hold {REFERENCE}, which the others are compared with")
+            raise ValueError(f"formulations must hold {REFERENCE}, which the others are compared with")
         if len(set(labels)) < len(labels):
-            raise ValueError("efforts names a rung twice")
-        if "converged" in labels:
-            raise ValueError("efforts: converged is no rung of its own; name reduced, nodal or per_pixel")
+            raise ValueError("formulations names a rung twice")
         if not 2 <= self.frames <= 1000 or not 1 <= self.repeats <= 1000:
             raise ValueError("frames must lie between 2 and 1000, repeats between 1 and 1000")
         if not 0 <= self.patience_s < float("inf"):
@@ -220,13 +219,13 @@ class TradeoffFile:
             raise ValueError(f"memory: {self.memory} is none of the estimators")
 
     @property
-    def ladder(self) -> tuple[AnyEffort, ...]:
-        """The efforts; words as what they stand for."""
-        return tuple(named(effort) for effort in self.efforts)
+    def ladder(self) -> tuple[Method, ...]:
+        """The formulations; words as what they stand for."""
+        return tuple(named_method(formulation) for formulation in self.formulations)
 
-    def rungs(self, shape: tuple[int, int]) -> dict[str, AnyEffort]:
+    def rungs(self, shape: tuple[int, int]) -> dict[str, Method]:
         """The rungs that are measured on a panel, by label."""
-        return {label(effort): effort for effort in self.ladder if self.limits.allow(effort, shape)}
+        return {label(formulation): formulation for formulation in self.ladder if self.limits.allow(formulation, shape)}
 
     def methods(self, shape: tuple[int, int]) -> tuple[str, ...]:
         """The methods that are measured on a panel."""
@@ -234,10 +233,10 @@ class TradeoffFile:
         chosen = self.estimators.items()
         return tuple(name for name, method in chosen if small or not any(term.needs_previous for term in method.parts))
 
-    def estimator(self, method: str, effort: AnyEffort) -> Estimator:
-        """A method with an effort; what is no effort of its own follows the reduced formulation."""
+    def estimator(self, method: str, formulation: Method) -> Estimator:
+        """A method in a formulation."""
         chosen = self.estimators[method]
-        return Estimator(chosen.parts, "reduced", self.solver, chosen.bounds, effort)
+        return Estimator(chosen.parts, formulation, self.solver, chosen.bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,9 +247,9 @@ class Plan:
     subjects: tuple[Subject, ...]
 
 
-def label(effort: AnyEffort) -> str:
+def label(formulation: Method) -> str:
     """The rung's name in tables and figures: its word, with the number of steps where there is one."""
-    return f"{effort.kind} {effort.steps}" if isinstance(effort, Truncated) else effort.kind
+    return f"{formulation.kind} {formulation.steps}" if isinstance(formulation, TruncatedMethod) else formulation.kind
 
 
 def read_plan(path: Path) -> Plan:
@@ -284,7 +283,7 @@ def first_frames(recording: Recording, count: int) -> Recording:
 
     return Recording(
         scene=recording.scene,
-        resistance=recording.resistance[chosen],
+        recorded=recording.recorded[chosen],
         time=recording.time[chosen],
         role=recording.role[chosen],
         sigma=recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else cut(recording.sigma),

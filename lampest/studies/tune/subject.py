@@ -9,14 +9,13 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
-from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
-from lampest.estimate.estimator import Doubts, Estimator
-from lampest.estimate.sequence import deciding_data, resting_readings, strongest_frame
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import deciding_data, resting_readings
 from lampest.estimate.weights import Search
 from lampest.panel.panel import Array
 from lampest.posterior.track import MOST_DENSE
-from lampest.recording.readings import Readings
+from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 
@@ -42,22 +41,21 @@ class Subject:
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "Subject":
         """The recording's strongest frame; with the baseline where terms compare it with that."""
-        readings, scene = Readings.of(recording), recording.scene
+        readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)
-        frame = strongest_frame(recording, readings, resting)
-        data = deciding_data(case.estimator, resting, readings[frame], scene.faults)
-        doubts = Doubts.of(scene.panel, scene.faults, data)
+        frame = strongest_frame(readings.value, resting.value, recording.measured_frames())
+        data = deciding_data(case.estimator, scene, resting, readings[frame])
         truth = None
         if recording.truth_cell_resistance is not None:
             truth = np.log(recording.truth_cell_resistance[frame])
-            truth.flat[[] if doubts is None else list(doubts.faulty)] = np.nan
-        cost = case.estimator.cost(scene.panel, len(data.measured), doubts)
+            truth.flat[[] if scene.faults is None else list(scene.faults.numbers(scene.panel))] = np.nan
+        cost = case.estimator.cost(scene, len(data.measured), data.partial)
         return cls(case.recording, case.name, case.estimator, frame, readings.sigma is not None, cost, data, truth)
 
     @cached_property
     def penalty(self) -> int:
         """The penalty's number among the terms."""
-        return next(number for number, term in enumerate(self.cost.terms) if not isinstance(term, Misfit))
+        return next(number for number, term in enumerate(self.cost.terms) if not term.reads_measurement)
 
     @property
     def given(self) -> float | None:
@@ -73,16 +71,13 @@ class Subject:
     def with_weight(self, weight: float) -> Cost:
         """The cost with a weight of the penalty."""
         return self.search.weighted(
-            [float(term.weight) if isinstance(term, Misfit) else weight for term in self.cost.terms]
+            [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
         )
 
     @property
     def count(self) -> int:
         """The number of readings that are values."""
-        if self.data.marks is None:
-            return self.data.measured.size
-        side, seen = self.data.marks
-        return int(np.sum((side == 0) & (seen > 0)))
+        return int(np.sum(self.data.plain))
 
     @property
     def misfit_unit(self) -> str:
@@ -118,7 +113,7 @@ def squared(unit: str) -> str:
 def why_not(estimator: Estimator, readings: int) -> str | None:
     """Why an estimator cannot be tuned on so many readings in one solve; None where it can."""
     terms: tuple[Term, ...] = estimator.terms
-    misfits = sum(isinstance(term, Misfit) for term in terms)
+    misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
         return f"it has {len(terms) - misfits} penalty terms, not one"
     if not all(isinstance(term.loss, Squared) for term in terms):

@@ -138,6 +138,11 @@ class LoadedColumnsReadout(Readout):
         """The voltage across the load: V, or Vcc − V where loads lead to the supply."""
         return recorded if self.polarity == "up" else self.supply_volt - recorded
 
+    @property
+    def direction(self) -> float:
+        """-1 where loads lead to the supply."""
+        return 1.0 if self.polarity == "up" else -1.0
+
     def to_recorded(self, reading: Array, scene: Any) -> Array:
         """The same way back."""
         return self.from_recorded(reading, scene)

@@ -21,10 +21,10 @@ def kirchhoff_start(voltage: Array, load: Array, drive: Array) -> Array:
 
     A start, not an estimate: it stops after MOST_ROUNDS, and cells are held to LEAST and LARGEST of the naive ones.
     """
-    current = voltage / load
+    current: Array = voltage / load
     driven = np.maximum(1 - drive * current.sum(axis=1), voltage.max(axis=1) * (1 + 1e-6))
     naive = current / (driven[:, None] - voltage)
-    conductance = naive
+    conductance: Array = naive
     for _ in range(MOST_ROUNDS):
         before, conductance = conductance, _round(conductance, voltage, current, driven)
         conductance = np.clip(conductance, LEAST * naive, LARGEST * naive)

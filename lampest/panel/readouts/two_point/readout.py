@@ -33,6 +33,8 @@ class TwoPointReadout(Readout):
     """
 
     unit: ClassVar[str] = "ohm"
+    signal: ClassVar[str] = "resistance"
+    signal_name: ClassVar[str] = "two-point resistance, divider equation"
     homogeneous: ClassVar[bool] = True
     unique: ClassVar[bool] = True
     kind: Literal["two_point"] = "two_point"

@@ -1,0 +1,192 @@
+"""File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene names."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support import live_pictures
+
+from lampest import two_point_resistance
+from lampest.cost.terms import Arrival, Misfit, RelativeChange
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.estimate.stream import Stream
+from lampest.files.errors import InputError
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Faults, Scene, Systematic, Water
+from lampest.recording.board.protocol import Frame, Hello
+from lampest.recording.board.stream import Sample
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.measure import measured, raw_sums
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.live.engine import Engine
+from lampest.report.live.feed import from_recording, take_sample
+
+SHAPE = (8, 9)
+WHOLE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
+MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80)
+LSM = Estimator((Misfit(),), "reduced")
+RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
+ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
+DISC = Estimator((Misfit(),), unknowns="oral_disc")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, cells that are broken in truth, and how it is estimated; least : share of readings that are none."""
+
+    scene: Scene
+    broken: Faults = Faults()
+    estimator: Estimator = LSM
+    least: float = 0.0
+
+
+CASES = {
+    "nothing": Case(WHOLE),
+    "dead row": Case(replace(WHOLE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
+    "dead column": Case(replace(WHOLE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9),
+    "open cell": Case(replace(WHOLE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
+    "shorted cell": Case(replace(WHOLE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72),
+    "reading of zero": Case(WHOLE, Faults(shorted=((5, 1),)), least=1 / 72),
+    "readings at a rail": Case(replace(WHOLE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
+    "systematic errors": Case(replace(WHOLE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
+    "water": Case(replace(WHOLE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=DISC),
+}
+
+
+def recording_of(case: Case) -> Recording:
+    """Three unloaded frames and three of a mouth, through the scene's electronics."""
+    still = simulate(Simulation(1, 5, replace(case.scene, faults=None), frames=3, loads=(MOUTH,)))
+    assert still.truth_cell_resistance is not None and case.scene.readout is not None
+    cells = still.truth_cell_resistance.copy()
+    cells[:, case.broken.open_cells(case.scene.panel)] = np.inf
+    cells[:, case.broken.shorted_cells(case.scene.panel)] = 0.0
+    resistance, sums = measured(case.scene, two_point_resistance(cells), Unmodelled(), seed=7)
+    codes = raw_sums(case.scene.readout, sums)
+    return Recording(
+        case.scene, resistance, still.time, still.role, raw_sums=codes, raw_readings=case.scene.readout.readings
+    )
+
+
+def samples_of(recording: Recording) -> list[Sample]:
+    """The same frames as a board sends them."""
+    readout, (rows, columns) = recording.scene.readout, recording.scene.panel.shape
+    assert readout is not None and recording.raw_sums is not None
+    hello = Hello(
+        rows,
+        columns,
+        readout.readings,
+        *(16, 16, 64),
+        firmware=(1, 0),
+        period_us=1_000_000,
+        shortest_period_us=1000,
+        settle_us=2,
+        supply_millivolt=5000,
+        reference_milliohm=round(readout.reference_ohm * 1000),
+        adc_bits=readout.adc_bits,
+        measured_across=readout.measured_across,
+        running=True,
+    )
+    return [
+        Sample(Frame(readout.readings, number, 1000 * number, 0, sums), hello, float(number), 0.0, 0, 0)
+        for number, sums in enumerate(recording.raw_sums)
+    ]
+
+
+def own_loop(recording: Recording, estimator: Estimator) -> tuple[Array, Array]:
+    """Cells (frames, rows, columns) and baseline as a user's program gets them from bare arrays and a scene."""
+    scene, cells = recording.scene, []
+    unloaded = Readings.of(scene, recording.resistance[recording.role == UNLOADED])
+    stream = Stream.begin(estimator, scene, 1.0, unloaded.mean())
+    for resistance in recording.resistance[recording.role != UNLOADED]:
+        stream, step = stream.push(Readings.of(scene, resistance))
+        cells.append(step.solution.cell_resistance[-1])
+    return np.stack(cells), stream.baseline_resistance
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_way_in_gives_the_same_cells(name: str) -> None:
+    case = CASES[name]
+    recording = recording_of(case)
+    readings = recording.readings()
+    assert np.mean((readings.side != 0) | (readings.seen == 0)) >= case.least
+    found = reconstruct(recording, case.estimator)
+    assert np.all(np.isfinite(found.cell_resistance))
+
+    def board(engine: Engine) -> None:
+        for sample in samples_of(recording):
+            take_sample(engine, sample, case.scene)
+
+    cells, baseline = own_loop(recording, case.estimator)
+    assert_allclose(cells, found.cell_resistance, rtol=1e-9)
+    assert_allclose(baseline, found.baseline_resistance, rtol=1e-9)
+    replayed = live_pictures(case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None))
+    boarded = live_pictures(case.estimator, 3, board)
+    for pictures in (replayed, boarded):
+        assert [picture.status for picture in pictures] == [step.solution.status.value for step in found.steps]
+        ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
+        assert_allclose(ratio, found.cell_resistance / found.baseline_resistance, rtol=1e-9)
+        flags = [picture.open_cell for picture in pictures]
+        assert_array_equal(flags, [step.solution.open_cell[-1] for step in found.steps])
+    assert [picture.total for picture in boarded] == [picture.total for picture in replayed]
+
+
+def test_a_dead_row_leaves_the_sound_cells_of_the_live_page_right() -> None:
+    """Without the scene's faults the cells beside a dead row are off by orders of magnitude, and "verified"."""
+    case = CASES["dead row"]
+    recording = recording_of(case)
+    pictures = live_pictures(LSM, 3, lambda engine: from_recording(engine, recording, 1e9, None))
+    truth = simulate(Simulation(1, 5, WHOLE, frames=3, loads=(MOUTH,))).truth_cell_resistance
+    assert truth is not None
+    sound = ~case.broken.open_cells(case.scene.panel)
+    for picture, cells in zip(pictures, truth[3:], strict=True):
+        error = (1 + picture.relative_change / 100) / (cells / truth[0]) - 1
+        assert np.median(np.abs(error[sound])) < 0.03
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_frame_or_many_are_read_alike(name: str) -> None:
+    recording = recording_of(CASES[name])
+    many = recording.readings()
+    for frame, resistance in enumerate(recording.resistance):
+        one = Readings.of(recording.scene, resistance)
+        for part in ("resistance", "sigma", "side", "seen"):
+            assert_allclose(getattr(one, part), getattr(many[frame], part), rtol=1e-15)
+
+
+def test_what_does_not_fit_is_named() -> None:
+    """A file's values by dataset and index, all others by row and column."""
+    good = np.full((2, *SHAPE), 700.0)
+    low = good.copy()
+    low[1, 3, 5] = 100.0
+    why = "is 100 ohm, not above the scene's series resistance of 140 ohm"
+    role = np.ones(2, dtype=np.uint8)
+    with pytest.raises(InputError, match=rf"^mine: /entry/two_point/resistance\[1, 3, 5\] {why}$"):
+        Recording(WHOLE, low, np.arange(2.0), role, name="mine").readings()
+    for values in (low, low[1]):
+        with pytest.raises(InputError, match=rf"^the reading at row 3, column 5 {why}$"):
+            Readings.of(WHOLE, values)
+    with pytest.raises(InputError, match=r"^the readings are 9 × 8, but the scene's panel is 8 × 9$"):
+        Readings.of(WHOLE, good[0].T)
+    with pytest.raises(InputError, match=r"^sigma has another shape than the readings$"):
+        Readings.of(WHOLE, good, np.ones(2))
+    with pytest.raises(InputError, match=r"^sigma\[0, 0\] is 0 ohm; it must be positive and finite$"):
+        Readings.of(WHOLE, good, np.zeros(SHAPE))
+    for wrong in (np.nan, np.inf, 0.0, -5.0):
+        with pytest.raises(InputError, match=r"^the reading at row 3, column 5 is .* ohm; it must be positive and"):
+            Readings.of(WHOLE, np.where(low[1] < 140, wrong, low[1]))
+
+
+def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:
+    resistance = np.full((2, *SHAPE), 700.0)
+    told, unknown = Readings.of(WHOLE, resistance), Readings.of(replace(WHOLE, readout=None), resistance)
+    assert told.sigma is not None and np.all(told.sigma > 0) and unknown.sigma is None
+    given = Readings.of(WHOLE, resistance, np.full(SHAPE, 3.0))
+    assert_array_equal(given.sigma, np.full((2, *SHAPE), 3.0))
+    assert told[0].together(unknown[1]).sigma is None
+    assert_array_equal(told[0].together(told[1]).sigma, told.sigma)
