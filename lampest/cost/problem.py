@@ -82,7 +82,7 @@ class Data:
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        return self.readout.network(1 / cell_resistance, self.ties[frame])
+        return self.readout.network(cell_resistance, self.ties[frame])
 
 
 @dataclass(frozen=True, eq=False)

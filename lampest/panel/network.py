@@ -44,8 +44,12 @@ class ResponseInverse(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Network(ABC):
-    """conductance : (rows, columns) siemens. The impedance Z (lines, lines) in ohm is the network's own affair."""
+    """cell_resistance, conductance : (rows, columns) ohm and siemens, each other's reciprocal.
 
+    The impedance Z (lines, lines) in ohm is the network's own affair.
+    """
+
+    cell_resistance: Array
     conductance: Array
     _impedance: Array
 
@@ -101,13 +105,14 @@ class Network(ABC):
         change = laplacian(conductance - self.conductance[block])
         towards = self._impedance[:, lines]
         core = np.linalg.solve(np.eye(len(lines)) + change @ towards[lines], change)
-        whole = self.conductance.copy()
-        whole[block] = conductance
-        return replace(self, conductance=whole, _impedance=self._impedance - towards @ core @ towards.T)
+        cells, whole = self.cell_resistance.copy(), self.conductance.copy()
+        cells[block], whole[block] = 1 / conductance, conductance
+        impedance = self._impedance - towards @ core @ towards.T
+        return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
 
-    def relabelled(self, conductance: Array) -> Self:
-        """The same network with conductances that differ from its own by rounding alone."""
-        return replace(self, conductance=conductance)
+    def relabelled(self, cell_resistance: Array) -> Self:
+        """The same network with cells that differ from its own by rounding alone."""
+        return replace(self, cell_resistance=cell_resistance, conductance=1 / cell_resistance)
 
     def lines_of(self, block: Block) -> NDArray[np.intp]:
         """The numbers of a block's lines, rows first."""

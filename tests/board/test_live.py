@@ -139,7 +139,7 @@ def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: P
     ring = Recording.load(RING)
     resistance = ring.resistance.copy()
     resistance[-1, 2, 3] = 100.0
-    replace(ring, resistance=resistance, raw_sums=None, raw_readings=None).save(tmp_path / "low.h5")
+    replace(ring, recorded=resistance, raw_sums=None, raw_readings=None).save(tmp_path / "low.h5")
     with live(tmp_path, "--recording", tmp_path / "low.h5", "--speed", 5) as (window, _):
         window.until(NUMBER, lambda number: number == len(ring.measured_frames()))
         why = "the reading at row 2, column 3 is 100 ohm, not above the scene's series resistance of 140 ohm."

@@ -52,7 +52,7 @@ def reconstruction() -> Reconstruction:
     kept = slice(0, 8)
     few = dataclasses.replace(
         recording,
-        resistance=recording.resistance[kept],
+        recorded=recording.resistance[kept],
         time=recording.time[kept],
         role=recording.role[kept],
         truth_cell_resistance=recording.truth_cell_resistance[kept],

@@ -206,7 +206,7 @@ def test_what_is_broken_is_left_out(faults: Faults) -> None:
     sound = ~faults.open_cells(panel)
     exact = two_point_resistance(np.where(sound, recording.truth_cell_resistance, np.inf))
     measured = np.where(np.isfinite(exact), exact, 1.0)
-    broken = replace(recording, scene=Scene(panel, faults=faults), resistance=measured, sigma=0.003 * measured)
+    broken = replace(recording, scene=Scene(panel, faults=faults), recorded=measured, sigma=0.003 * measured)
     found = estimated(broken, Arrival())
     assert all(step.solution.solved and step.bars is not None for step in found.steps)
     truth = recording.truth_cell_resistance[found.frame]

@@ -155,7 +155,7 @@ def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Rec
     frames = len(resistance)
     return Recording(
         scene=scene,
-        resistance=resistance,
+        recorded=resistance,
         time=np.arange(frames) * 1.0,
         role=np.array([0] + [1] * (frames - 1), dtype=np.uint8),
         sigma=noise * resistance,

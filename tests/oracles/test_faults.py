@@ -112,13 +112,13 @@ def test_saturated_codes_are_bounds() -> None:
     truth = np.full((2, *SHAPE), 1e4)
     made = recording(truth, readout=readout)
     least, largest = readout.rails()
-    made = replace(made, resistance=np.where(made.resistance > largest, 10 * largest, made.resistance))
+    made = replace(made, recorded=np.where(made.resistance > largest, 10 * largest, made.resistance))
     readings = made.readings()
     beyond = made.resistance > largest
     assert np.any(beyond)
     assert np.all(readings.side[beyond] == AT_LEAST)
-    assert np.all(readings.resistance[beyond] == largest)
-    low = replace(made, resistance=np.full_like(made.resistance, least / 2))
+    assert np.all(readings.value[beyond] == largest)
+    low = replace(made, recorded=np.full_like(made.resistance, least / 2))
     assert np.all(low.readings().side == AT_MOST)
     found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
     model = found.steps[0].solution.reading[-1]

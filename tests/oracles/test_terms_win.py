@@ -142,7 +142,7 @@ def test_formulations_agree(term: AnyTerm) -> None:
     small = replace(
         recorded,
         scene=Scene(Panel(4, 5)),
-        resistance=two_point_resistance(recorded.truth_cell_resistance[:, 2:6, 1:6]),
+        recorded=two_point_resistance(recorded.truth_cell_resistance[:, 2:6, 1:6]),
         sigma=0.01 * recorded.resistance[:, 2:6, 1:6],
         truth_cell_resistance=None,
     )

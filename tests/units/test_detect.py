@@ -48,8 +48,8 @@ def solved_case(
     return dataclasses.replace(
         case,
         scene=recording.scene,
-        measured=readings.resistance[3:],
-        measured_baseline=resting.resistance,
+        measured=readings.value[3:],
+        measured_baseline=resting.value,
         sigma=readings.sigma_of_values[3:],
         sigma_baseline=resting.sigma_of_values,
         cell_resistance=cells,

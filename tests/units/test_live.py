@@ -115,7 +115,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
 def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Recording) -> None:
     resistance = lamprey.resistance.copy()
     resistance[4, 2, 3] = 100.0
-    found = pictures(LSM, dataclasses.replace(lamprey, resistance=resistance))
+    found = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
     failed, after = found[1], found[2]
     assert failed.status == (
         "the reading at row 2, column 3 is 100 ohm, not above the scene's series resistance of 140 ohm"

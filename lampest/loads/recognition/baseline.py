@@ -77,4 +77,4 @@ def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:
 def network_of(logarithm: Array) -> Network:
     """The network of cells ln r (rows, columns)."""
     cells = np.exp(logarithm)
-    return CIRCUIT.network(1 / cells, CIRCUIT.ties(cells))
+    return CIRCUIT.network(cells, CIRCUIT.ties(cells))

@@ -88,16 +88,17 @@ class Readout(ABC):
 
     # What follows from the circuit.
 
-    def network(self, conductance: Array, ties: Array) -> Network:
-        """The network of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is loose."""
-        return TiedNetwork(conductance, inverse_of(conductance, ties), self)
+    def network(self, cell_resistance: Array, ties: Array) -> Network:
+        """The solved network of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is loose."""
+        conductance = 1 / cell_resistance
+        return TiedNetwork(cell_resistance, conductance, inverse_of(conductance, ties), self)
 
     def exact_reading(self, cell_resistance: Array) -> Array:
         """y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame) for frame in cell_resistance])
         with np.errstate(divide="ignore"):
-            return self.network(1 / cell_resistance, self.ties(cell_resistance)).reading()
+            return self.network(cell_resistance, self.ties(cell_resistance)).reading()
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells (rows, columns) ohm to begin a search at, from readings, upper bounds, an earlier estimate or None."""
@@ -124,7 +125,7 @@ class Readout(ABC):
             pairs = zip(measured, sigma, strict=True)
             return np.stack([self.resolution(frame, noise) for frame, noise in pairs])
         start = self.uniform_start(measured)
-        network = self.network(1 / start, self.ties(measured))
+        network = self.network(start, self.ties(measured))
         limit = np.abs(network.own_response()) * start / sigma
         return np.asarray(np.maximum(limit, 2 * start))
 

@@ -121,7 +121,7 @@ def _two_point(known: Array) -> Array:
     part = _parts(conductance)
     tie = np.zeros(rows + columns)
     tie[np.unique(part)] = conductance.max() or 1.0
-    resistance = TwoPointReadout().network(conductance, tie).reading()
+    resistance = TwoPointReadout().network(known, tie).reading()
     return np.where(part[:rows, None] == part[None, rows:], resistance, np.inf)
 
 

@@ -89,7 +89,7 @@ class RegionSolver:
         cells = self.baseline.cell_resistance.copy()
         for block in blocks:
             cells[0][block] = 1 / network.conductance[block]
-        return self._solution(data, network.relabelled(1 / cells[0]), cells, steps)
+        return self._solution(data, network.relabelled(cells[0]), cells, steps)
 
     def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
         """What `approximation` gives, without solving the network once more."""

@@ -40,7 +40,7 @@ class FloatingNetwork(Network):
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
         """Of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is not connected."""
-        return cls(conductance, inverse_of(conductance, tie))
+        return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
     def reading(self) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk."""
@@ -57,11 +57,11 @@ class FloatingNetwork(Network):
 
     def forward(self, step: Array) -> Array:
         """−(∂R/∂g)·(g·p)."""
-        return -self.conductance_product(self.conductance * step)
+        return -self.conductance_product(step / self.cell_resistance)
 
     def adjoint(self, weights: Array) -> Array:
         """−g·(∂R/∂g)ᵀ·w."""
-        return -self.conductance * self.conductance_product(weights)
+        return -self.conductance_product(weights) / self.cell_resistance
 
     @cached_property
     def transfer(self) -> Array:
@@ -87,7 +87,7 @@ class FloatingNetwork(Network):
 
     def own_response(self) -> Array:
         """R²·g: D_ii = R_i."""
-        return self.reading() ** 2 * self.conductance
+        return self.reading() ** 2 / self.cell_resistance
 
     def second_order(self, weights: Array) -> SecondOrder:
         """With Z L_w Z."""
@@ -95,7 +95,7 @@ class FloatingNetwork(Network):
 
     def response_inverse(self, free: NDArray[np.bool_]) -> StencilInverse:
         """(D∘D)⁻¹ from what a network looks like from afar, and r."""
-        return StencilInverse(Stencil.of(self.conductance, self.reading(), free), 1 / self.conductance)
+        return StencilInverse(Stencil.of(self.conductance, self.reading(), free), self.cell_resistance)
 
     def log_determinant(self) -> float:
         """log det Z."""
@@ -104,7 +104,8 @@ class FloatingNetwork(Network):
     def within(self, block: Block) -> "FloatingNetwork":
         """What a block's lines show of the network between themselves; the cells of the block alone can be changed."""
         lines = self.lines_of(block)
-        return FloatingNetwork(self.conductance[block], self._impedance[np.ix_(lines, lines)])
+        impedance = self._impedance[np.ix_(lines, lines)]
+        return FloatingNetwork(self.cell_resistance[block], self.conductance[block], impedance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +118,9 @@ class FloatingSecondOrder:
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, 2 g·bᵀ K L_{g·p} Z b)."""
         network = self.network
-        injected = network._injected(network.conductance * step, network._impedance)
+        injected = network._injected(step / network.cell_resistance, network._impedance)
         change = network._differences(network._impedance, injected, symmetric=True)
-        return change, 2 * network.conductance * network._differences(self.twice, injected, symmetric=False)
+        return change, 2 * network._differences(self.twice, injected, symmetric=False) / network.cell_resistance
 
     def matrix(self) -> Array:
         """2 g (D ∘ BᵀKB) g."""

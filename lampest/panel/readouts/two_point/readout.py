@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, Network
+from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
@@ -61,9 +61,10 @@ class TwoPointReadout(Readout):
         """R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
         return row + column - 2 * mutual
 
-    def network(self, conductance: Array, ties: Array) -> FloatingNetwork:
+    def network(self, cell_resistance: Array, ties: Array) -> FloatingNetwork:
         """The arithmetic of floating lines, which costs less than that of any reading."""
-        return FloatingNetwork.solve(conductance, ties)
+        conductance = 1 / cell_resistance
+        return FloatingNetwork(cell_resistance, conductance, inverse_of(conductance, ties))
 
     def exact_reading(self, cell_resistance: Array) -> Array:
         """R = f(r) with at least ten digits at any contrast."""
