@@ -33,7 +33,7 @@ MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
-DISC = Estimator((Misfit(),), unknowns="oral_disc")
+DISC = Estimator((Misfit(),), "oral_disc")
 
 
 @dataclass(frozen=True)

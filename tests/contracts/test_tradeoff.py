@@ -17,7 +17,7 @@ simulated:
 estimators:
   LSM: {terms: {misfit: {}}}
   LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
-efforts: [two_point, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
+formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
 frames: 3
 repeats: 2
 limits: {nodal: 8}
@@ -30,14 +30,14 @@ def test_command_writes_table_samples_and_figure(
     config = tmp_path / "one.yaml"
     config.write_text(
         "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
-        "efforts: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n"
+        "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n"
     )
     done = lampest("tradeoff", config, "--out", tmp_path / "out")
     assert done.code == 0, done.err
     assert "reduced" in done.out
     with (tmp_path / "out" / "tradeoff.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert {row["effort"] for row in rows} == {"scaled", "reduced"}
+    assert {row["formulation"] for row in rows} == {"scaled", "reduced"}
     assert all(float(row["memory_mb"]) > 10 for row in rows)
     assert (tmp_path / "out" / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     with h5py.File(tmp_path / "out" / "tradeoff.h5") as file:
@@ -53,10 +53,10 @@ def test_command_writes_table_samples_and_figure(
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
-        ("region,", "regoin,", "9:", "efforts.4"),
-        ("steps: 2", "steps: 0", "9:", "efforts.3"),
+        ("region,", "regoin,", "9:", "formulations.4"),
+        ("steps: 2", "steps: 0", "9:", "formulations.3"),
         (" reduced,", "", ":", "reduced"),
-        ("scaled,", "two_point,", ":", "twice"),
+        ("scaled,", "naive,", ":", "twice"),
         ("frames: 3", "frames: 1", ":", "frames"),
         ("sizes: [8,", "sizes: [3,", "2:", "side"),
         ("repeats:", "repaets:", "11:1", "no such key"),

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lampest.estimate.efforts import Region
 from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
@@ -232,7 +231,7 @@ def test_needs_the_noise() -> None:
             reconstruct(recording, Estimator((misfit, Arrival()), "reduced"))
 
 
-@pytest.mark.parametrize("options", [{"error_bars": False}, {"effort": Region()}])
+@pytest.mark.parametrize("options", [{"error_bars": False}, {"formulation": "region"}])
 def test_needs_error_bars(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="arrival weighs frames by their error bars"):
         Estimator((Misfit(weighting="noise"), Arrival()), **options)

@@ -9,10 +9,11 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 from lampest import two_point_resistance
+from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
-from lampest.estimate.estimator import Doubts, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
@@ -41,9 +42,10 @@ def panel_cells(shape: tuple[int, int] = SHAPE, seed: int = 1) -> Array:
 
 def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array | None = None) -> Solution:
     estimator = Estimator(terms, formulation="reduced")
-    data = estimator.data(Readings.of(Scene(Panel(*measured.shape)), measured[None], sigma[None]))
+    scene = Scene(Panel(*measured.shape))
+    data = estimator.data(Readings.of(scene, measured[None], sigma[None]), Background(scene))
     return best_solution(
-        estimator.problem(Panel(*measured.shape), 1, 1.0), data, None if start is None else start[None]
+        estimator.problem(Scene(Panel(*measured.shape)), 1, 1.0), data, None if start is None else start[None]
     )
 
 
@@ -220,8 +222,8 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     readings = Readings.of(Scene(Panel(*SHAPE)), measured[None], 0.003 * measured[None])
     seen = np.ones((1, *SHAPE))
     seen[0, 0, :] = 0
-    data = estimator.data(replace(readings, seen=seen))
-    problem = estimator.problem(Panel(*SHAPE), 1, 1.0, Doubts.of(Panel(*SHAPE), None, data))
+    data = estimator.data(replace(readings, seen=seen), Background(Scene(Panel(*SHAPE))))
+    problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, data.partial)
     found = best_solution(problem, data, cells[None])
     assert found.solved
     certainty = Certainty.of(DenseErrors(model_of(found)))

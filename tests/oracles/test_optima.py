@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from lampest import two_point_resistance
 from lampest.cost.cost import Cost
-from lampest.cost.given import Given
+from lampest.cost.given import Background, Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
@@ -224,7 +224,7 @@ def test_optimality_conditions_hold(paper: SimpleNamespace, method: str, formula
 def test_optimality_residual_tells_optima_from_other_points() -> None:
     recorded = recording(truth((4, 6), 1, 9), 3e-3)
     chosen = estimator("gradient")
-    data = chosen.data(recorded.readings())
+    data = chosen.data(recorded.readings(), Background(recorded.scene))
     cost = Cost(Panel(4, 6), chosen.terms)
     optimum = reconstruct(recorded, chosen).cell_resistance
     assert Evaluation.at(cost, data, optimum).kkt_residual(np.zeros(0)) < 1e-8

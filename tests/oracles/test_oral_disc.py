@@ -23,7 +23,7 @@ from lampest.runs.executors import local
 from lampest.runs.results import read_results
 from lampest.solvers.solution import Status
 
-DISC = Estimator((Misfit(),), unknowns="oral_disc")
+DISC = Estimator((Misfit(),), "oral_disc")
 
 
 def lamprey(seed: int, diameter_mm: float, shape: tuple[int, int] = (9, 11)) -> Recording:
@@ -68,7 +68,7 @@ def test_it_needs_the_noise_and_nothing_to_penalise() -> None:
     with pytest.raises(InputError):
         reconstruct(replace(silent, sigma=None), DISC)
     with pytest.raises(ValueError, match="misfit alone"):
-        Estimator((Misfit(), Gradient()), unknowns="oral_disc")
+        Estimator((Misfit(), Gradient()), "oral_disc")
 
 
 def test_its_numbers_are_in_the_results(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
+from lampest.cost.given import Background
 from lampest.cost.losses import Absolute
 from lampest.cost.problem import Data
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
@@ -39,13 +40,14 @@ def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
 def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -> Data:
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * np.random.default_rng(seed).standard_normal(exact.shape))
-    return estimator.data(Readings.of(Scene(Panel(*cells.shape)), measured[None], noise * exact[None]))
+    scene = Scene(Panel(*cells.shape))
+    return estimator.data(Readings.of(scene, measured[None], noise * exact[None]), Background(scene))
 
 
 def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
     estimator = Estimator((Misfit(), term), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
-    found = best_solution(estimator.problem(Panel(*SHAPE), 1, 1.0), data, None)
+    found = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
     assert found.at is not None and found.dual is not None
     model = LinearModel(found.at, found.dual)
     return Spectrum.of(model), model
@@ -109,7 +111,7 @@ def test_risk_is_unbiased_where_the_model_is_linear() -> None:
 
 
 def error(estimator: Estimator, data: Data, cells: Array) -> float:
-    found = best_solution(estimator.problem(Panel(*cells.shape), 1, 1.0), data, None)
+    found = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
     assert found.solved
     return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells) ** 2)))
 

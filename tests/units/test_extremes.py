@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lampest import two_point_resistance
-from lampest.cost.given import Given
+from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.cell_resistance import CellResistance
 from lampest.cost.terms.misfit import Misfit
@@ -112,7 +112,7 @@ def test_audit_is_the_kkt_residual() -> None:
     cells = 3000 * np.exp(0.5 * rng.standard_normal((1, 3, 4)))
     measured = two_point_resistance(cells) * 1.1
     data = Data(Given(measured=measured, sigma=np.ones_like(measured)), measured / 2, 1.2 * cells)
-    cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Panel(3, 4), 1)
+    cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Scene(Panel(3, 4)), 1)
     here = evaluated(cost, data, cells * 1.15)
     assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)
 
@@ -136,8 +136,8 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
 
     recording, _ = recording_of(Sample("log-uniform", 3, 3, 1.0, 0.0, 0))
     estimator = Estimator((Misfit(),), "reduced")
-    data = estimator.data(recording.readings()[0].alone())
-    solver = estimator.problem(Panel(3, 3), 1, 1.0)
+    data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
+    solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (
         "lampest.solvers.newton.newton.direction",
         "lampest.solvers.search.evaluated",

@@ -18,12 +18,12 @@ simulated:
 estimators:
   LSM: {terms: {misfit: {}}}
   LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
-efforts: [two_point, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
+formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
 frames: 3
 repeats: 2
 limits: {nodal: 8}
 """
-RUNGS = ["two_point", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]
+RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +34,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Tradeoff:
 
 
 def test_every_rung_is_measured_with_every_method_on_every_recording(found: Tradeoff) -> None:
-    names = {(one.subject.recording.name, one.method, one.effort) for one in found.measured}
+    names = {(one.subject.recording.name, one.method, one.formulation) for one in found.measured}
     assert len(names) == len(found.measured) == 2 * 2 * (7 + 6)
-    assert {one.effort for one in found.measured} == set(RUNGS)
+    assert {one.formulation for one in found.measured} == set(RUNGS)
     for one in found.measured:
         # A rung that takes long is not repeated.
         assert one.wall.shape == one.cpu.shape
@@ -54,15 +54,15 @@ def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: Tradeoff) -> 
     for one in found.measured:
         assert np.all(one.gap >= 0)
         assert np.all((one.gap == 0) == (one.objective == least[one.subject.recording.name, one.method]))
-        if one.effort == "nodal":
+        if one.formulation == "nodal":
             assert np.all(one.gap < 1e-3)
-        if one.effort == "two_point":
+        if one.formulation == "naive":
             assert np.all(one.gap > 1)
 
 
 def test_no_reconstruction_errs_by_what_it_ignores(found: Tradeoff) -> None:
-    rows = {row.effort: row for row in summary_rows(found) if (row.rows, row.columns) == (8, 8)}
-    assert rows["two_point"].cell_error > 60
+    rows = {row.formulation: row for row in summary_rows(found) if (row.rows, row.columns) == (8, 8)}
+    assert rows["naive"].cell_error > 60
     assert rows["reduced"].reached > 0.9
     assert rows["reduced"].memory_mb is None
 
@@ -74,10 +74,10 @@ def test_front_holds_what_nothing_beats() -> None:
 
 def test_fastest_rung_is_on_the_front(found: Tradeoff) -> None:
     rows = [row for row in summary_rows(found) if (row.rows, row.columns) == (8, 8)]
-    assert min(rows, key=lambda row: row.frame_ms).effort in on_front(rows)
+    assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 
 
 def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
-    assert {label(effort) for effort in plan.settings.ladder} >= set(RUNGS)
+    assert {label(formulation) for formulation in plan.settings.ladder} >= set(RUNGS)
     assert {subject.shape for subject in plan.subjects} == {(10, 10), (16, 16), (32, 32), (100, 100)}

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lampest.estimate.efforts import AnyEffort, Converged, Linearised, Region, Scaled, Truncated, TwoPoint
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import two_point_resistance
@@ -13,6 +12,12 @@ from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import Method
+from lampest.estimate.methods.linearised import LinearisedMethod
+from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.region import RegionMethod
+from lampest.estimate.methods.truncated import TruncatedMethod
+from lampest.estimate.methods.uncorrected import UncorrectedMethod
 from lampest.estimate.sequence import Reconstruction, reconstruct
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
@@ -28,7 +33,7 @@ BLOCK = (slice(5, 8), slice(6, 10))
 LSM: tuple[Term, ...] = (Misfit(),)
 RIDGE: tuple[Term, ...] = (Misfit(), CellResistance(weight=1e-6))
 SMOOTH: tuple[Term, ...] = (Misfit(), Gradient(weight=1e-7))
-REDUCED = Converged("reduced")
+REDUCED = OptimalMethod("reduced")
 
 
 def resting(shape: tuple[int, int] = SHAPE, seed: int = 3) -> Array:
@@ -52,8 +57,8 @@ def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: 
     return Recording(scene, readings, np.arange(float(len(cells))), role, exact * max(noise, sigma))
 
 
-def found_by(effort: AnyEffort, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Reconstruction:
-    found = reconstruct(data, Estimator(terms, "reduced", effort=effort, **options))
+def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Reconstruction:
+    found = reconstruct(data, Estimator(terms, method, **options))
     assert all(step.solution.solved for step in found.steps)
     return found
 
@@ -63,19 +68,28 @@ def test_no_reconstruction_is_what_it_says(terms: tuple[Term, ...]) -> None:
     data = recording(resting(), pressed(resting()), noise=1e-3)
     rows, columns = SHAPE
     measured = data.resistance[1]
-    assert_allclose(found_by(TwoPoint(), data, terms).cell_resistance[0], measured)
-    scaled = found_by(Scaled(), data, terms)
+    assert_allclose(found_by(UncorrectedMethod("naive"), data, terms).cell_resistance[0], measured)
+    scaled = found_by(UncorrectedMethod("scaled"), data, terms)
     assert_allclose(scaled.cell_resistance[0], measured * rows * columns / (rows + columns - 1))
 
 
 def test_scaled_is_exact_for_equal_cells() -> None:
     equal = np.full((4, 7), 1234.5)
-    assert_allclose(found_by(Scaled(), recording(equal, equal)).cell_resistance[0], equal)
+    assert_allclose(found_by(UncorrectedMethod("scaled"), recording(equal, equal)).cell_resistance[0], equal)
 
 
-@pytest.mark.parametrize("effort", [TwoPoint(), Scaled(), Linearised(), Truncated(steps=1), Region()])
-def test_what_is_no_optimum_says_so(effort: AnyEffort) -> None:
-    found = found_by(effort, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
+@pytest.mark.parametrize(
+    "method",
+    [
+        UncorrectedMethod("naive"),
+        UncorrectedMethod("scaled"),
+        LinearisedMethod(),
+        TruncatedMethod(steps=1),
+        RegionMethod(),
+    ],
+)
+def test_what_is_no_optimum_says_so(method: Method) -> None:
+    found = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
     solution = found.steps[-1].solution
     assert solution.status is Status.APPROXIMATE
     assert solution.kkt_residual > 1e-6
@@ -86,13 +100,13 @@ def test_what_is_no_optimum_says_so(effort: AnyEffort) -> None:
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
 def test_many_steps_are_the_optimum(terms: tuple[Term, ...]) -> None:
     data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
-    reached, optimum = (found_by(effort, data, terms) for effort in (Truncated(steps=100), REDUCED))
+    reached, optimum = (found_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
 
 
 def test_few_steps_cost_more_than_the_optimum() -> None:
     data = recording(resting(), pressed(resting()), noise=1e-3)
-    costs = [found_by(Truncated(steps=steps), data, RIDGE).steps[0].solution.objective for steps in (1, 2, 4, 30)]
+    costs = [found_by(TruncatedMethod(steps=steps), data, RIDGE).steps[0].solution.objective for steps in (1, 2, 4, 30)]
     assert costs[-1] < min(costs[:-1])
 
 
@@ -102,7 +116,7 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
     direction = np.random.default_rng(2).standard_normal((6, 7))
     for size in (1e-2, 1e-3):
         data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
-        one, optimum = (found_by(effort, data, terms).cell_resistance[0] for effort in (Linearised(), REDUCED))
+        one, optimum = (found_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED))
         errors.append(np.max(np.abs(np.log(one / optimum))))
     assert errors[0] < 0.1
     assert errors[1] < errors[0] / 50
@@ -113,7 +127,7 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
-    found = found_by(Linearised(), recording(resting(shape), single)).cell_resistance[0]
+    found = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
     assert found[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
     assert np.median(np.abs(found / single - 1)) < 0.01
 
@@ -121,7 +135,7 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
 @pytest.mark.parametrize("terms", [LSM, (Misfit(weighting="noise"),), (Misfit(loss=Huber(corner=1.0)),)])
 def test_region_is_exact_without_noise(terms: tuple[Term, ...]) -> None:
     cells = pressed(resting())
-    found = found_by(Region(), recording(resting(), cells, 1.0 * cells), terms)
+    found = found_by(RegionMethod(), recording(resting(), cells, 1.0 * cells), terms)
     for frame in found.cell_resistance:
         assert_allclose(frame[BLOCK], cells[BLOCK], rtol=1e-6)
         assert_allclose(frame, cells, rtol=1e-5)
@@ -133,14 +147,14 @@ def test_region_is_exact_without_noise(terms: tuple[Term, ...]) -> None:
 
 def test_region_with_absolute_loss() -> None:
     cells = pressed(resting())
-    found = found_by(Region(), recording(resting(), cells), (Misfit(loss=Absolute()),))
+    found = found_by(RegionMethod(), recording(resting(), cells), (Misfit(loss=Absolute()),))
     assert_allclose(found.cell_resistance[0][BLOCK], cells[BLOCK], rtol=1e-2)
 
 
 def test_region_is_the_full_solution_to_within_the_noise() -> None:
     cells = pressed(resting())
     data = recording(*[resting()] * 4, *[cells] * 6, noise=2e-4, unloaded=4)
-    region, full = (found_by(effort, data).cell_resistance for effort in (Region(), REDUCED))
+    region, full = (found_by(method, data).cell_resistance for method in (RegionMethod(), REDUCED))
     ours, theirs = (np.abs(np.log(found[:, *BLOCK] / cells[BLOCK])) for found in (region, full))
     assert np.median(ours) < 1.1 * np.median(theirs)
     assert np.median(np.abs(np.log(region / full))[:, *BLOCK]) < 2 * np.median(theirs)
@@ -150,7 +164,7 @@ def test_region_follows_a_change_that_moves_and_one_that_comes_later() -> None:
     there = pressed(resting(), block=(slice(2, 4), slice(2, 5)))
     both = pressed(there, 0.97, (slice(9, 11), slice(11, 13)))
     for frame, cells in zip(
-        found_by(Region(), recording(resting(), there, both, resting())).cell_resistance,
+        found_by(RegionMethod(), recording(resting(), there, both, resting())).cell_resistance,
         (there, both, resting()),
         strict=True,
     ):
@@ -160,7 +174,7 @@ def test_region_follows_a_change_that_moves_and_one_that_comes_later() -> None:
 def test_region_of_nothing_is_the_baseline() -> None:
     data = recording(*[resting()] * 3, noise=1e-4, unloaded=1)
     for terms in (LSM, SMOOTH):
-        found = found_by(Region(), data, terms)
+        found = found_by(RegionMethod(), data, terms)
         assert_array_equal(found.cell_resistance[-1], found.baseline_resistance)
 
 
@@ -169,7 +183,7 @@ def test_region_of_everything_is_the_full_solution(terms: tuple[Term, ...]) -> N
     rng = np.random.default_rng(11)
     cells = resting() * np.exp(rng.standard_normal(SHAPE))
     data = recording(resting(), cells, noise=1e-5)
-    region, full = (found_by(effort, data, terms) for effort in (Region(), REDUCED))
+    region, full = (found_by(method, data, terms) for method in (RegionMethod(), REDUCED))
     assert region.steps[0].solution.status is Status.OPTIMUM
     assert region.steps[0].solution.objective == pytest.approx(full.steps[0].solution.objective, rel=1e-6, abs=1e-9)
 
@@ -178,8 +192,8 @@ def test_region_minimises_the_cost_over_its_cells() -> None:
     """No cell of the block can be moved without raising the whole panel's cost; penalties are read across its edge."""
     data = recording(resting(), pressed(resting(), 0.5), noise=1e-5)
     for terms in (RIDGE, SMOOTH):
-        solution = found_by(Region(), data, terms).steps[0].solution
-        estimator = Estimator(terms, "reduced", effort=REDUCED)
+        solution = found_by(RegionMethod(), data, terms).steps[0].solution
+        estimator = Estimator(terms, REDUCED)
         cells, least = solution.cell_resistance[0], solution.objective
         measured = data.resistance[1]
         for row, column in ((5, 6), (6, 8), (7, 9)):
@@ -221,9 +235,13 @@ def test_blocks_hold_all_cells_and_never_overlap() -> None:
 
 @pytest.mark.parametrize(
     ("text", "place"),
-    [("effort: regoin", "4:1"), ("effort: {kind: region, significanse: 3}", "4:"), ("effort: {kind: far}", "4:")],
+    [
+        ("formulation: regoin", "4:1"),
+        ("formulation: {kind: region, significanse: 3}", "4:"),
+        ("formulation: {kind: far}", "4:"),
+    ],
 )
-def test_unknown_effort_is_one_sentence_with_its_place(tmp_path: Path, text: str, place: str) -> None:
+def test_unknown_formulation_is_one_sentence_with_its_place(tmp_path: Path, text: str, place: str) -> None:
     recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
     config = tmp_path / "run.yaml"
     config.write_text(f"schema: 1\nrecordings: [small.h5]\nestimators: {{LSM: {{terms: {{misfit: {{}}}}}}}}\n{text}\n")
@@ -233,20 +251,20 @@ def test_unknown_effort_is_one_sentence_with_its_place(tmp_path: Path, text: str
     assert "\n" not in str(caught.value)
 
 
-def test_words_stand_for_efforts(tmp_path: Path) -> None:
+def test_words_stand_for_methods(tmp_path: Path) -> None:
     recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
     config = tmp_path / "run.yaml"
     config.write_text(
-        "schema: 1\nrecordings: [small.h5]\neffort: region\nestimators:\n"
+        "schema: 1\nrecordings: [small.h5]\nformulation: region\nestimators:\n"
         "  A: {terms: {misfit: {}}}\n"
-        "  B: {terms: {misfit: {}}, effort: {kind: truncated, steps: 3}}\n"
-        "  C: {terms: {misfit: {}}, effort: nodal}\n"
+        "  B: {terms: {misfit: {}}, formulation: {kind: truncated, steps: 3}}\n"
+        "  C: {terms: {misfit: {}}, formulation: nodal}\n"
     )
-    efforts = [case.estimator.effort for case in read_run(config).cases]
-    assert efforts == [Region(), Truncated(steps=3), Converged("nodal")]
+    methods = [case.estimator.method for case in read_run(config).cases]
+    assert methods == [RegionMethod(), TruncatedMethod(steps=3), OptimalMethod("nodal")]
 
 
 def test_region_sees_that_all_cells_changed_alike() -> None:
     data = recording(resting(), 0.8 * resting(), noise=1e-5)
-    region, full = (found_by(effort, data) for effort in (Region(), REDUCED))
+    region, full = (found_by(method, data) for method in (RegionMethod(), REDUCED))
     assert_allclose(region.cell_resistance, full.cell_resistance, rtol=1e-6)
