@@ -1,22 +1,11 @@
-"""What several tests need: invented but consistent results, what is recognised in a scene. No test stands here."""
+"""What several tests need: invented but consistent results. No test stands here."""
 
 import dataclasses
 from typing import Any
 
 import numpy as np
 
-from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.candidates import LOADS
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Direct
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.verdict import Verdict
-from lampest.loads.shapes import Shape
-from lampest.loads.shapes.shape import Candidate
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, TwoPointReadout
-from lampest.recording.readings import Readings
-from lampest.recording.simulation import Simulation, simulate
+from lampest.panel.panel import Array
 from lampest.runs.results import CaseResult
 
 METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
@@ -86,14 +75,3 @@ def invented_case(
         truth_baseline=baseline if truth else None,
     )
     return dataclasses.replace(case, **changes)
-
-
-def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS) -> Verdict:
-    """What recognition calls a load in one simulated frame of a 10 × 10 panel, with these candidates for loads."""
-    panel = Panel(10, 10)
-    recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
-    readings = Readings.of(recording)
-    resting = readings[[0, 1, 2]].mean()
-    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, ModelErrors())
-    frame = Direct(readings.resistance[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
-    return Detector.of(panel, 6.0, frame, loads).push(frame)[1]

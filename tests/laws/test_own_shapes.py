@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from support import verdict_on
+from laws.recognised import verdict_on
 
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.verdict import OR

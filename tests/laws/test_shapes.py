@@ -11,7 +11,7 @@ from math import exp
 
 import numpy as np
 import pytest
-from support import verdict_on
+from laws.recognised import verdict_on
 
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.loads.recognition.candidates import KINDS
