@@ -49,8 +49,8 @@ def cover(panel: Panel, patch_mm: float, centre_mm: tuple[float, float], diamete
     value, by_x, by_y = parts[0:3], parts[3:6], parts[6:9]
     by_radius = np.array([2.0, 3.0, 3.0])[:, None, None, None] * value - x * by_x - y * by_y
     values[window] = _patches(value * (power * radius[:, None, None])).swapaxes(0, 1)
-    for place, part in enumerate((-by_x, -by_y, by_radius / 2)):
-        slopes[place][window] = _patches(part * power).swapaxes(0, 1)
+    for number, part in enumerate((-by_x, -by_y, by_radius / 2)):
+        slopes[number][window] = _patches(part * power).swapaxes(0, 1)
     return Cover(values, slopes)
 
 

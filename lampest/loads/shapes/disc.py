@@ -36,7 +36,7 @@ def annulus_mm2(inner_mm: float, outer_mm: float) -> float:
 
 def contact_of_weight(mass_g: float, area_mm2: float) -> float:
     """m·g/A in kPa (mN/mm²). Raises ValueError where that is infinite."""
-    if area_mm2 == 0:  # of a diameter too small for its square
+    if area_mm2 == 0:  # of edges too small for their product
         return checked_contact(float("inf"))
     return checked_contact(mass_g * GRAVITY / area_mm2 if area_mm2 < float("inf") else 0.0)
 
@@ -50,7 +50,10 @@ def checked_contact(kpa: float) -> float:
 
 def bearing_kpa(suction_kpa: float, inner_mm: float, outer_mm: float) -> float:
     """p_bear = −s·d_i²/(d² − d_i²): the rim's pressure that bears the suction. Raises ValueError without a rim."""
-    return -suction_kpa * annulus_mm2(0, inner_mm) / annulus_mm2(inner_mm, outer_mm)
+    rim_mm2 = annulus_mm2(inner_mm, outer_mm)
+    if rim_mm2 == 0:  # of diameters too small for their squares
+        return float("inf")
+    return -suction_kpa * annulus_mm2(0, inner_mm) / rim_mm2
 
 
 def log_bearing(suction_kpa: float, share: float) -> float:

@@ -29,7 +29,8 @@ QUANTITIES = (
     ),
     Quantity("rim_pressure", "kPa", "rim", "mean contact pressure under the rim, or under a rod"),
 )
-# These from the numbers of a disc.
+# The parameter without which a disc has no such quantity; and quantities from the numbers of a disc.
+NEEDED = ("diameter", "diameter", "diameter", "width", "suction", "diameter")
 CHOICE = np.zeros((6, 8))
 CHOICE[[0, 1, 2, 3, 4, 5], [0, 1, 2, 2, 4, 5]] = 1, 1, 1, 0.5, 1, 1
 CHOICE[3, 3] = -0.5
@@ -145,8 +146,7 @@ class RoundCandidate(Candidate):
     @property
     def _reported(self) -> list[int]:
         """Which of QUANTITIES it has."""
-        needed = {3: "width", 4: "suction"}
-        return [number for number in range(len(QUANTITIES)) if needed.get(number, "diameter") in self.numbers]
+        return [number for number, name in enumerate(NEEDED) if name in self.numbers]
 
 
 def _share(solid: float) -> tuple[float, float]:

@@ -1,0 +1,27 @@
+"""What recognition says of a simulated load. No test stands here."""
+
+import numpy as np
+
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.candidates import LOADS
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.frame import Direct
+from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.shapes import Shape
+from lampest.loads.shapes.shape import Candidate
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.readings import Readings
+from lampest.recording.simulation import Simulation, simulate
+
+
+def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS) -> Verdict:
+    """What one frame of a 10 × 10 panel under a load is called, with these candidates for loads."""
+    panel = Panel(10, 10)
+    recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
+    readings = Readings.of(recording)
+    resting = readings[[0, 1, 2]].mean()
+    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, ModelErrors())
+    frame = Direct(readings.resistance[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
+    return Detector.of(panel, 6.0, frame, loads).push(frame)[1]

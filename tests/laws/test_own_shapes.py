@@ -1,0 +1,127 @@
+"""Shapes of a user's own, in no union: simulated, and recognised among the others."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, log, sqrt
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from laws.recognised import verdict_on
+
+from lampest.loads.recognition.candidates import LOADS
+from lampest.loads.recognition.verdict import OR
+from lampest.loads.shapes import Rod, Shape
+from lampest.loads.shapes.disc import Disc, contact_of_weight
+from lampest.loads.shapes.round import QUANTITIES, RoundCandidate
+from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Template, centre_priors
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
+from lampest.recording.simulation import Simulation, simulate
+
+PANEL = Panel(10, 10)
+FINE = Panel(180, 180, 0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipse(Shape):
+    """A shape of a user's own: in no union, and it says its pressure at a point alone."""
+
+    long_mm: float
+    short_mm: float
+    pressure_kpa: float
+
+    @property
+    def reach_mm(self) -> float:
+        return self.long_mm / 2
+
+    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        inside = (x / self.long_mm) ** 2 + (y / self.short_mm) ** 2 < 0.25
+        return inside * self.pressure_kpa, np.zeros_like(x)
+
+
+def test_a_shape_of_ones_own_is_simulated(tmp_path: Path) -> None:
+    load = Ellipse(centre_mm=(45.0, 45.0), long_mm=60.0, short_mm=30.0, pressure_kpa=12.0, tilt=0.2)
+    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
+    assert contact.sum() * FINE.pitch_mm**2 == pytest.approx(12 * np.pi * 60 * 30 / 4, rel=2e-3)
+    assert not suction.any()
+    made = simulate(Simulation(1, 1, Scene(PANEL), frames=2, loads=(load,)))
+    made.save(tmp_path / "ellipse.h5")
+    recording = Recording.load(tmp_path / "ellipse.h5")
+    assert recording.truth_pressure is not None
+    np.testing.assert_allclose(recording.truth_pressure[-1], load.mean_pressure(PANEL, 6.0)[0])
+    pressed = recording.truth_pressure[-1] > 6
+    assert (pressed.any(axis=1).sum(), pressed.any(axis=0).sum()) == (2, 6)
+    with pytest.raises(ValueError, match="tilt must lie between 0 and 1"):
+        dataclasses.replace(load, tilt=2.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SquareCandidate(Candidate):
+    """A square with its edges along rows and columns: φ = (x, y, ln a, ln p)."""
+
+    label: str = "square"
+    templates: tuple[Template, ...] = (Template(40.0, faint=True), Template(56.0, faint=True))
+
+    def priors(self, panel: Panel) -> Mapping[str, Prior]:
+        return centre_priors(panel) | {"edge": Prior(log(30), 0.35, step=0.2), "contact": Prior(log(8), 1.0)}
+
+    def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
+        edge, contact = exp(parameters[2]), exp(parameters[3])
+        (along, by_x, x_edge), (down, by_y, y_edge) = (
+            covered(centres - centre, edge / 2, patch_mm)
+            for centres, centre in zip(panel.centres_mm(), parameters[:2], strict=True)
+        )
+        pressure = contact * np.outer(down, along)
+        by_edge = contact * edge / 2 * (np.outer(y_edge, along) + np.outer(down, x_edge))
+        return pressure, np.stack([contact * np.outer(down, by_x), contact * np.outer(by_y, along), by_edge, pressure])
+
+    def start(self, disc: Disc) -> Array:
+        return np.array([disc.x_mm, disc.y_mm, log(disc.diameter_mm * sqrt(np.pi) / 2), log(max(disc.rim_kpa, 0.1))])
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        return (*QUANTITIES[:2], Quantity("edge", "mm", "edge", "edge of a square"))
+
+    def report(self, parameters: Array) -> tuple[Array, Array]:
+        edge = exp(parameters[2])
+        return np.array([*parameters[:2], edge]), np.diag([1.0, 1.0, edge, 0.0])[:3]
+
+
+def covered(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
+    """Share of patches about `centres` within −half and half, its slope by the square's centre and by `half`."""
+    low, high = centres - patch_mm / 2, centres + patch_mm / 2
+    length = np.minimum(half, high) - np.maximum(-half, low)
+    upper, lower = (half < high) & (length > 0), (-half > low) & (length > 0)
+    return np.maximum(length, 0) / patch_mm, (upper * 1.0 - lower) / patch_mm, (upper * 1.0 + lower) / patch_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class Square(Shape):
+    """A square that presses, and its candidate; in no union either."""
+
+    candidate: ClassVar[Candidate] = SquareCandidate()
+    edge_mm: float
+    mass_g: float
+
+    @property
+    def reach_mm(self) -> float:
+        return self.edge_mm / sqrt(2)
+
+    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        under = np.maximum(np.abs(x), np.abs(y)) < self.edge_mm / 2
+        return under * contact_of_weight(self.mass_g, self.edge_mm**2), np.zeros_like(x)
+
+
+def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
+    loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
+    verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
+    assert verdict.label == "square" and verdict.goodness < 1.4
+    values, slopes = verdict.best.candidate.report(verdict.best.parameters)
+    errors = np.sqrt(np.diag(slopes @ verdict.best.covariance @ slopes.T))
+    assert np.all(np.abs(values - (45.5, 44.5, 50)) < np.maximum(4 * errors, 0.5))
+    rod = Rod(kind="rod", centre_mm=(45.0, 45.0), diameter_mm=40.0, mass_g=680.0)
+    assert verdict_on(rod, loads).label.split(OR)[0] == "rod"

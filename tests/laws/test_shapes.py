@@ -1,0 +1,116 @@
+"""What holds for every shape, by its own example: in the file, in the schema, on the panel, in what is recognised.
+
+The tests walk the union; a new shape is under them with the example in its docstring.
+"""
+
+import dataclasses
+import inspect
+import json
+import re
+from math import exp
+
+import numpy as np
+import pytest
+from laws.recognised import verdict_on
+
+from lampest.files.document import adapter, parse_document, to_yaml, validated
+from lampest.loads.recognition.candidates import KINDS
+from lampest.loads.shapes import Shape, shape_types
+from lampest.loads.shapes.disc import bearing_kpa, disc_pressure, log_bearing
+from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.shape import POINTS
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene
+from lampest.recording.simulation import Simulation
+
+PANEL = Panel(10, 10)
+FINE = Panel(180, 180, 0.5)
+SCENE = "schema: 1\nseed: 1\nscene: {panel: {rows: 10, columns: 10}}\nframes: 1\nloads:\n  - "
+SHAPES = [pytest.param(kind, id=kind.__name__) for kind in shape_types()]
+RECOGNISED = [kind for kind in shape_types() if kind.candidate is not None]
+
+
+def example(kind: type[Shape]) -> str:
+    """The load in the docstring of a shape, as YAML."""
+    (text,) = re.findall(r"Example: (\{kind: .*?\})", " ".join((inspect.getdoc(kind) or "").split()))
+    return str(text)
+
+
+def load_of(kind: type[Shape]) -> Shape:
+    """The example, read as a simulation's file would be."""
+    (load,) = validated(parse_document(SCENE + example(kind), "example"), Simulation).loads
+    assert type(load) is kind
+    return load
+
+
+def sums(load: Shape) -> tuple[float, float]:
+    """Forces of contact and suction in mN, on a panel without gaps."""
+    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
+    return float(contact.sum() * FINE.pitch_mm**2), float(suction.sum() * FINE.pitch_mm**2)
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
+    load = load_of(kind)
+    simulation = Simulation(1, 1, Scene(PANEL), loads=(load,))
+    assert validated(parse_document(to_yaml(simulation), "again"), Simulation) == simulation
+    schema = adapter(Simulation).json_schema()
+    assert f'"{load.kind}": "#/$defs/{kind.__name__}"' in json.dumps(schema)
+    assert set(schema["$defs"][kind.__name__]["properties"]) == {field.name for field in dataclasses.fields(kind)}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_presses_or_sucks_within_its_reach_alone(kind: type[Shape]) -> None:
+    load = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0)
+    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
+    x, y = FINE.centres_mm()
+    distance = np.hypot(x[None, :] - 45, y[:, None] - 45)
+    assert np.all(contact >= 0) and np.all(suction <= 0)
+    assert not np.any((contact - suction)[distance > load.reach_mm + FINE.pitch_mm])
+    assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE.pitch_mm])
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_moves_with_its_centre(kind: type[Shape]) -> None:
+    here = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
+    there = dataclasses.replace(here, centre_mm=(53.0, 34.0))
+    for before, after in zip(here.mean_pressure(PANEL, 6), there.mean_pressure(PANEL, 6), strict=True):
+        np.testing.assert_allclose(after[:-1, 2:], before[1:, :-2], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
+    level = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=0.0)
+    tilted = dataclasses.replace(level, tilt=0.6, tilt_direction_deg=90.0)
+    assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
+    lower, upper = np.split(tilted.mean_pressure(FINE, FINE.pitch_mm)[0], 2)
+    assert upper.sum() > 1.2 * lower.sum()
+
+
+@pytest.mark.parametrize("kind", RECOGNISED)
+def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
+    verdict = verdict_on(load_of(kind))
+    assert kind.candidate is not None and kind.candidate.label in verdict.label
+    assert kind.candidate.label in KINDS
+    assert verdict.goodness < 1.4
+
+
+@pytest.mark.parametrize("kind", [kind for kind in RECOGNISED if isinstance(kind.candidate, RoundCandidate)])
+def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
+    load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
+    disc = load.disc()
+    sampled, (exact, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), disc_pressure(PANEL, 6.0, disc)
+    assert np.abs(sampled - exact).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
+    fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
+    assert np.abs(fitted - exact).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
+
+
+def test_a_suction_is_borne_alike_in_both() -> None:
+    for suction, inner, outer in ((-10.0, 27.0, 35.0), (-3.0, 12.0, 40.0), (-25.0, 30.0, 31.0)):
+        assert exp(log_bearing(suction, inner / outer)) == pytest.approx(bearing_kpa(suction, inner, outer), rel=1e-12)
+
+
+def test_labels_and_kinds_are_their_own() -> None:
+    assert len(set(KINDS)) == len(KINDS)
+    kinds = [example(kind).split(",")[0] for kind in shape_types()]
+    assert len(set(kinds)) == len(kinds)
