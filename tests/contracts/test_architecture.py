@@ -29,8 +29,15 @@ FLOORS = (
 )
 # numpy is everywhere; each of the others has its doors: a room, or a module of one.
 DOORS = {
-    "casadi": ("cost", "solvers.ipopt", "posterior.residuals", "studies.bench"),
-    "scipy": ("loads", "solvers", "posterior", "studies"),
+    "casadi": (
+        "panel.compiled",
+        "panel.readouts.equation",
+        "cost",
+        "solvers.ipopt",
+        "posterior.residuals",
+        "studies.bench",
+    ),
+    "scipy": ("panel.readouts", "loads", "solvers", "posterior", "studies"),
     "mpmath": ("studies.extremes",),
     "h5py": ("files.hdf5", "recording", "runs.results"),
     "pydantic": ("files.document",),

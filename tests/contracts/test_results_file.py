@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from support import METHODS, CaseResult, PublishedFigures, StepFigures, invented_case, write_results
 
-from lampest import InputError, Panel, Scene, TwoPointReadout, read_results
-from lampest.panel.scene import Faults, Systematic, Temperature, Water
+from lampest import Faults, InputError, Panel, Scene, Systematic, Temperature, TwoPointReadout, Water, read_results
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 

@@ -11,7 +11,8 @@ from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.shapes import Shape
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.simulation import Simulation, simulate
 

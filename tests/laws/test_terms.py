@@ -19,6 +19,7 @@ from lampest.cost.terms.term import State, Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.ipopt.formulations import FORMULATIONS
@@ -126,7 +127,9 @@ def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, f
 def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int) -> None:
     """The program's Hessian of its Lagrangian against central differences of the Lagrangian's gradient."""
     program = Program.build(
-        Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames), FORMULATIONS[formulation]
+        Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
+        TwoPointReadout(),
+        FORMULATIONS[formulation],
     )
     nlp, multiplier = program.nlp, casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
     lagrangian = 1.3 * nlp["f"] + casadi.dot(multiplier, nlp["g"])
@@ -136,9 +139,8 @@ def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, 
         np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (nlp["x"], nlp["p"], multiplier)
     )
     # Resistances of the size of Huber's corner, so that residuals fall on either side of it.
-    cells = PANEL.cells
-    for ohms in (slice(0, cells * frames), slice(-5 - 3 * cells, -5 - cells)):
-        p[ohms] *= CORNER
+    names = np.concatenate([np.full(part.numel(), name) for name, part in program.parameters.items()])
+    p[np.isin(names, ("measured", "previous", "baseline"))] *= CORNER
     upper = np.asarray(program.hessian()(x, p, 1.3, multipliers))
     assert_array_equal(np.tril(upper, -1), 0)
     hessian = upper + np.triu(upper, 1).T
@@ -211,7 +213,8 @@ def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_terms_of_change_vanish_without_change(term: type[Term], words: dict[str, Any]) -> None:
     data, cells = example(1)
-    same = dataclasses.replace(data, previous=cells[0], baseline=cells[0])
+    given = dataclasses.replace(data.given, previous=cells[0], baseline=cells[0])
+    same = dataclasses.replace(data, given=given)
     found = residual(term(**words), state(same, cells))
     if term.needs_previous:
         assert_array_equal(found, 0)
@@ -222,7 +225,7 @@ def test_terms_of_change_vanish_without_change(term: type[Term], words: dict[str
 
 def test_misfit_vanishes_at_the_model_only() -> None:
     data, cells = example(1)
-    exact = dataclasses.replace(data, measured=two_point_resistance(cells))
+    exact = dataclasses.replace(data, given=dataclasses.replace(data.given, measured=two_point_resistance(cells)))
     assert_array_equal(residual(Misfit(), state(exact, cells)), 0)
     found = residual(Misfit(weighting="noise"), state(data, cells))
     expected = (two_point_resistance(cells) - data.measured) / data.sigma

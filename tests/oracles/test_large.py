@@ -12,11 +12,12 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point import convex
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.readouts.two_point.stencil import Stencil
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.solvers import convex, linearised
+from lampest.solvers import linearised
 from lampest.solvers.newton import directions
 
 SHAPE = (9, 11)

@@ -44,7 +44,7 @@ LSM = Estimator((Misfit(),), "reduced")
 def lamprey() -> Recording:
     """Three unloaded and six measured frames."""
     whole = Recording.load(LAMPREY)
-    cut = {name: getattr(whole, name)[:9] for name in ("resistance", "time", "role")}
+    cut = {name: getattr(whole, name)[:9] for name in ("recorded", "time", "role")}
     return dataclasses.replace(
         whole, **cut, truth_cell_resistance=None, truth_pressure=None, raw_sums=None, raw_readings=None
     )

@@ -88,7 +88,7 @@ class TiedNetwork(Network):
         response = slopes[2] * mutual
         response += slopes[0] * row[:, None]
         response += slopes[1] * column[None]
-        whole: Array = response.reshape(self.conductance.size, -1)
+        whole: Array = response.reshape(self.conductance.size, row.shape[1])
         return whole if readings is None else whole[readings]
 
     def own_response(self) -> Array:

@@ -40,7 +40,8 @@ class FloatingNetwork(Network):
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
         """Of cells (rows, columns) siemens. Raises numpy.linalg.LinAlgError where a line is not connected."""
-        return cls(1 / conductance, conductance, inverse_of(conductance, tie))
+        with np.errstate(divide="ignore"):
+            return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
     def reading(self) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk."""
@@ -79,7 +80,7 @@ class FloatingNetwork(Network):
         columns = self.conductance.shape[1]
         lines = self._impedance[:, cells // columns] - self._impedance[:, self.rows + cells % columns]
         if readings is None:
-            across = (lines[: self.rows, None] - lines[None, self.rows :]).reshape(-1, len(cells))
+            across = (lines[: self.rows, None] - lines[None, self.rows :]).reshape(conductance.size, len(cells))
         else:
             across = lines[readings // columns] - lines[self.rows + readings % columns]
         chosen: Array = across**2 * conductance[cells]

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support import live_pictures
 
-from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit, RelativeChange
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
@@ -66,7 +65,7 @@ def recording_of(case: Case) -> Recording:
     cells = still.truth_cell_resistance.copy()
     cells[:, case.broken.open_cells(case.scene.panel)] = np.inf
     cells[:, case.broken.shorted_cells(case.scene.panel)] = 0.0
-    resistance, sums = measured(case.scene, two_point_resistance(cells), Unmodelled(), seed=7)
+    resistance, sums = measured(case.scene, cells, Unmodelled(), seed=7)
     codes = raw_sums(case.scene.readout, sums)
     return Recording(
         case.scene, resistance, still.time, still.role, raw_sums=codes, raw_readings=case.scene.readout.readings
@@ -155,7 +154,7 @@ def test_one_frame_or_many_are_read_alike(name: str) -> None:
     many = recording.readings()
     for frame, resistance in enumerate(recording.resistance):
         one = Readings.of(recording.scene, resistance)
-        for part in ("resistance", "sigma", "side", "seen"):
+        for part in ("value", "sigma", "side", "seen"):
             assert_allclose(getattr(one, part), getattr(many[frame], part), rtol=1e-15)
 
 
