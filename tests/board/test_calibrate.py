@@ -61,7 +61,7 @@ def test_the_stated_uncertainty_is_that_of_repeated_calibrations() -> None:
     known, cells = scene(), np.repeat(some_cells(np.random.default_rng(1), 1), 4, axis=0)
     found = []
     for seed in range(40):
-        resistance, _ = measured(known, two_point_resistance(cells), Unmodelled(), seed)
+        resistance, _ = measured(known, cells, Unmodelled(), seed)
         recording = Recording(known, resistance, np.arange(4.0), np.ones(4, dtype=np.uint8))
         found.append(calibrate(recording, cells[0]))
     error = np.array([one.series_ohm - 140 for one in found]) / np.array([one.sigma_ohm for one in found])
