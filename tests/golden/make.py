@@ -3,23 +3,35 @@
 Run it with: python -m tests.golden.make. Do so only where numbers are meant to change, and say in the commit why.
 """
 
+import io
 import shutil
-import subprocess
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
 import h5py
 
+from lampest import cli
+
 HERE = Path(__file__).parent
-COMMAND = Path(sys.executable).with_name("lampest")
 RECORDING = "recording.h5"
+
+
+def lampest(*words: str | Path) -> None:
+    """The command within this process, without a word unless it fails."""
+    with patch.object(sys, "argv", ["lampest", *map(str, words)]), redirect_stdout(io.StringIO()):
+        try:
+            cli.main()
+        except SystemExit as end:
+            assert not end.code, f"lampest ended with code {end.code}"
 
 
 def simulated(folder: Path) -> Path:
     """The recording that scene.yaml describes, made in `folder`."""
     target = folder / RECORDING
-    subprocess.run([COMMAND, "simulate", HERE / "scene.yaml", "--out", target], check=True, stdout=subprocess.DEVNULL)
+    lampest("simulate", HERE / "scene.yaml", "--out", target)
     return target
 
 
@@ -27,8 +39,7 @@ def reconstructed(recording: Path, folder: Path) -> dict[str, Path]:
     """Estimator → its results file, made in `folder` from the recording."""
     for source in (recording, HERE / "run.yaml"):
         shutil.copy(source, folder / source.name)
-    words = ["run", folder / "run.yaml", "--out", folder / "out", "--jobs", "1"]
-    subprocess.run([COMMAND, *words], check=True, stdout=subprocess.DEVNULL)
+    lampest("run", folder / "run.yaml", "--out", folder / "out", "--jobs", "1")
     files = {}
     for file in sorted((folder / "out" / "cases").glob("*.h5")):
         with h5py.File(file) as content:

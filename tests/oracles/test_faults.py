@@ -49,6 +49,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 @pytest.mark.parametrize("name", FAULTS)
 def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:

@@ -158,6 +158,7 @@ def test_absolute_methods_against_trust_region(paper: SimpleNamespace, method: s
     assert_allclose(found.reading[0], paper.forward(found.cell_resistance[0]).resistance, rtol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(5, 12), (7, 7)])
 @pytest.mark.parametrize("method", RELATIVE)
 def test_relative_methods_against_trust_region(paper: SimpleNamespace, method: str, shape: tuple[int, int]) -> None:
@@ -375,6 +376,7 @@ def test_single_line_is_solved_at_its_bounds(method: str, shape: tuple[int, int]
         assert all(np.all(step.solution.at_lower) for step in found.steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("method", ABSOLUTE)
 def test_optimum_without_bounds_is_no_worse_than_with_them(method: str, formulation: Any) -> None:

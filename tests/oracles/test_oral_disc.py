@@ -23,6 +23,8 @@ from lampest.runs.executors import local
 from lampest.runs.results import read_results
 from lampest.solvers.solution import Status
 
+pytestmark = pytest.mark.slow
+
 DISC = Estimator((Misfit(),), "oral_disc")
 
 

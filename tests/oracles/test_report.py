@@ -16,6 +16,8 @@ from lampest.report.page.measures import measures
 from lampest.report.page.statistics import block_length, mean_interval, median_interval, picks
 from lampest.runs.results import CaseResult
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (4, 3, 3)
 
 

@@ -24,6 +24,8 @@ from lampest.studies.tune.choices import Tuned, l_curve, morozov, tune
 from lampest.studies.tune.curves import Point, held, solve_at
 from lampest.studies.tune.subject import Subject
 
+pytestmark = pytest.mark.slow
+
 NOISE = 0.02
 
 

@@ -1,0 +1,120 @@
+"""What holds for everything that a user may write as YAML: it is its object, and nothing else is taken for it."""
+
+import dataclasses
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, get_args
+
+import pytest
+from laws.samples import configurations, examples, hints, is_settled, members_of, parts, unions, words
+
+from lampest.cost.terms import term_types
+from lampest.estimate.efforts import AnyEffort, Word, named
+from lampest.files.document import Document, parse_document, plain, to_yaml, validated
+from lampest.files.errors import InputError
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene
+from lampest.runs.config import Terms
+
+KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
+EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+MEMBERS = [
+    pytest.param(members, member, word, id=word) for members in unions() for member in members for word in words(member)
+]
+
+
+def loaded(text: str, kind: Any) -> Any:
+    return validated(parse_document(text, "law"), kind)
+
+
+@cache
+def documents(kind: type) -> tuple[tuple[Any, Document], ...]:
+    """Every example with the document that it is written as."""
+    return tuple((example, parse_document(to_yaml(example), "law")) for example in examples(kind))
+
+
+@EVERY
+def test_examples_differ_in_every_field(kind: type) -> None:
+    """Without it the laws below would say little."""
+    first, *others = examples(kind)
+    free = [name for name, hint in hints(kind).items() if not is_settled(hint)]
+    assert len(others) == len(free)
+    for name, other in zip(free, others, strict=True):
+        assert dataclasses.replace(other, **{name: getattr(first, name)}) == first != other
+
+
+@EVERY
+def test_object_to_text_to_object_is_the_same(kind: type) -> None:
+    for example, document in documents(kind):
+        assert document.content == plain(example)
+        assert validated(document, kind) == example, document.content
+
+
+@EVERY
+def test_unknown_key_is_refused_and_named_wherever_it_stands(kind: type) -> None:
+    where = {path: document for example, document in documents(kind) for path in places(example, ())}
+    for path, document in where.items():
+        with pytest.raises(InputError, match=r"^law:\d+:\d+: .*surplus: no such key$"):
+            validated(document.with_value((*path, "surplus"), 1), kind)
+
+
+def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Paths of all objects within one that are mappings in YAML; those in lists are passed over."""
+    if dataclasses.is_dataclass(value):
+        yield path
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from places(item, (*path, key))
+
+
+@EVERY
+def test_missing_key_is_refused_and_named(kind: type) -> None:
+    content = plain(examples(kind)[0])
+    for field in dataclasses.fields(kind):
+        if field.default is field.default_factory:
+            rest = {name: value for name, value in content.items() if name != field.name}
+            with pytest.raises(InputError, match=rf"law:1:1: {field.name}: Field required"):
+                loaded(to_yaml(rest), kind)
+
+
+@EVERY
+def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
+    assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    assert kind.__pydantic_config__ == {"extra": "forbid"}  # type: ignore[attr-defined]
+    inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
+    assert {part for part in inside if isinstance(part, type)} <= {*configurations()}
+
+
+@pytest.mark.parametrize(("members", "member", "word"), MEMBERS)
+def test_a_union_is_told_apart_by_its_kind(members: tuple[type, ...], member: type, word: str) -> None:
+    """In every place that takes the union: the member loads by its word, and no other word of the union's does."""
+    assert [other for other in members if word in words(other)] == [member]
+    example = dataclasses.replace(examples(member)[0], kind=word)
+    assert loaded(to_yaml(example), member) == example
+    for other in members:
+        if other is not member:
+            with pytest.raises(InputError):
+                loaded(to_yaml(example), other)
+
+
+def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
+    assert hints(Terms) == {kind: term | None for kind, term in term_types().items()}
+    for kind, term in term_types().items():
+        for example in examples(term):
+            assert loaded(to_yaml({kind: example}), Terms) == Terms(**{kind: example})
+
+
+def test_every_effort_may_be_its_bare_word() -> None:
+    efforts = members_of(AnyEffort)
+    assert {word for effort in efforts for word in words(effort)} == {*get_args(Word)}
+    for effort in efforts:
+        assert all(named(word) == effort(kind=word) for word in words(effort))
+
+
+@pytest.mark.parametrize("readout", members_of(hints(Scene)["readout"]))
+def test_a_scene_takes_every_readout(readout: type) -> None:
+    """What a readout computes has its laws elsewhere; they walk the same union."""
+    for example in examples(readout):
+        scene = Scene(Panel(3, 4), example)
+        assert loaded(to_yaml(scene), Scene) == scene
