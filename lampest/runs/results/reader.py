@@ -1,0 +1,110 @@
+"""A results file → its cases."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.runs.case import REQUIRED, SHARED, CaseResult, Results
+from lampest.runs.columns import FIGURES, MAPS, MEASURED, Column, all_columns
+from lampest.runs.published import PublishedFigures, published_from
+from lampest.runs.results.scene import read_scene
+from lampest.runs.results.writer import FORMAT
+
+
+def read_results(path: str | Path, columns: Sequence[Column] = ()) -> Results:
+    """Read a results file; columns : of what it holds besides those of lampest and of installed packages.
+
+    Raises InputError with the dataset's path where something is wrong.
+    """
+    path, table = Path(path), all_columns(columns)
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+        if not isinstance(form, str) or form != FORMAT:
+            raise InputError(f"{path}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
+        published = _read_published(file)
+        cases: list[CaseResult] = []
+        for recording in _in_order(file, "/entry"):
+            cases += _read_recording(file, recording, table)
+        return Results(tuple(cases), published)
+
+
+def _in_order(file: h5py.File, path: str) -> list[str]:
+    names = hdf5.child_groups(file, path)
+    return sorted(names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name))
+
+
+def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list[CaseResult]:
+    base = f"/entry/{name}/{SHARED}"
+    measured = hdf5.read_array(file, f"{base}/{MEASURED.path}", 3)
+    sizes = dict(zip(MAPS, measured.shape, strict=True))
+    estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
+    if len(estimators) * len(table) * measured.size > hdf5.MOST_VALUES:
+        raise InputError(
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
+        )
+    given = _read_columns(file, base, [column for column in table if column.shared], sizes)
+    scene = read_scene(file, base, measured.shape[1:])
+    return [_read_case(file, (name, child), given, scene, table, sizes) for child in estimators]
+
+
+def _read_case(
+    file: h5py.File,
+    names: tuple[str, str],
+    given: dict[str, Any],
+    scene: Scene,
+    table: Sequence[Column],
+    sizes: dict[str, int],
+) -> CaseResult:
+    recording, name = names
+    base = f"/entry/{recording}/{name}"
+    values = given | _read_columns(file, base, [column for column in table if not column.shared], sizes)
+    texts = {attribute: hdf5.read_attribute(file, base, attribute) for attribute in hdf5.attribute_names(file, base)}
+    try:
+        case = CaseResult.of(
+            values,
+            recording=recording,
+            estimator=name,
+            scene=scene,
+            case_id=str(texts.get("case_id", "")),
+            case_yaml=str(texts.get("case", "")),
+            versions={key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
+            baseline_status=str(texts.get("baseline_status", "")),
+            baseline_solve_time=hdf5.read_number(file, base, "baseline_solve_time_s", float("nan")),
+            joint_start=bool(hdf5.read_number(file, base, "joint_start")),
+            **{folder.name: _read_figures(file, f"{base}/{folder.folder}", sizes["time"]) for folder in FIGURES},
+        )
+        case.check(table)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(file.filename) else f"{file.filename}: {error}") from error
+    return case
+
+
+def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: dict[str, int]) -> dict[str, Any]:
+    """Column → values, of those that the file holds or cannot be without."""
+    return {
+        column.name: column.read(file, base, sizes)
+        for column in columns
+        if column.name in REQUIRED or hdf5.has(file, f"{base}/{column.path}")
+    }
+
+
+def _read_figures(file: h5py.File, path: str, frames: int) -> dict[str, Array]:
+    """name → (frames)."""
+    names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
+    return {name: hdf5.read_array(file, f"{path}/{name}", 1, (frames,)) for name in names}
+
+
+def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
+    if "published" not in hdf5.attribute_names(file, "/entry"):
+        return {}
+    text = str(hdf5.read_attribute(file, "/entry", "published"))
+    try:
+        return published_from(text)
+    except ValueError as error:
+        raise InputError(f"{file.filename}: /entry@published {error}") from error
