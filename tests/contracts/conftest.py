@@ -83,7 +83,7 @@ def disk(tmp_path: Path) -> SimpleNamespace:
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
     """Installs a package of one module, `addon`, which names something in a group of entry points."""
-    from lampest.files.plugins import installed
+    from lampest.files.plugins import loaded
 
     def install(group: str, named: str, module: str) -> None:
         about = tmp_path / "site" / "addon-1.dist-info"
@@ -92,11 +92,11 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         (about / "entry_points.txt").write_text(f"[{group}]\nextra = {named}\n")
         (tmp_path / "site" / "addon.py").write_text(module)
         monkeypatch.syspath_prepend(tmp_path / "site")
-        installed.cache_clear()
+        loaded.cache_clear()
 
     yield install
     sys.modules.pop("addon", None)
-    installed.cache_clear()
+    loaded.cache_clear()
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from lampest.report.page.standing import standing_section
 from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
 from lampest.report.page.words import counted, listed
-from lampest.report.plots.report import verbatim
+from lampest.report.plots.style import verbatim
 
 SEED = 20190604
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them

@@ -11,9 +11,12 @@ from lampest.report.page.differences import Disagreement, disagreements
 from lampest.report.page.measures import Measures, weighted_residual
 from lampest.report.page.tables import Sheet, failures, recording_sheet
 from lampest.report.page.words import counted, digits
-from lampest.report.plots.contours import contours, percent_change, strongest_frame
+from lampest.report.plots.contours import ContourPlot, percent_change
+from lampest.report.plots.maps import Tile, maps_figure
+from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.profiles import histogram_figure, profile_figure
-from lampest.report.plots.report import Scale, Tile, data_uri, maps_figure, positive_scale, share_scale, signed_scale
+from lampest.report.plots.scales import Scale, positive_scale, share_scale, signed_scale
+from lampest.report.plots.style import data_uri
 from lampest.runs.case import CaseResult
 
 MOST_PAIRS, MOST_SHARP = 9, 1500
@@ -75,7 +78,7 @@ def section(
     """
     kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     subject = Subject(subject.name, kept)
-    first, place = subject.cases[0], strongest_frame(subject.cases)
+    first, place = subject.cases[0], strongest_index(subject.cases)
     panel = first.scene.panel
     about = (
         f"{panel.rows} × {panel.columns} cells, pitch {panel.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
@@ -111,7 +114,7 @@ def _brief(found: Mapping[str, Measures]) -> str:
 
 
 def _contours(subject: Subject) -> Picture:
-    figure = contours(subject.results(), subject.cases[0].recording)
+    figure = ContourPlot().draw(subject.cases)
     words = f"Maps of relative change of {subject.name}: measured, by every estimator, and true where that is known"
     return Picture(data_uri(figure, "png"), words, "Relative change of resistance against the unloaded panel.", True)
 

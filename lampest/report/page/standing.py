@@ -9,8 +9,8 @@ from lampest.report.page.section import Picture
 from lampest.report.page.statistics import Standing
 from lampest.report.page.tables import Sheet, pair_sheet, standing_sheet, unit_sheet
 from lampest.report.page.words import counted, digits
-from lampest.report.plots.report import data_uri, short_title
 from lampest.report.plots.standing import Forest, Line, forest_figure, paired_figure
+from lampest.report.plots.style import data_uri, short_title
 
 MOST_UNITS = 200
 

@@ -5,10 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
@@ -17,15 +14,11 @@ from lampest.loads.recognition.verdict import KINDS
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
-from lampest.report.plots.contours import (
-    COLOURS,
-    SMALL_POINT,
-    TEXT_POINT,
-    WIDTH_INCH,
-    percent_change,
-    save,
-    strongest_frame,
-)
+from lampest.report.plots.contours import percent_change
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
+from lampest.report.plots.plot import strongest_index
+from lampest.report.plots.scales import stepped_scale
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save, verbatim
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results
 
@@ -34,7 +27,7 @@ NEAR = 0.14  # of the width: the names of events that are closer stand one above
 KIND_COLOURS = ("0.93", "0.75", "#56B4E9", "#0072B2", "#E69F00", "#D55E00")  # in the order of KINDS
 LINE, OTHER = "#222222", "#CC79A7"
 X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
-BANDS_PERCENT = np.array([-100, -80, -60, -40, -20, -5, 5, 20, 40, 60, 80, 100])
+STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60, 100)
 
 
 def plot_timelines(results: Results, detections: Sequence[Detection], folder: str | Path) -> list[Path]:
@@ -46,7 +39,8 @@ def plot_timelines(results: Results, detections: Sequence[Detection], folder: st
     for detection in detections:
         if detection.source == SHARED:
             file = Path(folder) / f"timeline_{detection.recording}.png"
-            save(timeline(detection, results.of(detection.recording)), file)
+            with verbatim():
+                save(timeline(detection, results.of(detection.recording)), file)
             written.append(file)
     return written
 
@@ -55,10 +49,9 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     """Five panels of one recording: probabilities of the loads, diameter, pressures, place; and a map with the circles.
 
     Bands are one standard deviation. The map is the first estimate's relative change in the frame that
-    `strongest_frame` chooses; vertical lines are the events.
+    `strongest_index` chooses; vertical lines are the events.
     """
-    figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(HEIGHT_INCH)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
     left, right = halves
     panels = left.subplots(5, 1, sharex=True, height_ratios=(1.1, 1, 1, 1, 1))
@@ -71,10 +64,9 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     panels[4].set_xlabel("time [s]", fontsize=TEXT_POINT)
     _events(panels, detection)
     left.align_ylabels(panels)
-    place = strongest_frame(cases)
-    _map(right, cases[0], detection, place)
+    _map(right, cases[0], detection, strongest_index(cases))
     title = f"{detection.recording}: what is attached, from the two-point resistances"
-    figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)
+    figure.suptitle(title, fontsize=TEXT_POINT + 1)
     return figure
 
 
@@ -142,41 +134,33 @@ def _events(panels: Sequence[Axes], detection: Detection) -> None:
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 
-def _map(figure: Any, case: CaseResult, detection: Detection, place: int) -> None:
-    """Relative change of the cells, and the circles of what was found there."""
+def _map(figure: Any, case: CaseResult, detection: Detection, index: int) -> None:
+    """Relative change of the cells, and the circles of what was seen there."""
     axes = figure.subplots()
-    panel = case.scene.panel
-    x, y = panel.centres_mm()
-    change = case.relative_change[place]
-    name = case.estimator
-    if not case.solved[place]:
-        change, name = percent_change(case.measured[place], case.measured_baseline), "two-point resistance"
-    norm = BoundaryNorm(BANDS_PERCENT, colormaps[COLOURS].N, extend="both")
-    half = panel.pitch_mm / 2
-    edges = (np.append(centres - half, centres[-1] + half) for centres in (x, y))
-    image = axes.pcolormesh(*edges, change, cmap=COLOURS, norm=norm)
-    values, errors = detection.values[place], detection.errors[place]
+    change, name = case.relative_change[index], case.estimator
+    if not case.solved[index]:
+        change, name = percent_change(case.measured[index], case.measured_baseline), "two-point resistance"
+    values, errors = detection.values[index], detection.errors[index]
+    title, note = f"frame {case.frame[index]} at {case.time[index]:g} s: {detection.labels[index]}", ""
     if np.isfinite(values[DIAMETER]):
-        radii = [values[DIAMETER] / 2]
-        if np.isfinite(values[WIDTH]):
-            radii.append(values[DIAMETER] / 2 - values[WIDTH])
-        for radius in radii:
-            circle = Circle((values[X], values[Y]), radius, fill=False, color="black", lw=1.1)
-            circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
-            axes.add_patch(circle)
-        axes.plot(values[X], values[Y], "+", color="black", ms=5, mew=0.9)
-    axes.set_xlim(x[0] - half, x[-1] + half)
-    axes.set_ylim(y[-1] + half, y[0] - half)
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=SMALL_POINT)
-    axes.set_xlabel("position across the columns [mm]", fontsize=TEXT_POINT)
-    axes.set_ylabel("position across the rows [mm]", fontsize=TEXT_POINT)
-    lines = [f"frame {case.frame[place]} at {case.time[place]:g} s: {detection.labels[place]}"]
+        note = f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm"
+    scale = stepped_scale(STEPS_PERCENT, f"relative change of resistance [%], {name}", TICKS_PERCENT)
+    painter = MapPainter(case.scene.panel, scale)
+    painter.draw(axes, Tile(title, change, note))
+    painter.bar(figure, axes, "bottom")
+    axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
+    axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
     if np.isfinite(values[DIAMETER]):
-        lines.append(f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm")
-    axes.set_title("\n".join(lines), fontsize=TEXT_POINT, linespacing=1.3)
-    bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, aspect=28, pad=0.02, extendfrac=0.04)
-    bar.set_ticks(BANDS_PERCENT[[0, 2, 4, 7, 9, 11]].tolist())
-    bar.set_label(f"relative change of resistance [%], {name}".replace("$", r"\$"), fontsize=TEXT_POINT)
-    bar.ax.tick_params(labelsize=SMALL_POINT)
-    bar.ax.minorticks_off()
+        _circles(axes, values)
+
+
+def _circles(axes: Axes, values: Array) -> None:
+    """The outer edge of a load, the inner one where it has a rim, and its centre."""
+    radii = [values[DIAMETER] / 2]
+    if np.isfinite(values[WIDTH]):
+        radii.append(values[DIAMETER] / 2 - values[WIDTH])
+    for radius in radii:
+        circle = Circle((values[X], values[Y]), radius, fill=False, color="black", lw=1.1)
+        circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
+        axes.add_patch(circle)
+    axes.plot(values[X], values[Y], "+", color="black", ms=5, mew=0.9)

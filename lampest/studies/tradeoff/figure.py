@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
 from lampest.studies.tradeoff.report import Row, first_method, front, method_rows
 from lampest.studies.tradeoff.run import Tradeoff
 
