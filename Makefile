@@ -3,6 +3,7 @@
 #   make run       set-up, then two lampreys with five methods: table on screen; table, results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then all tests
+#   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, below 20 s; Python alone
 #   make lint      style and types
 #   make clean     remove .venv, builds and caches; results/ stays
 
@@ -12,6 +13,7 @@ BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input --constraint constraints.txt
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
+QUICK = tests/laws tests/golden tests/oracles tests/contracts/test_architecture.py
 
 install: $(VENV)/.installed
 
@@ -22,6 +24,9 @@ run: install
 
 test: $(VENV)/.installed-dev board-packages
 	@$(BIN)/python -m pytest -q
+
+quick: $(VENV)/.installed-dev
+	@$(BIN)/python -m pytest -q -m 'not slow' $(QUICK)
 
 lint: $(VENV)/.installed-dev
 	@$(BIN)/ruff check .
@@ -56,4 +61,4 @@ clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test lint board-packages clean
+.PHONY: install run test quick lint board-packages clean

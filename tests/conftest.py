@@ -1,10 +1,58 @@
-"""Lets every test import `support`, and gives libraries one thread, as the commands do: the same sums, and faster."""
+"""The set-up of all tests: one thread, `support` for import; a small folder on the disk, and the command."""
 
 import os
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
 
 from lampest.runs.executors import ONE_THREAD
 
+# Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> SimpleNamespace:
+    """A folder with small.h5 and run.yaml, and what writes more of them."""
+    from small_files import on_disk
+
+    return on_disk(tmp_path)
+
+
+@pytest.fixture
+def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., SimpleNamespace]:
+    """The command within this process: exit code, standard output, standard error."""
+    from lampest import cli
+
+    def call(*arguments: str | Path) -> SimpleNamespace:
+        monkeypatch.setattr(sys, "argv", ["lampest", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        written = capsys.readouterr()
+        return SimpleNamespace(code=ended.value.code or 0, out=written.out, err=written.err)
+
+    return call
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
+    """Installs a package of one module, `addon`, which names something in a group of entry points."""
+    from lampest.files.plugins import installed
+
+    def install(group: str, named: str, module: str) -> None:
+        about = tmp_path / "site" / "addon-1.dist-info"
+        about.mkdir(parents=True)
+        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
+        (about / "entry_points.txt").write_text(f"[{group}]\nextra = {named}\n")
+        (tmp_path / "site" / "addon.py").write_text(module)
+        monkeypatch.syspath_prepend(tmp_path / "site")
+        installed.cache_clear()
+
+    yield install
+    sys.modules.pop("addon", None)
+    installed.cache_clear()

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, TwoPointReadout
+from lampest import Panel, Scene, TwoPointReadout
+from lampest.panel.panel import Array
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from board.bench import FIRMWARE, bench, scene, some_cells
 
-from lampest.files.errors import InputError
+from lampest import InputError
 from lampest.recording.board import port
 from lampest.recording.board.framing import message
 from lampest.recording.board.keys import pressed_keys

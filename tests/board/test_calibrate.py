@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
+from lampest import InputError, Recording, Scene, two_point_resistance
 from lampest.files.document import parse_document, validated
-from lampest.files.errors import InputError
-from lampest.panel.network import two_point_resistance
-from lampest.panel.scene import Scene
 from lampest.recording.board.calibrate import calibrate, calibrated_scene, calibrated_scene_text
 from lampest.recording.board.record import record
-from lampest.recording.recording import Recording
 
 
 def from_board(folder: Path, cells: np.ndarray, *options: object, frames: int = 5) -> Recording:

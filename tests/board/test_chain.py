@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
-from lampest.panel.network import two_point_resistance
+from lampest import Recording, two_point_resistance
 from lampest.panel.panel import Array
 from lampest.recording.board.record import record
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.unmodelled import Unmodelled
 

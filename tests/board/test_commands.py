@@ -10,10 +10,9 @@ import pytest
 from board.bench import bench, some_cells
 from board.commands import COMMAND, lampest, scene_file
 
+from lampest import Recording, Scene, read_results
 from lampest.files.document import read_document, validated
-from lampest.panel.scene import Scene
-from lampest.recording.recording import UNLOADED, Recording
-from lampest.runs.results import read_results
+from lampest.recording.recording import UNLOADED
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 SOME_BYTES = 200_000  # more than a recording holds before its first frames

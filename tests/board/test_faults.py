@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from board.bench import Bench, bench, scene, some_cells
 
-from lampest.files.errors import InputError
+from lampest import InputError, Recording
 from lampest.recording.board.protocol import Frame, Receiver, frame_body
 from lampest.recording.board.record import Progress, record, repair
-from lampest.recording.recording import Recording
 
 RECORDER = """
 import sys

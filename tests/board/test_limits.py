@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from board.bench import FIRMWARE, bench, built, scene, some_cells
 
+from lampest import Recording
 from lampest.recording.board.port import Board
 from lampest.recording.board.record import record
-from lampest.recording.recording import Recording
 
 README = (FIRMWARE / "README.md").read_text()
 ROWS_OF_TABLE = [

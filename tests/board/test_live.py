@@ -15,8 +15,9 @@ from board.browser import Browser, browser
 from board.commands import COMMAND, ONE_THREAD, scene_file
 from matplotlib.image import imread
 
+from lampest import Recording
 from lampest.panel.panel import Array
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED
 
 ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"

@@ -7,8 +7,8 @@ import pytest
 from board.bench import bench, scene, some_cells
 from board.test_faults import check_damaged_line, killed_while_recording
 
+from lampest import Recording
 from lampest.recording.board.record import record
-from lampest.recording.recording import Recording
 
 pytestmark = pytest.mark.soak
 

@@ -1,11 +1,18 @@
-"""The house, read from its imports: libraries have doors, and rooms stand on floors."""
+"""The house, read from its imports: libraries have doors, rooms stand on floors, contracts know the public face alone.
+
+Every rule is a function from a module's name and its syntax tree to the sentences that it has against it, so that the
+rules themselves are tested below on texts that break them.
+"""
 
 import ast
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-HOUSE = Path(__file__).parents[2] / "lampest"
-ROOMS = sorted(path.relative_to(HOUSE.parent).with_suffix("") for path in HOUSE.rglob("*.py"))
+import pytest
+
+CONTRACTS = Path(__file__).parent
+HOUSE = CONTRACTS.parents[1] / "lampest"
 
 # From the ground up. A room may import from itself and from the floors below its own; rooms of one floor are apart.
 FLOORS = (
@@ -23,7 +30,7 @@ FLOORS = (
 # numpy is everywhere; each of the others has its doors: a room, or a module of one.
 DOORS = {
     "casadi": ("cost", "solvers.ipopt", "posterior.residuals", "studies.bench"),
-    "scipy": ("loads", "solvers", "posterior", "recording.board", "recording.foreign", "studies"),
+    "scipy": ("loads", "solvers", "posterior", "studies"),
     "mpmath": ("studies.extremes",),
     "h5py": ("files.hdf5", "recording", "runs.results"),
     "pydantic": ("files.document",),
@@ -34,6 +41,18 @@ DOORS = {
     "rich": ("cli",),
     "typer": ("cli",),
 }
+EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
+NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
+GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")
+
+
+def dotted(path: Path) -> str:
+    """lampest/cost/__init__.py → lampest.cost, lampest/cost/cost.py → lampest.cost.cost."""
+    parts = path.relative_to(HOUSE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(HOUSE.rglob("*.py"))}
 
 
 def floor(room: str) -> int:
@@ -41,62 +60,209 @@ def floor(room: str) -> int:
     return next(number for number, rooms in enumerate(FLOORS) if room in rooms)
 
 
-def imports(room: Path) -> set[str]:
-    """All modules that a room imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(ast.parse((HOUSE.parent / room).with_suffix(".py").read_text(encoding="utf-8"))):
+def room_of(module: str) -> str:
+    """The room in which a module stands; that of the package itself has no name."""
+    return ".".join(module.split(".")[1:2])
+
+
+def imports(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """(module, name or '') of every import anywhere in a module; a module's name as a text counts, too."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{room}: relative import"
-            found.add(str(node.module))
-    return found
+            yield from (("." * node.level + (node.module or ""), alias.name) for alias in node.names)
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and node.value in MODULES.keys() - {"lampest"}
+        ):
+            yield node.value, ""
 
 
-def test_libraries_come_through_their_doors() -> None:
-    for path in ROOMS:
-        place = ".".join(path.parts[1:])
-        for module in imports(path):
-            library = module.split(".")[0]
-            if library not in sys.stdlib_module_names | {"lampest", "numpy"}:
-                assert f"{place}.".startswith(tuple(f"{door}." for door in DOORS.get(library, ()))), (place, module)
+def is_private(name: str) -> bool:
+    """Whether a name is for its own module alone."""
+    return name.startswith("_") and not name.startswith("__") and name not in NAMED_TUPLE
 
 
-def test_rooms_import_from_the_floors_below() -> None:
-    for path in ROOMS:
-        room = path.parts[1]
-        for module in imports(path):
-            parts = module.split(".")
-            if parts[0] == "lampest" and room != "__init__":
-                assert len(parts) > 1, f"{path} imports the public face"
-                assert parts[1] == room or floor(parts[1]) < floor(room), f"{path} imports {module}"
+def doors(module: str, tree: ast.Module) -> Iterator[str]:
+    """Libraries come through their doors."""
+    for name, _ in imports(tree):
+        library = name.split(".")[0]
+        allowed = tuple(f"lampest.{door}." for door in DOORS.get(library, ()))
+        if library not in EVERYWHERE and not f"{module}.".startswith(allowed):
+            yield f"imports {name or 'relatively'}"
+
+
+def floors(module: str, tree: ast.Module) -> Iterator[str]:
+    """Rooms import from themselves and from the floors below; nobody imports the public face."""
+    room = room_of(module)
+    for name, _ in imports(tree):
+        if name.split(".")[0] != "lampest" or not room:
+            continue
+        if name == "lampest":
+            yield "imports the public face"
+        elif room_of(name) != room and floor(room_of(name)) >= floor(room):
+            yield f"imports {name}"
+
+
+def privates(module: str, tree: ast.Module) -> Iterator[str]:
+    """What a module keeps to itself is not imported, nor reached through a name that was imported."""
+    theirs = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lampest"):
+            theirs |= {alias.asname or alias.name for alias in node.names}
+    for name, imported in imports(tree):
+        if name.startswith("lampest") and any(map(is_private, (*name.split("."), imported))):
+            yield f"imports {imported or name}"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            owner = ast.unparse(node.value)
+            if owner in theirs or owner.startswith("lampest."):
+                yield f"reaches for {owner}.{node.attr}"
+
+
+def generators(module: str, tree: ast.Module) -> Iterator[str]:
+    """Numbers at random come from a generator."""
+    for node in ast.walk(tree):
+        text = ast.unparse(node) if isinstance(node, ast.Attribute) else ""
+        if text.startswith(("np.random.", "numpy.random.")) and text.split(".")[2] not in GENERATORS:
+            yield f"calls {text}"
+    for name, imported in imports(tree):
+        if name == "random" or (name == "numpy.random" and imported not in GENERATORS):
+            yield f"imports {name}"
+
+
+def variables(module: str, tree: ast.Module) -> Iterator[str]:
+    """No module changes its variables."""
+    yield from (f"changes {', '.join(node.names)}" for node in ast.walk(tree) if isinstance(node, ast.Global))
+
+
+def faces(module: str, tree: ast.Module) -> Iterator[str]:
+    """A contract is tested from outside: a test of one imports the package alone, and patches nothing inside."""
+    for name, imported in imports(tree):
+        if name.startswith("lampest.") or f"{name}.{imported}" in MODULES:
+            yield f"imports {name if name.startswith('lampest.') else imported} from within"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value not in MODULES:
+            parts = node.value.split(".")
+            if ".".join(parts[:2]) in MODULES and parts[0] == "lampest" and len(parts) > 2:
+                yield f"names {node.value}"
+
+
+RULES = (doors, floors, privates, generators, variables)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
+def test_house_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) -> None:
+    broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
+    assert not broken
+
+
+@pytest.mark.parametrize("path", sorted(CONTRACTS.glob("*.py")), ids=lambda path: path.stem)
+def test_contracts_know_the_public_face_alone(path: Path) -> None:
+    if path == Path(__file__):
+        return  # its texts break every rule
+    assert not list(faces(path.stem, ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@pytest.mark.parametrize(
+    ("rule", "module", "text"),
+    [
+        (doors, "lampest.panel.panel", "import casadi"),
+        (doors, "lampest.panel.panel", "def f():\n    from scipy.linalg import solve"),
+        (doors, "lampest.solvers.search", "from casadi import SX"),
+        (doors, "lampest.solvers.ipoptimal", "import casadi"),
+        (doors, "lampest.cost.cost", "import pandas"),
+        (doors, "lampest.cost.cost", "from . import losses"),
+        (doors, "lampest.cost.cost", "from .losses import Huber"),
+        (floors, "lampest.files.hdf5", "from lampest.panel.panel import Panel"),
+        (floors, "lampest.cost.cost", "import lampest.loads.shapes"),
+        (floors, "lampest.recording.recording", "from lampest.solvers import search"),
+        (floors, "lampest.cost.cost", "import lampest"),
+        (floors, "lampest.cost.cost", "from lampest import Misfit"),
+        (floors, "lampest.files", "def f():\n    from lampest.cli import screen"),
+        (floors, "lampest.cost.cost", "import_module('lampest.runs.config')"),
+        (floors, "lampest.cost.cost", "if TYPE_CHECKING:\n    from lampest.estimate import estimator"),
+        (privates, "lampest.cost.cost", "from lampest.panel.network import _solve"),
+        (privates, "lampest.cost.cost", "from lampest.panel.network import Network, _solve as solve"),
+        (privates, "lampest.cost.cost", "import lampest.panel._network"),
+        (privates, "lampest.cost.cost", "from lampest.panel._network import solve"),
+        (privates, "lampest.cost.cost", "from lampest.panel import network\nnetwork._solve()"),
+        (privates, "lampest.cost.cost", "from lampest.panel.network import Network\nNetwork._of(1)"),
+        (privates, "lampest.cost.cost", "import lampest.panel.network\nlampest.panel.network._solve()"),
+        (generators, "lampest.cost.cost", "np.random.seed(1)"),
+        (generators, "lampest.cost.cost", "x = np.random.rand(3)"),
+        (generators, "lampest.cost.cost", "from numpy.random import rand"),
+        (generators, "lampest.cost.cost", "import random"),
+        (faces, "test_run", "from lampest.runs.config import read_run"),
+        (faces, "test_run", "from lampest.runs import config"),
+        (faces, "test_run", "def f():\n    from lampest import runs"),
+        (faces, "test_run", "import lampest.runs"),
+        (faces, "test_run", "import lampest.runs.config as config"),
+        (faces, "test_run", "monkeypatch.setattr('lampest.runs.batch.solve_case', f)"),
+        (faces, "test_run", "files('lampest.report.live')"),
+        (variables, "lampest.cost.cost", "def f():\n    global count\n    count = 1"),
+    ],
+)
+def test_rule_sees_who_breaks_it(rule: Callable[[str, ast.Module], Iterator[str]], module: str, text: str) -> None:
+    assert list(rule(module, ast.parse(text)))
+
+
+@pytest.mark.parametrize(
+    ("module", "text"),
+    [
+        ("lampest.solvers.ipopt.nodal", "import casadi\nimport numpy as np\nfrom pathlib import Path"),
+        ("lampest.solvers.ipopt", "import casadi"),
+        ("lampest.cost.cost", "from lampest.cost.losses import Huber\nfrom lampest.files.errors import InputError"),
+        ("lampest", "from lampest.cost.cost import Cost"),
+        ("lampest.cost.cost", "rng: np.random.Generator = np.random.default_rng(1)\nrng.random(3)"),
+        (
+            "lampest.cost.cost",
+            "from lampest.panel.panel import Panel\nself._cost = Panel.__name__\n_solve(Panel._fields)",
+        ),
+    ],
+)
+def test_rules_leave_others_alone(module: str, text: str) -> None:
+    assert not [fault for rule in RULES for fault in rule(module, ast.parse(text))]
+
+
+def test_contracts_may_use_the_public_face_and_the_command() -> None:
+    text = "import lampest\nfrom lampest import Misfit\nfrom support import read_run\nPath('lampest.schema.json')"
+    assert not list(faces("test_run", ast.parse(text)))
+
+
+def test_every_door_is_used() -> None:
+    for library, places in DOORS.items():
+        for place in places:
+            inside = [tree for module, tree in MODULES.items() if f"{module}.".startswith(f"lampest.{place}.")]
+            used = {name.split(".")[0] for tree in inside for name, _ in imports(tree)}
+            assert library in used, f"nobody imports {library} in {place}"
+
+
+def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
+    reached, waiting = set(), ["lampest", "lampest.cli"]
+    while waiting:
+        module = waiting.pop()
+        if module in MODULES and module not in reached:
+            reached.add(module)
+            for name, imported in imports(MODULES[module]):
+                parts = f"{name}.{imported}".split(".")
+                waiting += [".".join(parts[:count]) for count in range(1, len(parts) + 1)]
+    assert MODULES.keys() == reached
 
 
 def test_twelve_rooms_and_nothing_beside() -> None:
-    folders = {path.parts[1] for path in ROOMS if len(path.parts) > 2}
+    folders = {path.name for path in HOUSE.iterdir() if path.is_dir() and any(path.rglob("*.py"))}
     assert folders == set().union(*FLOORS) and len(folders) == 12
-    assert {path.parts[1] for path in ROOMS if len(path.parts) == 2} == {"__init__"}
-
-
-def test_numbers_at_random_come_from_a_generator() -> None:
-    for room in ROOMS:
-        text = (HOUSE.parent / room).with_suffix(".py").read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("np.random."):
-                assert node.attr in ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox"), room
+    assert {path.name for path in HOUSE.glob("*.py")} == {"__init__.py"}
 
 
 def test_solver_is_called_in_one_place() -> None:
     callers = {
-        room.parts[-1]
-        for room in ROOMS
-        for node in ast.walk(ast.parse((HOUSE.parent / room).with_suffix(".py").read_text(encoding="utf-8")))
+        module
+        for module, tree in MODULES.items()
+        for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and node.attr == "nlpsol"
     }
-    assert callers == {"ipopt"}
-
-
-def test_no_module_changes_its_variables() -> None:
-    for room in ROOMS:
-        tree = ast.parse((HOUSE.parent / room).with_suffix(".py").read_text(encoding="utf-8"))
-        assert not [node for node in ast.walk(tree) if isinstance(node, ast.Global)], room
+    assert callers == {"lampest.solvers.ipopt.ipopt"}

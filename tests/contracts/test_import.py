@@ -6,12 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from support import import_file, read_scene
 
-from lampest.files.errors import InputError
-from lampest.panel.divider import voltage_from_resistance
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, TwoPointReadout
-from lampest.recording.foreign.importing import import_file, read_scene
+from lampest import InputError, Panel, Scene, TwoPointReadout
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5
@@ -126,7 +123,7 @@ def test_a_damaged_matlab_file(tmp_path: Path, packed: bool) -> None:
 
 
 def test_volts_and_codes(tmp_path: Path) -> None:
-    volts = voltage_from_resistance(SCENE.readout, FRAMES)
+    volts = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
     np.save(tmp_path / "v.npy", volts)
     recording, _ = import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")
     np.testing.assert_allclose(recording.resistance, FRAMES)

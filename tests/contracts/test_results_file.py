@@ -11,12 +11,20 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import METHODS, invented_case
+from support import (
+    METHODS,
+    CaseResult,
+    Faults,
+    PublishedFigures,
+    StepFigures,
+    Systematic,
+    Temperature,
+    Water,
+    invented_case,
+    write_results,
+)
 
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Faults, Scene, Systematic, Temperature, TwoPointReadout, Water
-from lampest.runs.results import CaseResult, PublishedFigures, StepFigures, read_results, write_results
+from lampest import InputError, Panel, Scene, TwoPointReadout, read_results
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 
@@ -66,8 +74,7 @@ def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
 
 def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from support import METHODS, invented_case\n"
-        "from lampest.runs.results import write_results\n"
+        "import sys; sys.path.insert(0, sys.argv[1]); from support import METHODS, invented_case, write_results\n"
         "write_results(sys.argv[2], [invented_case(name, failed=(1,)) for name in METHODS])"
     )
     for name in ("one.h5", "two.h5"):

@@ -1,6 +1,7 @@
 """A run from end to end: what is skipped, resumed, overridden and kept, in this process and in others."""
 
 import dataclasses
+import fcntl
 import json
 import signal
 import subprocess
@@ -9,17 +10,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from support import CaseResult, read_run, term_types
 
-from lampest.cost.terms import term_types
-from lampest.runs.batch import exclusive, run_batch
-from lampest.runs.config import read_run
-from lampest.runs.executors import Processes, Serial
-from lampest.runs.results import CaseResult, read_results
+from lampest import read_results
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")
@@ -120,32 +117,6 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
     assert all(np.all(case.solved) for case in fine)
 
 
-def test_case_that_fails_stops_no_other(
-    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from lampest.runs import batch
-
-    solve = batch.reconstruct
-
-    def sometimes(recording: Any, estimator: Any) -> Any:
-        if len(estimator.terms) == 1:
-            raise RuntimeError("out of\nluck")
-        return solve(recording, estimator)
-
-    out = disk.folder / "out"
-    with monkeypatch.context() as patch:
-        patch.setattr(batch, "reconstruct", sometimes)
-        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert ended.code == 3
-    assert ended.err == "lampest: small × LSM failed: out of luck\n"
-    assert "2 cases solved, 0 were done before, 1 failed" in ended.out
-    assert [case.estimator for case in cases(out)] == ["LSR-CR", "LSR-dCR"]
-    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
-    assert "1 cases solved, 2 were done before" in ended.out
-    assert [case.estimator for case in cases(out)] == ["LSM", "LSR-CR", "LSR-dCR"]
-
-
 def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
     disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
     path = disk.run(disk.text.replace("[small.h5]", '["*.h5"]'))
@@ -156,18 +127,6 @@ def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
     assert len(cases(outs[0])) == 6
     for one, other in zip(*map(cases, outs), strict=True):
         same(one, other)
-
-
-@pytest.mark.parametrize("executor", [Serial(), Processes(2)], ids=["serial", "processes"])
-def test_executor_isolates_errors(executor: Any) -> None:
-    found = {text: str(outcome) for text, outcome in executor.results(eval, ["1 + 1", "1 / 0", "2 + 2"])}
-    assert found == {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
-
-
-def test_dying_process_costs_only_its_own_task() -> None:
-    death = "__import__('os')._exit(9)"
-    found = {text: str(outcome) for text, outcome in Processes(2).results(eval, ["1 + 1", death, "2 + 2", "3 + 3"])}
-    assert found == {"1 + 1": "2", "2 + 2": "4", "3 + 3": "6", death: "its process died twice"}
 
 
 @pytest.fixture
@@ -226,7 +185,9 @@ def test_interrupted_run_keeps_what_is_finished(long: SimpleNamespace) -> None:
 
 def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
-    with exclusive(out):
+    out.mkdir()
+    with (out / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         busy = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
         assert (busy.code, busy.out) == (2, "")
         assert busy.err == f"lampest: {out}: another run is using this folder\n"
@@ -304,10 +265,11 @@ def test_recordings_are_found_relative_to_the_file(
     assert len(cases(disk.folder / "results" / "mine")) == 3
 
 
-def test_published_figures_travel_along(disk: SimpleNamespace) -> None:
+def test_published_figures_travel_along(disk: SimpleNamespace, lampest: Command) -> None:
     figures = "published: {LSM: {all: {time_s: 16.45, error_percent: 1.33}}, LSR-dCR: {initial: {time_s: 58.63}}}\n"
-    report = run_batch(read_run(disk.run(disk.text + figures)), disk.folder / "out", Serial())
-    published = read_results(report.results).published
+    ended = lampest("run", disk.run(disk.text + figures), "--out", disk.folder / "out", "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    published = read_results(disk.folder / "out" / "results.h5").published
     assert published["LSM"].all.time_s == 16.45
     assert published["LSR-dCR"].initial.time_s == 58.63
     assert published["LSR-dCR"].following is None

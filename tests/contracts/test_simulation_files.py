@@ -1,15 +1,17 @@
 """Simulation files: what they may say, where their faults are reported, and what a command leaves on the disk."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from support import read_simulations
 
-from lampest.files.document import parse_document, validated
-from lampest.files.errors import InputError
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import Simulation, read_simulations, run
+from lampest import InputError, Recording
 
 ROOT = Path(__file__).parents[2]
+Command = Callable[..., SimpleNamespace]
 BASE = """\
 schema: 1
 seed: 4
@@ -28,6 +30,22 @@ def written(folder: Path, text: str) -> Path:
     path = folder / "scene.yaml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def made(lampest: Command, path: Path, *out: Path) -> list[Path]:
+    """What `lampest simulate` says that it has written; it is there."""
+    ended = lampest("simulate", path, *(("--out", *out) if out else ()))
+    assert (ended.code, ended.err) == (0, "")
+    files = [Path(line) for line in ended.out.splitlines()]
+    assert all(file.is_file() for file in files)
+    return files
+
+
+def refused(ended: SimpleNamespace, words: str) -> None:
+    """Exit code 2, nothing on standard output, and one line on standard error that matches the words."""
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err.count("\n") == 1
+    assert re.search(words, ended.err)
 
 
 @pytest.mark.parametrize(
@@ -62,12 +80,14 @@ def written(folder: Path, text: str) -> Path:
         ("frames: 2", "frames: 2\noutput: a.txt", "8:1", "end in .h5"),
     ],
 )
-def test_faults_are_reported_at_their_place(tmp_path: Path, old: str, new: str, place: str, words: str) -> None:
+def test_faults_are_reported_at_their_place(
+    tmp_path: Path, lampest: Command, old: str, new: str, place: str, words: str
+) -> None:
     assert old in BASE
     path = written(tmp_path, BASE.replace(old, new, 1))
-    with pytest.raises(InputError, match=words) as caught:
-        run(path, tmp_path / "out.h5")
-    assert str(caught.value).startswith(f"{path}:{place}: ")
+    ended = lampest("simulate", path, "--out", tmp_path / "out.h5")
+    refused(ended, words)
+    assert ended.err.startswith(f"lampest: {path}:{place}: ")
     assert list(tmp_path.iterdir()) == [path], "nothing written"
 
 
@@ -77,10 +97,9 @@ def test_effects_of_the_electronics_need_electronics(tmp_path: Path) -> None:
         read_simulations(written(tmp_path, text))
 
 
-def test_negative_resistance_is_an_input_error(tmp_path: Path) -> None:
+def test_negative_resistance_is_an_input_error(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path, BASE + "unmodelled: {channel_spread_ohm: 10000}\n")
-    with pytest.raises(InputError, match="makes a resistance negative"):
-        run(path, tmp_path / "out.h5")
+    refused(lampest("simulate", path, "--out", tmp_path / "out.h5"), "makes a resistance negative")
     assert not (tmp_path / "out.h5").exists()
 
 
@@ -93,30 +112,28 @@ def test_sweep_is_the_cartesian_product(tmp_path: Path) -> None:
     ]
 
 
-def test_swept_files_go_into_a_folder(tmp_path: Path) -> None:
+def test_swept_files_go_into_a_folder(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path, BASE + "sweep: {seed: [1, 2]}\n")
-    with pytest.raises(InputError, match=r"must be a folder, because .* makes 2 recordings"):
-        run(path, tmp_path / "one.h5")
-    with pytest.raises(InputError, match="must be a folder"):
-        run(path, path)
-    assert [made.name for made in run(path, tmp_path / "many")] == ["scene_001.h5", "scene_002.h5"]
+    one, same = (lampest("simulate", path, "--out", target) for target in (tmp_path / "one.h5", path))
+    refused(one, r"must be a folder, because .* makes 2 recordings")
+    refused(same, "must be a folder")
+    assert made(lampest, path, tmp_path / "many") == [tmp_path / "many" / f"scene_00{case}.h5" for case in (1, 2)]
     assert sorted(made.name for made in (tmp_path / "many").iterdir()) == ["scene_001.h5", "scene_002.h5"]
 
 
-def test_one_file_goes_where_it_says(tmp_path: Path) -> None:
+def test_one_file_goes_where_it_says(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path, BASE + "output: made/here.h5\n")
-    assert run(path, None) == [tmp_path / "made" / "here.h5"]
-    with pytest.raises(InputError, match="is a folder"):
-        run(path, tmp_path)
+    assert made(lampest, path) == [tmp_path / "made" / "here.h5"]
+    refused(lampest("simulate", path, "--out", tmp_path), "is a folder")
 
 
-def test_recording_tells_how_it_was_made(tmp_path: Path) -> None:
+def test_recording_tells_how_it_was_made(tmp_path: Path, lampest: Command) -> None:
     text = BASE.replace("diameter_mm: 25", "diameter_mm: {uniform: [20, 25]}")
     ((_, simulation),) = read_simulations(written(tmp_path, text))
-    (made,) = run(written(tmp_path, text), tmp_path / "a.h5")
-    told = Recording.load(made).simulation
+    (file,) = made(lampest, written(tmp_path, text), tmp_path / "a.h5")
+    told = Recording.load(file).simulation
     assert told is not None
-    assert validated(parse_document(told, "told"), Simulation) == simulation
+    assert read_simulations(written(tmp_path, told)) == [("scene.h5", simulation)]
     assert 20 <= simulation.loads[0].diameter_mm <= 25
 
 

@@ -9,9 +9,6 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest.runs.config import read_run
-from lampest.studies.tune.subject import why_not
-
 TUNE = """\
 schema: 1
 recordings: [small.h5]
@@ -119,9 +116,3 @@ def test_faults_are_one_sentence(
     assert words in done.err
     assert len(done.err.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_shipped_file_can_be_tuned() -> None:
-    cases = read_run(Path(__file__).parents[2] / "configs" / "tune.yaml").cases
-    assert len(cases) == 8
-    assert all(case.estimator.automatic and why_not(case.estimator, 200) is None for case in cases)

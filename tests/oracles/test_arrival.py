@@ -28,6 +28,8 @@ from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import patch_pressure
 
+pytestmark = pytest.mark.slow
+
 PANEL, NOISE, WEIGHTS = Panel(10, 10), 0.01, 10.0 ** np.arange(-2.5, -0.9, 0.5)
 ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
 DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)

@@ -26,6 +26,8 @@ from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Solution
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (7, 8)
 
 

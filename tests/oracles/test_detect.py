@@ -26,6 +26,8 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.events import events, states
 
+pytestmark = pytest.mark.slow
+
 PANEL = Panel(9, 11, 10.0)
 READOUT = TwoPointReadout(kind="two_point", noise_lsb=0.7)
 CENTRE = (52.0, 37.0)

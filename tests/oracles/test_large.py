@@ -14,7 +14,8 @@ from lampest.panel.network import Network, grounding, two_point_resistance
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, TwoPointReadout
 from lampest.recording.recording import Recording
-from lampest.solvers import convex, directions, linearised
+from lampest.solvers import convex, linearised
+from lampest.solvers.newton import directions
 from lampest.solvers.newton.stencil import Stencil
 
 SHAPE = (9, 11)
@@ -44,6 +45,7 @@ def recording(noise: float) -> Recording:
 
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in another.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"),
     [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],

@@ -105,6 +105,7 @@ def test_joint_objective_is_the_papers(paper: SimpleNamespace, method: str, shap
     assert_allclose(found.log_gradient(np.zeros(0)).ravel(), slope, atol=1e-11 * np.max(np.abs(slope)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(3, 3), (5, 8), (8, 4)])
 @pytest.mark.parametrize("method", WEIGHTS)
 def test_formulations_agree(method: str, shape: tuple[int, int]) -> None:
@@ -189,6 +190,7 @@ def test_relative_methods_against_trust_region(paper: SimpleNamespace, method: s
     assert_allclose(found.cell_resistance[1], following, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("method", WEIGHTS)
 def test_optimality_conditions_hold(paper: SimpleNamespace, method: str, formulation: Any) -> None:
@@ -267,6 +269,7 @@ LOSSES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("data_loss", "penalty_loss", "weight"), LOSSES)
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_other_losses_against_a_smoothed_descent(

@@ -96,6 +96,7 @@ def many(count: int, most: float, seed: int) -> Iterator[tuple[str, Array]]:
             count -= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
@@ -121,6 +122,7 @@ def test_fourteen_digits_of_two_rows(decades: float) -> None:
             assert_allclose(found, expected, rtol=FOURTEEN_DIGITS, err_msg=name)
 
 
+@pytest.mark.slow
 def test_fourteen_digits_at_one_to_fifteen_decades() -> None:
     rng = np.random.default_rng(2)
     for decades in range(1, 16):
@@ -141,6 +143,7 @@ def test_rank_one_panels_over_sixteen_decades(shape: tuple[int, int]) -> None:
     assert_allclose(exact_two_point_resistance(1 / np.outer(a, b)), expected, rtol=FOURTEEN_DIGITS)
 
 
+@pytest.mark.slow
 def test_unsafe_inverse_is_noticed() -> None:
     """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
     unsafe = wrong = 0
@@ -155,6 +158,7 @@ def test_unsafe_inverse_is_noticed() -> None:
     assert 50 < wrong < unsafe < 500
 
 
+@pytest.mark.slow
 def test_unsafe_inverse_is_noticed_on_larger_panels() -> None:
     """The same with up to 40 × 40 cells; the exact map is the witness."""
     for name, cells in many(1500, 41, 5):
@@ -238,6 +242,7 @@ def test_laws_hold_to_the_last_digits_at_any_contrast() -> None:
     assert_array_equal(exact_two_point_resistance(frames), [exact_two_point_resistance(frame) for frame in frames])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decades", [0, 15])
 def test_hundred_by_hundred(decades: float) -> None:
     """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""

@@ -40,6 +40,8 @@ from lampest.solvers.search import best_solution, evaluated
 from lampest.solvers.search import solved as run
 from lampest.solvers.solution import Settings
 
+pytestmark = pytest.mark.slow
+
 PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)

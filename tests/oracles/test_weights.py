@@ -114,6 +114,7 @@ def error(estimator: Estimator, data: Data, cells: Array) -> float:
     return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells) ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Gradient, CellResistance])
 @pytest.mark.parametrize("rule", ["risk", "evidence"])
 def test_the_choice_is_near_the_best_in_hindsight(kind: type[Term], rule: Rule) -> None:
@@ -141,6 +142,7 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
     return Recording(Scene(Panel(*SHAPE)), measured, np.arange(frames) * 1.0, role, sigma=sigma)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Gradient, CellResistance, RelativeChange, GradientOfRelativeChange])
 @pytest.mark.parametrize("per", ["recording", "frame"])
 def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:

@@ -16,7 +16,7 @@ PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot())
 
 def plot_of(kind: str) -> Plot:
     """The plot of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
-    plots = (*PLOTS, *installed("lampest.plots", Plot))  # type: ignore[type-abstract]
+    plots: tuple[Plot, ...] = (*PLOTS, *installed("lampest.plots", Plot))
     named = [plot for plot in plots if plot.kind == kind]
     if len(named) != 1:
         kinds = ", ".join(dict.fromkeys(plot.kind for plot in plots))

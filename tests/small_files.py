@@ -2,14 +2,12 @@
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import h5py
 import numpy as np
-import pytest
 
 COMMAND = Path(sys.executable).with_name("lampest")
 SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
@@ -65,51 +63,15 @@ def run_command(*arguments: str | Path, **options: Any) -> subprocess.CompletedP
     return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **options)
 
 
-@pytest.fixture
-def disk(tmp_path: Path) -> SimpleNamespace:
+def on_disk(folder: Path) -> SimpleNamespace:
     """A folder with small.h5 and run.yaml, and what writes more of them."""
-    write_recording(tmp_path / "small.h5")
-    (tmp_path / "run.yaml").write_text(RUN)
+    write_recording(folder / "small.h5")
+    (folder / "run.yaml").write_text(RUN)
 
     def run(text: str = RUN, name: str = "run.yaml") -> Path:
-        (tmp_path / name).write_text(text, encoding="utf-8")
-        return tmp_path / name
+        (folder / name).write_text(text, encoding="utf-8")
+        return folder / name
 
     return SimpleNamespace(
-        folder=tmp_path, run=run, text=RUN, scene=SCENE, recording=write_recording, exact=exact, command=run_command
+        folder=folder, run=run, text=RUN, scene=SCENE, recording=write_recording, exact=exact, command=run_command
     )
-
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
-    """Installs a package of one module, `addon`, which names something in a group of entry points."""
-    from lampest.files.plugins import loaded
-
-    def install(group: str, named: str, module: str) -> None:
-        about = tmp_path / "site" / "addon-1.dist-info"
-        about.mkdir(parents=True)
-        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
-        (about / "entry_points.txt").write_text(f"[{group}]\nextra = {named}\n")
-        (tmp_path / "site" / "addon.py").write_text(module)
-        monkeypatch.syspath_prepend(tmp_path / "site")
-        loaded.cache_clear()
-
-    yield install
-    sys.modules.pop("addon", None)
-    loaded.cache_clear()
-
-
-@pytest.fixture
-def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., SimpleNamespace]:
-    """The command within this process: exit code, standard output, standard error."""
-    from lampest import cli
-
-    def call(*arguments: str | Path) -> SimpleNamespace:
-        monkeypatch.setattr(sys, "argv", ["lampest", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        written = capsys.readouterr()
-        return SimpleNamespace(code=ended.value.code or 0, out=written.out, err=written.err)
-
-    return call

@@ -1,0 +1,37 @@
+"""A batch in which a case breaks down."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from lampest.runs.results import read_results
+
+Command = Callable[..., SimpleNamespace]
+
+
+def test_case_that_fails_stops_no_other(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lampest.runs import batch
+
+    solve = batch.reconstruct
+
+    def sometimes(recording: Any, estimator: Any) -> Any:
+        if len(estimator.terms) == 1:
+            raise RuntimeError("out of\nluck")
+        return solve(recording, estimator)
+
+    out = disk.folder / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "reconstruct", sometimes)
+        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert ended.err == "lampest: small × LSM failed: out of luck\n"
+    assert "2 cases solved, 0 were done before, 1 failed" in ended.out
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
+    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    assert "1 cases solved, 2 were done before" in ended.out
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]

@@ -1,0 +1,159 @@
+"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, and with workers that die."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest.files.errors import InputError
+from lampest.runs.batch import Task, run_batch, solve_case
+from lampest.runs.config import json_schema, read_run
+from lampest.runs.executors import Dask, Processes, Serial, Slurm, local
+from lampest.runs.results import CaseResult, read_results
+
+Command = Callable[..., SimpleNamespace]
+TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
+DEATH = "__import__('os')._exit(9)"
+EVERY = [Serial(), Processes(2), Dask(workers=2)]
+NAMES = [executor.kind for executor in EVERY]
+
+
+def same(one: CaseResult, other: CaseResult) -> None:
+    for field in dataclasses.fields(CaseResult):
+        if field.name not in TIMES:
+            np.testing.assert_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+
+
+def dying_once(task: Task) -> Any:
+    """Solves a case, but the first process that meets LSR-CR dies in the middle of writing."""
+    mark = task.folder / "died"
+    if task.case.name == "LSR-CR" and not mark.exists():
+        task.file.parent.mkdir(exist_ok=True)
+        mark.touch()
+        task.file.with_name(f".{task.file.name}.1.part").write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return solve_case(task)
+
+
+def threads(_: Any) -> list[str | None]:
+    return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")]
+
+
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_results_are_those_of_serial_even_where_a_worker_dies(
+    executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
+    run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
+    reference = run_batch(run, disk.folder / "one", Serial())
+    monkeypatch.setattr("lampest.runs.batch.solve_case", dying_once)
+    report = run_batch(run, disk.folder / "two", executor)
+    assert (disk.folder / "two" / "died").exists()
+    assert (report.done, report.skipped, report.failed) == (6, 0, ())
+    found = [read_results(folder.results).cases for folder in (reference, report)]
+    assert len(found[1]) == 6
+    for one, other in zip(*found, strict=True):
+        same(one, other)
+    run_batch(run, disk.folder / "two", Serial())
+    assert not list((disk.folder / "two" / "cases").glob(".*"))
+
+
+@pytest.mark.parametrize("executor", EVERY, ids=NAMES)
+def test_errors_stay_with_their_task(executor: Any) -> None:
+    executor.ready()
+    found = {text: str(outcome) for text, outcome in executor.results(eval, ["1 + 1", "1 / 0", "2 + 2"])}
+    assert found == {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
+    assert list(executor.results(eval, [])) == []
+
+
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
+    tasks = [f"{number} + 0" for number in range(6)]
+    found = {text: str(outcome) for text, outcome in executor.results(eval, [tasks[0], DEATH, *tasks[1:]])}
+    assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died twice"}
+
+
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_workers_have_one_thread_and_the_environment_is_as_before(
+    executor: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    assert [outcome for _, outcome in executor.results(threads, [None])] == [["1", "1", "1"]]
+    assert {name: os.environ.get(name) for name in before if "THREADS" in name} == {
+        name: value for name, value in before.items() if "THREADS" in name
+    }
+
+
+def test_exceptions_that_cannot_travel_arrive_as_text() -> None:
+    text = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"
+    ((_, outcome),) = Processes(1).results(eval, [text])
+    assert str(outcome) == "Odd: strange"
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    import distributed
+
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=True, dashboard_address=":0", host="127.0.0.1"
+        ) as cluster,
+        pytest.raises(InputError, match="has 2 threads; start it with --nthreads 1"),
+    ):
+        list(Dask(address=cluster.scheduler_address).results(eval, ["1"]))
+
+
+def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lampest.runs.executors.dask.PATIENCE_S", 0.3)
+    with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:9"):
+        list(Dask(address="tcp://127.0.0.1:9").results(eval, ["1"]))
+
+
+def test_slurm_jobs_ask_for_what_the_file_says(disk: SimpleNamespace) -> None:
+    slurm = (
+        "{queue: short, account: fish, walltime: '02:00:00', memory: 3GB, workers_per_job: 4, directives: [-C avx2]}"
+    )
+    run = read_run(disk.run(disk.text + f"executor: {{kind: dask, workers: 8, slurm: {slurm}}}\n"))
+    assert run.executor == Dask(
+        workers=8,
+        slurm=Slurm("short", "fish", "02:00:00", 4, "3GB", directives=("-C avx2",)),
+    )
+    with run.executor.slurm.cluster() as cluster:
+        script = cluster.job_script()
+    for words in ("-p short", "-A fish", "-t 02:00:00", "-C avx2", "--mem=3G", "--cpus-per-task=4", "--nthreads 1 "):
+        assert words in script
+    assert "export OPENBLAS_NUM_THREADS=1" in script
+
+
+def test_executor_changes_no_case(disk: SimpleNamespace) -> None:
+    ids = [
+        [case.case_id for case in read_run(disk.run(disk.text + text)).cases]
+        for text in ("", "executor: {kind: serial}\n", "executor: {kind: processes, workers: 3}\n")
+    ]
+    assert ids[0] == ids[1] == ids[2]
+    with pytest.raises(InputError, match="cannot be swept"):
+        read_run(disk.run(disk.text + "executor: {kind: processes}\nsweep: {executor.workers: [1, 2]}\n"))
+
+
+def test_defaults_are_of_this_machine() -> None:
+    assert local(1, 9) == Serial()
+    assert local(4, 9) == Processes(4)
+    assert local(4, 3) == Processes(3)
+    assert local(None, 1) == Serial()
+    assert '"executor"' in str(json_schema()).replace("'", '"')
+
+
+def test_dask_is_imported_only_when_it_is_used() -> None:
+    program = (
+        "import sys, lampest.runs.batch, lampest.runs.executors\nprint({'dask', 'distributed'} & set(sys.modules))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"

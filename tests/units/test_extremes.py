@@ -1,0 +1,185 @@
+"""The atlas of extremes: what it measures is measured right, and nothing is passed over."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lampest.cost.problem import Data
+from lampest.cost.terms.cell_resistance import CellResistance
+from lampest.cost.terms.misfit import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.panel.network import two_point_resistance
+from lampest.panel.panel import Panel
+from lampest.panel.scene import Scene, TwoPointReadout
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.recording import Recording
+from lampest.solvers.newton.reach import within_reach
+from lampest.solvers.search import best_solution, evaluated
+from lampest.solvers.solution import Settings, Status
+from lampest.studies.extremes.audit import exact_residual
+from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
+from lampest.studies.extremes.report import mild, remarks, rows
+from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
+from lampest.studies.extremes.scenes import CASES, Sample, recording_of
+from lampest.studies.extremes.settings import AtlasFile, Grid, read_atlas
+
+ROOT = Path(__file__).parents[2]
+Command = Callable[..., SimpleNamespace]
+TINY = """\
+schema: 1
+grid: {sizes: [3], decades: [1, 4], noise: [0, 1]}
+structured: {sizes: [3], decades: [6], noise: [0]}
+nodal: {sizes: [3], decades: [1], noise: [0]}
+estimators: {plain: {terms: {misfit: {}}}, mine: {terms: {misfit: {}, gradient: {weight: 1e-3}}}}
+executor: {kind: serial}
+"""
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> tuple[Solve, ...]:
+    path = tmp_path_factory.mktemp("extremes") / "tiny.yaml"
+    path.write_text(TINY)
+    return run_atlas(read_atlas(path))
+
+
+def test_every_solve_ends_verified_or_with_a_sentence(tiny: tuple[Solve, ...]) -> None:
+    assert {solve.sample.case for solve in tiny} == set(CASES)
+    assert {solve.formulation for solve in tiny} == {"reduced", "nodal"}
+    sentences = {status.value for status in Status}
+    for solve in tiny:
+        assert solve.verified or (not solve.solved and solve.status in sentences), solve
+        assert not solve.solved or solve.residual <= 1e-6
+        assert solve.forward_digits > 9, solve
+        if mild(solve):
+            assert solve.verified, solve
+    for solve in (one for one in tiny if one.sample.case == "log-uniform" and one.method == "plain"):
+        assert solve.sample.noise or solve.estimate_digits > 2, solve
+        assert solve.excess < 1e-6
+
+
+def test_rows_count_what_the_solves_say(tiny: tuple[Solve, ...]) -> None:
+    doctored = (
+        replace(tiny[0], audited=1.0),
+        replace(tiny[1], solved=False, status=f"{CRASHED}ValueError: no"),
+        *tiny[2:],
+    )
+    found = rows(doctored)
+    assert sum(row.solves for row in found) == len(tiny)
+    assert (found[0].doubtful, found[0].crashed, found[0].verified, found[0].named) == (1, 1, 0, 0)
+    for row in found:
+        assert row.verified + row.named + row.doubtful + row.crashed == row.solves
+    assert remarks(doctored)[0].startswith(f"{len(tiny) - 2} of {len(tiny)} solves end with a verified optimum")
+
+
+def test_digits() -> None:
+    one = np.array([1.0, 2.0])
+    assert correct_digits(one, one) == 15
+    assert correct_digits(one * (1 + 1e-6), one) == pytest.approx(6, abs=0.01)
+    assert correct_digits(3 * one, one) == 0
+    assert correct_digits(np.array([np.inf, 0.0]), np.array([np.inf, 0.0])) == 15
+    assert np.isnan(correct_digits(np.array([np.nan, 1.0]), one))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
+    shape = (CASES[case].shapes or ((4, 3),))[0]
+    recording, scene = recording_of(Sample(case, *shape, 9.0, 0.01, 3))
+    assert np.all(np.isfinite(recording.resistance))
+    certified = fifty_digits(scene.cells[1])
+    assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
+    broken = ~np.isfinite(certified)
+    assert not np.any(broken) or scene.faults is not None
+
+
+def test_convex_estimate_finds_the_cells_and_says_where_there_are_none() -> None:
+    cells = 3000 * np.exp(np.random.default_rng(1).standard_normal((4, 5)))
+    found = convex_estimate(two_point_resistance(cells))
+    assert found is not None
+    assert correct_digits(found, cells) > 9
+    impossible = np.ones((3, 3))
+    impossible[1, 1] = 10.0  # more than the way round through three others
+    assert convex_estimate(impossible) is None
+
+
+def test_audit_is_the_kkt_residual() -> None:
+    rng = np.random.default_rng(2)
+    cells = 3000 * np.exp(0.5 * rng.standard_normal((1, 3, 4)))
+    measured = two_point_resistance(cells) * 1.1
+    data = Data(measured, np.ones_like(measured), measured / 2, 1.2 * cells)
+    cost = Estimator((Misfit(), CellResistance(weight=0.1))).cost(Panel(3, 4), 1)
+    here = evaluated(cost, data, cells * 1.15)
+    assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)
+
+
+def test_step_within_reach_goes_along_the_faintest_negative_curvature() -> None:
+    rotation, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((5, 5)))
+    values = np.array([-1e-9, 1e-6, 1e-3, 1.0, 1e3])
+    matrix = rotation @ np.diag(values) @ rotation.T
+    slope = rotation @ np.full(5, 1e-8)
+    step = within_reach(matrix, slope, 2.0)
+    assert 0.5 <= np.abs(step).max() <= 2
+    assert slope @ step + 0.5 * step @ matrix @ step < 0
+    newton = within_reach(np.eye(2), np.array([0.1, 0.2]), 1.0)
+    np.testing.assert_allclose(newton, [-0.1, -0.2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
+def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*arguments: object) -> None:
+        raise error("singular")
+
+    recording, _ = recording_of(Sample("log-uniform", 3, 3, 1.0, 0.0, 0))
+    estimator = Estimator((Misfit(),), "reduced")
+    data = estimator.data(Readings.of(recording)[0].alone())
+    solver = estimator.problem(Panel(3, 3), 1, 1.0)
+    for place in (
+        "lampest.solvers.newton.newton.direction",
+        "lampest.solvers.search.evaluated",
+        "lampest.solvers.search.convex_start",
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, breaks)
+            found = best_solution(solver, data, None)
+        if place.endswith("convex_start"):
+            assert found.solved
+        else:
+            assert found.status is Status.BREAKDOWN
+            assert np.all(np.isnan(found.cell_resistance))
+
+
+def test_code_at_the_upper_rail_is_never_taken_for_zero() -> None:
+    """There the noise of a resistance is larger than the resistance; that does not make it a small one."""
+    readout = TwoPointReadout(readings=1)
+    resistance = np.array([[[0.4, 2000.0, 3e5], [2.047e6, 6.8e5, 5000.0]]])
+    scene = Scene(Panel(2, 3), readout)
+    made = Recording(scene, resistance, np.zeros(1), np.ones(1, dtype=np.uint8))
+    np.testing.assert_array_equal(Readings.of(made).side[0], [[AT_MOST, 0, 0], [AT_LEAST, 0, 0]])
+
+
+def test_shipped_atlas_is_in_order() -> None:
+    atlas = read_atlas(ROOT / "configs" / "extremes.yaml")
+    assert list(atlas.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
+    assert {task.sample.case for task in atlas.tasks} == set(CASES)
+    solves = sum(len(task.formulations) for task in atlas.tasks) * 8  # of a scene: three of two parts, two of a pair
+    assert solves >= 2000
+
+
+def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*arguments: object) -> None:
+        raise KeyError("gone")
+
+    monkeypatch.setattr("lampest.studies.extremes.run.first_stream", breaks)
+    atlas = read_tiny()
+    found = run_atlas(atlas)
+    assert all(solve.crashed and "KeyError" in solve.status for solve in found)
+    assert remarks(found)[0].startswith("0 of ")
+
+
+def read_tiny() -> AtlasFile:
+    from lampest.runs.executors import Serial
+
+    return AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), solver=Settings(), executor=Serial())

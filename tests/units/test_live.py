@@ -1,0 +1,338 @@
+"""The live engine and its server, without a board and without a browser."""
+
+import dataclasses
+import http.client
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest.cost.terms import Arrival, Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.loads.response import ratio_from_pressure
+from lampest.panel.panel import Panel
+from lampest.recording.recording import MEASURED, Recording
+from lampest.report.live import engine as engine_module
+from lampest.report.live import server as server_module
+from lampest.report.live.engine import Engine, Reading, Source, total_pressure, with_picture
+from lampest.report.live.feed import from_recording
+from lampest.report.live.newest import Newest
+from lampest.report.live.run import METHODS, Replay, chosen, live
+from lampest.report.live.server import PageServer, address, is_local_name, serving
+from lampest.report.live.view import POINTS, Picture, View, view_text
+from lampest.solvers.solution import Settings
+
+LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+LSM = Estimator((Misfit(),), "reduced")
+
+
+@pytest.fixture(scope="module")
+def lamprey() -> Recording:
+    """Three unloaded and six measured frames."""
+    whole = Recording.load(LAMPREY)
+    cut = {name: getattr(whole, name)[:9] for name in ("resistance", "time", "role")}
+    return dataclasses.replace(
+        whole, **cut, truth_cell_resistance=None, truth_pressure=None, raw_sums=None, raw_readings=None
+    )
+
+
+def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> list[Picture]:
+    """A replay in which every frame waits until the one before was solved."""
+    found: list[Picture] = []
+    with Engine("test", "test", estimator, baseline) as engine:
+
+        def wait(seconds: float) -> None:
+            while engine._solving is not None and engine._arrivals._news.number > len(found):
+                picture = engine.shown.thing.picture
+                if picture is not None and (not found or picture.number > found[-1].number):
+                    found.append(picture)
+                time.sleep(1e-3)
+
+        from_recording(engine, recording, 1e9, None, wait)
+        wait(0.0)
+        engine.finish()
+    return found
+
+
+ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
+
+
+@pytest.mark.parametrize("method", [METHODS["LSR-gCR"], METHODS["LSR-dCR"], ARRIVAL], ids=["gCR", "dCR", "arrival"])
+def test_live_finds_what_a_batch_finds(lamprey: Recording, method: Estimator) -> None:
+    found = pictures(method, lamprey)
+    batch = reconstruct(lamprey, method)
+    np.testing.assert_array_equal([picture.relative_change for picture in found], batch.relative_change)
+    np.testing.assert_array_equal(
+        [picture.measured_change for picture in found], 100 * (batch.measured / batch.measured_baseline - 1)
+    )
+    assert [picture.status for picture in found] == ["optimum verified"] * 6
+    np.testing.assert_array_equal(
+        [picture.open_cell for picture in found], [s.solution.open_cell[-1] for s in batch.steps]
+    )
+
+
+def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Recording) -> None:
+    unsaid = dataclasses.replace(lamprey, role=np.full(9, MEASURED))
+    found = pictures(METHODS["LSR-gCR"], unsaid)
+    said = pictures(METHODS["LSR-gCR"], lamprey)
+    np.testing.assert_array_equal(
+        [picture.relative_change for picture in found], [picture.relative_change for picture in said]
+    )
+    assert [picture.number for picture in found] == [4, 5, 6, 7, 8, 9]
+
+
+def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
+    lamprey: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved
+
+    def slowly(*arguments: Any) -> Any:
+        begun.release()
+        assert go.acquire(timeout=20)
+        stream, picture = truly(*arguments)
+        shown.append(picture)
+        return stream, picture
+
+    monkeypatch.setattr(engine_module, "solved", slowly)
+    source = Source(lamprey.scene.panel, 1.0, "receiving")
+    reading = Reading(lamprey.network_resistance()[5], lamprey.sigma_or_none()[5], 1.0, time.time())  # type: ignore[index]
+    with Engine("test", "test", LSM, 1) as engine:
+        for _ in range(2):
+            engine.take(source, reading)
+        assert begun.acquire(timeout=20)
+        began = time.monotonic()
+        for _ in range(5):
+            engine.take(source, dataclasses.replace(reading, lost=2))
+        assert time.monotonic() - began < 1, "taking a frame must not wait for the solver"
+        go.release(10)
+        engine.finish()
+        view = engine.shown.thing
+    assert [(picture.number, picture.skipped) for picture in shown] == [(2, 0), (7, 4)]
+    assert (view.frames, view.lost, view.skipped, len(view.history)) == (7, 10, 4, 2)
+
+
+def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Recording) -> None:
+    resistance = lamprey.resistance.copy()
+    resistance[4, 2, 3] = 100.0
+    found = pictures(LSM, dataclasses.replace(lamprey, resistance=resistance))
+    failed, after = found[1], found[2]
+    assert failed.status == "a reading does not exceed the series resistance"
+    assert np.isnan(failed.relative_change).all() and np.isnan(failed.total) and not failed.open_cell.any()
+    assert after.status == "optimum verified" and np.isfinite(after.relative_change).all()
+    view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
+    content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
+    assert content["picture"]["cells"] == [None] * 100 and not content["picture"]["solved"]
+    assert content["picture"]["total"] is None and content["history"] == [[failed.time, None]]
+
+
+def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
+    hasty = dataclasses.replace(METHODS["LSR-gCR"], solver=Settings(max_iterations=1))
+    for picture in pictures(hasty, lamprey):
+        assert picture.status == "no baseline: the iteration limit was reached before an optimum" or (
+            picture.status == "the iteration limit was reached before an optimum"
+        )
+        assert np.isnan(picture.relative_change).all() and np.isnan(picture.total)
+
+
+def test_an_unloaded_panel_below_the_series_resistance_ends_live(lamprey: Recording) -> None:
+    scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0)
+    with pytest.raises(InputError, match=r"unloaded panel reads -\d+ ohm at row 0, column 0"):
+        pictures(LSM, dataclasses.replace(lamprey, scene=scene))
+
+
+@pytest.mark.parametrize("frames", [None, 1])
+def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
+    blind = dataclasses.replace(lamprey, scene=dataclasses.replace(lamprey.scene, readout=None))
+    with Engine("test", "test", LSM, 3) as engine, pytest.raises(InputError, match="needs the noise of the readings"):
+        from_recording(engine, blind, 1e9, frames)
+        engine.finish()
+
+
+def test_a_replay_takes_its_time(lamprey: Recording) -> None:
+    waits: list[float] = []
+    with Engine("test", "test", LSM, 3) as engine:
+        from_recording(engine, lamprey, 4.0, 5, waits.append)
+        engine.finish()
+        assert engine.shown.thing.frames == 5
+    np.testing.assert_allclose(waits, 0.25 * np.arange(5), atol=0.1)
+
+
+def test_total_pressure_is_a_force() -> None:
+    """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
+    assert total_pressure(ratio_from_pressure(np.full((10, 10), 10.0)), 10.0) == pytest.approx(100.0)
+    half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
+    assert total_pressure(ratio_from_pressure(half), 10.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_history_ends_somewhere() -> None:
+    nothing = np.full((1, 1), np.nan)
+    view = View("here", "LSM", "receiving", Panel(1, 1))
+    for number in range(1, POINTS + 50):
+        view = with_picture(
+            view, Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, 1.0, "fine", 0.0, 0)
+        )
+    assert len(view.history) == POINTS and view.history[-1].number == POINTS + 49
+    content = json.loads(view_text(view, 0.0, known=POINTS + 46))
+    assert content["history"] == [[POINTS + 47.0, 1.0], [POINTS + 48.0, 1.0], [POINTS + 49.0, 1.0]]
+    assert json.loads(view_text(view, 0.0, known=POINTS + 49))["picture"] is None
+
+
+def test_the_newest_is_never_missed() -> None:
+    """A reader that is slower than the writer skips, but sees numbers grow, and the last thing."""
+    newest, seen = Newest(0), []
+
+    def read() -> None:
+        number = 0
+        while (news := newest.after(number)) is not None:
+            number = news.number
+            seen.append(news)
+            time.sleep(1e-4)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for thing in range(1, 2001):
+        newest.put(thing)
+    newest.close()
+    reader.join(10)
+    assert all(news.number == news.thing for news in seen)
+    assert seen == sorted(seen) and seen[-1].thing == 2000
+    assert newest.after(2000, 0.01) is None and newest.closed
+
+
+@pytest.fixture
+def page() -> Iterator[SimpleNamespace]:
+    """A running server and what asks it."""
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving("127.0.0.1", 0, shown) as server:
+
+        def ask(method: str = "GET", path: str = "/", **headers: str) -> http.client.HTTPResponse:
+            connection = http.client.HTTPConnection(*server.server_address[:2], timeout=10)
+            connections.append(connection)
+            connection.request(method, path, headers=headers)
+            answer = connection.getresponse()
+            answers.append(answer)
+            return answer
+
+        connections: list[http.client.HTTPConnection] = []
+        answers: list[http.client.HTTPResponse] = []
+        yield SimpleNamespace(server=server, shown=shown, ask=ask)
+        for item in (*answers, *connections):
+            item.close()
+
+
+def first_view(answer: http.client.HTTPResponse) -> Any:
+    line = answer.readline()
+    assert line.startswith(b"data: ")
+    return json.loads(line[6:])
+
+
+def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNamespace) -> None:
+    answer = page.ask()
+    assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+    assert answer.read() == files("lampest.report.live").joinpath("page.html").read_bytes()
+    views = page.ask(path="/views")
+    assert views.headers["Content-Type"] == "text/event-stream"
+    assert first_view(views)["state"] == "receiving"
+    page.shown.change(lambda view: dataclasses.replace(view, state="gone"))
+    assert views.readline() == b"\n"
+    assert first_view(views)["state"] == "gone"
+    for path in ("/favicon.ico", "/page.html", "/../setup", "/views/", "/?x"):
+        assert page.ask(path=path).status == 404
+    for method in ("POST", "HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
+        refused = page.ask(method)
+        assert (refused.status, refused.headers["Allow"]) == (405, "GET")
+    assert page.server.server_address[0] == "127.0.0.1"
+
+
+def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:
+    assert page.ask(Host="localhost:8137").status == 200
+    assert page.ask(path="/views", Host="attacker.example:8137").status == 403
+    assert all(is_local_name(name) for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1"))
+    assert not any(is_local_name(name) for name in ("", "10.0.0.1:80", "localhost.example", "[::2]:80"))
+
+
+def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pytest.CaptureFixture[str]) -> None:
+    host, port = page.server.server_address[:2]
+    for request in (b"", b"GET", b"\0\xff\r\n\r\n", b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n") * 10:
+        with socket.create_connection((host, port), timeout=10) as client:
+            client.sendall(request)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    for _ in range(3):
+        page.shown.change(lambda view: view)
+        time.sleep(0.05)
+    assert first_view(page.ask(path="/views"))["source"] == "here"
+    assert page.ask().status == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_clients_than_seats_are_told_so(page: SimpleNamespace) -> None:
+    for _ in range(server_module.MOST_STREAMS):
+        assert page.ask(path="/views").status == 200
+    assert page.ask(path="/views").status == 503
+    assert page.ask().status == 200
+
+
+def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving("127.0.0.1", 0, shown) as server, socket.create_connection(server.server_address[:2]) as silent:
+        connection = http.client.HTTPConnection(*server.server_address[:2], timeout=10)
+        connection.request("GET", "/views")
+        answer = connection.getresponse()
+        first_view(answer)
+        shown.change(lambda view: dataclasses.replace(view, state="lampest has ended"))
+        began = time.monotonic()
+        assert silent.fileno()
+    rest = answer.read().decode()
+    assert '"state":"lampest has ended"' in rest
+    assert time.monotonic() - began < 3
+    answer.close()
+    connection.close()
+
+
+def test_an_address_in_use_is_one_sentence(page: SimpleNamespace) -> None:
+    host, port = page.server.server_address[:2]
+    with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{port} \(Address already in use\)"):
+        live(Replay(LAMPREY), http=f"{host}:{port}")
+
+
+@pytest.mark.parametrize("text", ["", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"])
+def test_addresses_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="not of the form HOST:PORT"):
+        address(text)
+
+
+def test_addresses() -> None:
+    assert address("localhost:0") == ("127.0.0.1", 0)
+    assert address("[::1]:81") == ("::1", 81)
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving("0.0.0.0", 0, shown) as open_to_all:
+        assert not open_to_all.local and open_to_all.url.startswith("http://127.0.0.1:")
+    assert PageServer.daemon_threads
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
+    assert not re.findall(r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")", text)
+    assert len(text) < 30_000
+
+
+def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
+    assert chosen(None, None) == ("LSR-gCR", METHODS["LSR-gCR"])
+    assert METHODS["LSR-gCR"].formulation == "reduced"
+    assert chosen(None, disk.run())[0] == "LSM"
+    name, found = chosen("LSR-dCR", disk.run())
+    assert (name, found.formulation, found.relative) == ("LSR-dCR", "nodal", True)
+    with pytest.raises(InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"):
+        chosen("LSR", disk.run())
