@@ -11,7 +11,7 @@ from lampest.cost.terms.term import Term
 from lampest.estimate.efforts import AnyEffort, Word, named
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator, FormulationName, Unknowns
 from lampest.files import sweep
-from lampest.files.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
+from lampest.files.document import Document, adapter, parse_scalar, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
@@ -115,7 +115,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    for point in sweep.cases(document, lambda varied: validated(varied, RunFile)):
+    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile)):
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor
@@ -156,10 +156,10 @@ class _Method:
     blocks: dict[str, str]
 
     @classmethod
-    def read(cls, point: sweep.Case[RunFile], name: str) -> "_Method":
+    def read(cls, point: sweep.Combination[RunFile], name: str) -> "_Method":
         estimator = resolve(point.document, point.value, name)
         varied = _varied_name(name, point.assignments)
-        return cls(varied, estimator, _blocks({"estimator": varied, **plain(estimator), "case_format": 1}))
+        return cls(varied, estimator, _blocks({"estimator": varied, **plain_content(estimator), "case_format": 1}))
 
 
 def digest(path: Path) -> str:

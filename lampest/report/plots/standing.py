@@ -42,7 +42,7 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
 
 
 @dataclass(frozen=True)
-class Line:
+class ForestLine:
     """One line of a forest: name, value and its interval, and whether the interval excludes the reference."""
 
     name: str
@@ -56,7 +56,7 @@ class Line:
 class Forest:
     """Lines beside a vertical one at the reference; label : of the axis, with its unit."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[ForestLine, ...]
     label: str
     reference: float
     logarithmic: bool
