@@ -13,7 +13,7 @@ import numpy as np
 from lampest.cost.terms import term_types
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Faults, Scene, Systematic, Temperature, Water
 from lampest.recording.foreign.importing import import_file, read_scene
 from lampest.recording.simulation import read_simulations
 from lampest.report.live.engine import Engine, Scan, Source
@@ -24,8 +24,12 @@ from lampest.runs.results import CaseResult, PublishedFigures, StepFigures, writ
 __all__ = [
     "METHODS",
     "CaseResult",
+    "Faults",
     "PublishedFigures",
     "StepFigures",
+    "Systematic",
+    "Temperature",
+    "Water",
     "import_file",
     "invented_case",
     "mouth",

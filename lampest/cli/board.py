@@ -80,7 +80,7 @@ def calibrate(
     out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
 ) -> None:
     """Find the resistance in series with every reading and write it into a scene, with its uncertainty."""
-    from lampest.files.whole import write_text
+    from lampest.files.whole import write_whole
     from lampest.recording.board.calibrate import calibrate as calibrate_recording
     from lampest.recording.board.calibrate import calibrated_scene_text
     from lampest.recording.board.known import known_resistors
@@ -92,7 +92,7 @@ def calibrate(
     if out is None:
         print(text, end="")
         return
-    write_text(out, text)
+    write_whole(out, text)
     print(f"series resistance {found.series_ohm:.3f} ± {found.sigma_ohm:.3f} ohm from {found.cells} cells: {out}")
     if found.lines_differ:
         print("lampest: the lines differ by more than their noise; the scene's comments say how much", file=sys.stderr)

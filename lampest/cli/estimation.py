@@ -46,7 +46,7 @@ def tune(
     """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice."""
     from lampest.runs.config import read_run
     from lampest.studies.tune.figure import plot_study
-    from lampest.studies.tune.report import summary_table, write_study
+    from lampest.studies.tune.report import tune_table, write_study
     from lampest.studies.tune.run import run_tune
 
     cases = read_run(config, tuple(assign or ()))
@@ -54,7 +54,7 @@ def tune(
         study = run_tune(cases, on_case)
     folder = out or Path("results") / config.stem
     files = (*write_study(folder, study), *plot_study(study, folder))
-    print_table(summary_table(study))
+    print_table(tune_table(study))
     for file in files:
         print(file)
     for name, reason in study.left_out:

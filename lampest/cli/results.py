@@ -1,6 +1,5 @@
 """Commands that read results and say what there is."""
 
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,14 +7,6 @@ import typer
 
 from lampest.cli.screen import Out, print_table, progress
 from lampest.files.errors import InputError
-
-
-class Show(Enum):
-    """What `plot` draws."""
-
-    CONTOURS = "contours"
-    CERTAINTY = "certainty"
-    PRESSURE = "pressure"
 
 
 def compare(
@@ -41,12 +32,14 @@ def compare(
 def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Out = None,
-    show: Annotated[Show, typer.Option("--show", help="What is drawn.")] = Show.CONTOURS,
+    show: Annotated[
+        str, typer.Option("--show", metavar="KIND", help="contours, certainty, pressure, or what a package adds.")
+    ] = "contours",
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
-    from lampest.report.plots import plot_results
+    from lampest.report.plots.results import plot_results
 
-    for path in plot_results(results, out, show.value):
+    for path in plot_results(results, out, show):
         print(path)
 
 

@@ -13,7 +13,7 @@ def bench(
     out: Folder = None,
 ) -> None:
     """Compare the speed of reduced, nodal and scipy's solvers over panel sizes, with the accuracy that each reaches."""
-    from lampest.studies.bench.report import remarks, summary_table, write_bench
+    from lampest.studies.bench.report import bench_remarks, bench_table, write_bench
     from lampest.studies.bench.run import run_bench
     from lampest.studies.bench.settings import read_bench
 
@@ -21,8 +21,8 @@ def bench(
     with progress("methods") as on_step:
         found = run_bench(settings, on_step)
     files = write_bench(out or Path("results") / config.stem, found)
-    print_table(summary_table(found))
-    for line in (*remarks(found), *files):
+    print_table(bench_table(found))
+    for line in (*bench_remarks(found), *files):
         print(line)
 
 
@@ -32,7 +32,7 @@ def tradeoff(
 ) -> None:
     """Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure."""
     from lampest.studies.tradeoff.figure import plot_tradeoff
-    from lampest.studies.tradeoff.report import summary_table, write_tradeoff
+    from lampest.studies.tradeoff.report import tradeoff_table, write_tradeoff
     from lampest.studies.tradeoff.run import run_tradeoff
     from lampest.studies.tradeoff.settings import read_plan
 
@@ -41,7 +41,7 @@ def tradeoff(
         found = run_tradeoff(plan, on_step)
     folder = out or Path("results") / config.stem
     files = (*write_tradeoff(folder, found), plot_tradeoff(found, folder / "tradeoff.png"))
-    print_table(summary_table(found))
+    print_table(tradeoff_table(found))
     for file in files:
         print(file)
 
@@ -52,7 +52,7 @@ def extremes(
 ) -> None:
     """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
     from lampest.studies.extremes.figure import plot_extremes
-    from lampest.studies.extremes.report import remarks, summary_table, write_atlas
+    from lampest.studies.extremes.report import atlas_remarks, atlas_table, write_atlas
     from lampest.studies.extremes.run import run_atlas
     from lampest.studies.extremes.settings import read_atlas
 
@@ -61,6 +61,6 @@ def extremes(
         found = run_atlas(atlas, on_step)
     folder = out or Path("results") / config.stem
     files = (*write_atlas(folder, found), plot_extremes(found, folder / "extremes.png"))
-    print_table(summary_table(found))
-    for line in (*remarks(found), *files):
+    print_table(atlas_table(found))
+    for line in (*atlas_remarks(found), *files):
         print(line)

@@ -183,16 +183,16 @@ def to_yaml(value: Any) -> str:
     writer = YAML(typ="safe", pure=True)
     writer.default_flow_style = False
     writer.width = 4096
-    writer.dump(plain(value), stream)
+    writer.dump(plain_content(value), stream)
     return stream.getvalue()
 
 
-def plain(value: Any) -> Any:
+def plain_content(value: Any) -> Any:
     """Dataclasses as mappings without their None entries, tuples as lists; everything else as it is."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items() if item is not None}
+        return {key: plain_content(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain_content(item) for item in value]
     return value

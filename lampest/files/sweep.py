@@ -18,7 +18,7 @@ Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
-class Case(Generic[Kind]):
+class Combination(Generic[Kind]):
     """One combination: what the sweep set, path → value, the document with it in place, and the validated object."""
 
     assignments: dict[str, Any]
@@ -50,14 +50,14 @@ def expanded(document: Document) -> list[tuple[dict[str, Any], Document]]:
     return [(assignments, with_assignments(base, assignments)) for assignments in combinations]
 
 
-def cases(document: Document, validate: Callable[[Document], Kind]) -> list[Case[Kind]]:
+def combinations(document: Document, validate: Callable[[Document], Kind]) -> list[Combination[Kind]]:
     """Every combination of the document's sweep as what `validate` makes of it.
 
     Raises InputError: at its own position for a fault of the document, at the sweep's line for a path that names no
     place or a value that does not fit there.
     """
     return [
-        Case(assignments, varied, _validated(document, assignments, varied, validate))
+        Combination(assignments, varied, _validated(document, assignments, varied, validate))
         for assignments, varied in expanded(document)
     ]
 

@@ -28,7 +28,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             unfinished.unlink()
 
 
-def write_text(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
     """Write a text in UTF-8 with the line ends it has. Raises InputError where the place cannot be written."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(text.encode("utf-8"))

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.whole import write_text
+from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
@@ -208,4 +208,4 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     """Write the rows as CSV, whole or not at all. Raises InputError where the place cannot be written."""
-    write_text(Path(path), csv_text(rows))
+    write_whole(Path(path), csv_text(rows))

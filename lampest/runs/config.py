@@ -12,7 +12,7 @@ from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.files import sweep
-from lampest.files.document import Document, adapter, parse_scalar, plain, read_document, to_yaml, validated
+from lampest.files.document import Document, adapter, parse_scalar, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
@@ -114,7 +114,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    for point in sweep.cases(document, lambda varied: validated(varied, RunFile)):
+    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile)):
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor
@@ -156,10 +156,10 @@ class _Method:
     blocks: dict[str, str]
 
     @classmethod
-    def read(cls, point: sweep.Case[RunFile], name: str) -> "_Method":
+    def read(cls, point: sweep.Combination[RunFile], name: str) -> "_Method":
         estimator = resolve(point.document, point.value, name)
         varied = _varied_name(name, point.assignments)
-        return cls(varied, estimator, _blocks({"estimator": varied, **plain(estimator), "case_format": 1}))
+        return cls(varied, estimator, _blocks({"estimator": varied, **plain_content(estimator), "case_format": 1}))
 
 
 def digest(path: Path) -> str:

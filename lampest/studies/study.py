@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lampest.files import hdf5
-from lampest.files.whole import write_text
+from lampest.files.whole import write_whole
 
 LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 
@@ -22,17 +22,17 @@ def write_rows(path: Path, kind: type[Any], rows: Sequence[Any]) -> None:
     Raises InputError where the place cannot be written.
     """
     names = [field.name for field in fields(kind)]
-    write_text(path, csv_text([names, *([plain(getattr(row, name)) for name in names] for row in rows)]))
+    write_whole(path, comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)]))
 
 
-def csv_text(rows: Sequence[Sequence[Any]]) -> str:
+def comma_separated(rows: Sequence[Sequence[Any]]) -> str:
     """Rows of values as CSV."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
-def plain(value: Any) -> Any:
+def csv_value(value: Any) -> Any:
     """A value for CSV: six digits of a number, nothing for None and NaN."""
     if value is None or (isinstance(value, float) and isnan(value)):
         return ""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
 
-from lampest import InputError, Recording, Scene, two_point_resistance
+from lampest import InputError, Recording, Scene
 from lampest.files.document import parse_document, validated
 from lampest.recording.board.calibrate import calibrate, calibrated_scene, calibrated_scene_text
 from lampest.recording.board.record import record

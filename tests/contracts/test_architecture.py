@@ -49,6 +49,18 @@ DOORS = {
     "rich": ("cli",),
     "typer": ("cli",),
 }
+# Names that two rooms still share while one of them is being rebuilt; nothing is added here.
+NAMESAKES = {
+    "Board",
+    "Doubts",
+    "Frame",
+    "OralDisc",
+    "Point",
+    "Search",
+    "Settings",
+    "solved",
+    "stream",
+}
 EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
 NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
 GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")
@@ -165,6 +177,25 @@ def faces(module: str, tree: ast.Module) -> Iterator[str]:
                 yield f"names {node.value}"
 
 
+def classes(tree: ast.Module) -> Iterator[str]:
+    """The names of a module's classes, private ones included."""
+    yield from (node.name for node in tree.body if isinstance(node, ast.ClassDef))
+
+
+def public_functions(tree: ast.Module) -> Iterator[str]:
+    """The names of a module's functions that others may call."""
+    yield from (node.name for node in tree.body if isinstance(node, ast.FunctionDef) and not is_private(node.name))
+
+
+def namesakes(modules: dict[str, ast.Module], names: Callable[[ast.Module], Iterator[str]]) -> dict[str, list[str]]:
+    """Name → modules, of names that stand in several; commands and the public face are called like what they call."""
+    homes: dict[str, list[str]] = {}
+    for module, tree in modules.items():
+        for name in names(tree) if room_of(module) not in ("", "cli") else ():
+            homes.setdefault(name, []).append(module)
+    return {name: several for name, several in homes.items() if len(several) > 1}
+
+
 RULES = (doors, floors, privates, generators, variables)
 
 
@@ -172,6 +203,23 @@ RULES = (doors, floors, privates, generators, variables)
 def test_house_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) -> None:
     broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
     assert not broken
+
+
+@pytest.mark.parametrize("names", [classes, public_functions], ids=lambda names: names.__name__)
+def test_no_two_of_the_house_share_a_name(names: Callable[[ast.Module], Iterator[str]]) -> None:
+    shared = namesakes(MODULES, names)
+    assert not {name: modules for name, modules in shared.items() if name not in NAMESAKES}
+
+
+def test_namesakes_are_seen() -> None:
+    texts = {
+        "lampest.cli.board": "def record(): pass",
+        "lampest.recording.board.record": "class Row: pass\ndef record(): pass\ndef _open(): pass",
+        "lampest.report.compare": "class Row: pass\nclass Table: pass\ndef _open(): pass\ndef plain(): pass",
+        "lampest.studies.study": "def plain(): pass",
+    }
+    modules = {module: ast.parse(text) for module, text in texts.items()}
+    assert set(namesakes(modules, classes)) == {"Row"} and set(namesakes(modules, public_functions)) == {"plain"}
 
 
 @pytest.mark.parametrize("path", sorted(CONTRACTS.glob("*.py")), ids=lambda path: path.stem)

@@ -11,9 +11,20 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import METHODS, CaseResult, PublishedFigures, StepFigures, invented_case, write_results
+from support import (
+    METHODS,
+    CaseResult,
+    Faults,
+    PublishedFigures,
+    StepFigures,
+    Systematic,
+    Temperature,
+    Water,
+    invented_case,
+    write_results,
+)
 
-from lampest import Faults, InputError, Panel, Scene, Systematic, Temperature, TwoPointReadout, Water, read_results
+from lampest import InputError, Panel, Scene, TwoPointReadout, read_results
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 

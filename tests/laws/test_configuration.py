@@ -6,10 +6,10 @@ from functools import cache
 from typing import Any, get_args
 
 import pytest
+from lampest.estimate.efforts import AnyEffort, Word, named
 from laws.samples import configurations, examples, hints, is_settled, members_of, parts, unions, words
 
 from lampest.cost.terms import term_types
-from lampest.estimate.efforts import AnyEffort, Word, named
 from lampest.files.document import Document, parse_document, plain, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel

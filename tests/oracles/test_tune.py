@@ -21,8 +21,8 @@ from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.studies.tune.choices import Tuned, l_curve, morozov, tune
-from lampest.studies.tune.curves import Point, held, solve_at
-from lampest.studies.tune.subject import Subject
+from lampest.studies.tune.curves import CurvePoint, held, solve_at
+from lampest.studies.tune.subject import TuneSubject
 
 pytestmark = pytest.mark.slow
 
@@ -45,10 +45,10 @@ def recording(rows: int = 4, columns: int = 5, noise: float = NOISE) -> Recordin
     )
 
 
-def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Subject:
+def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> TuneSubject:
     """One penalty beside the paper's misfit."""
     estimator = Estimator((Misfit(), penalty), "reduced", bounds=bounds or Bounds())
-    return Subject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
+    return TuneSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
     weights = np.geomspace(1e-3, 1e5, 41)
     t = np.log(weights / 10)
     away = np.sqrt(1 + t**2)
-    points = [Point(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
+    points = [CurvePoint(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
     assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
     turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
     assert l_curve(turned) is None

@@ -16,9 +16,9 @@ from lampest.panel.panel import Panel
 from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings
 from lampest.studies.bench.problems import frame_data, resting_cells
-from lampest.studies.bench.report import growth, rows
+from lampest.studies.bench.report import bench_rows, growth
 from lampest.studies.bench.run import Bench, Timing, run_bench
-from lampest.studies.bench.settings import SOLVERS, BenchFile, Method, Terms, read_bench
+from lampest.studies.bench.settings import SOLVERS, BenchFile, SquaredMethod, Terms, read_bench
 from lampest.studies.bench.trf import Trf, _Point
 
 ROOT = Path(__file__).parents[2]
@@ -57,7 +57,7 @@ def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
 
 
 def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
-    found = {(row.rows, row.columns, row.method, row.solver): row for row in rows(tiny)}
+    found = {(row.rows, row.columns, row.method, row.solver): row for row in bench_rows(tiny)}
     assert len(found) == 6 * (4 + 2)
     for (high, wide, method, _), row in found.items():
         reduced = found[high, wide, method, "reduced"]
@@ -98,7 +98,7 @@ def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, jo
 
 def test_least_squares_needs_squares() -> None:
     with pytest.raises(ValueError, match="only squared losses"):
-        Method(Terms(misfit=Misfit(loss=Huber(corner=1.0))))
+        SquaredMethod(Terms(misfit=Misfit(loss=Huber(corner=1.0))))
 
 
 @pytest.mark.parametrize("name", ["bench", "bench_large"])
@@ -113,7 +113,7 @@ def test_shipped_benchmarks_are_in_order(name: str) -> None:
 
 def test_unsolved_runs_are_told(tmp_path: Path) -> None:
     bench = BenchFile(1, (3,), frames=1, repeats=1, solver=Settings(max_iterations=1))
-    found = rows(run_bench(bench))
+    found = bench_rows(run_bench(bench))
     assert any(row.failed for row in found)
     with pytest.raises(InputError):
         read_bench(tmp_path / "missing.yaml")

@@ -14,8 +14,10 @@ from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import compare, compare_files, csv_text, screen_table, write_csv
 from lampest.report.info import describe
-from lampest.report.plots import contours, plot_results, save
-from lampest.report.plots.contours import shown_frame
+from lampest.report.plots.contours import ContourPlot
+from lampest.report.plots.plot import strongest_index
+from lampest.report.plots.results import plot_results
+from lampest.report.plots.style import save
 from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
 
 PUBLISHED = {
@@ -85,7 +87,7 @@ def test_published_figures_are_checked() -> None:
 @pytest.mark.parametrize(("rows", "columns"), [(10, 10), (5, 12), (1, 8), (8, 1), (1, 1), (2, 2)])
 def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None:
     cases = tuple(invented_case(name, shape=(2, rows, columns), truth=truth) for name in METHODS[:2])
-    figure = contours(Results(cases), "mouth")
+    figure = ContourPlot().draw(cases)
     titles = [axes.get_title().split("\n")[0] for axes in figure.axes if axes.get_title()]
     assert titles == ["(a) measured two-point", "(b) LSM", "(c) LSR-CR"] + ["(d) truth"] * truth
     assert "frame 6 at 6 s" in figure.get_suptitle()
@@ -94,21 +96,21 @@ def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None
 def test_the_same_picture_twice(tmp_path: Path) -> None:
     results = Results(tuple(invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS))
     for name in ("one", "two"):
-        save(contours(results, "mouth", 7), tmp_path / f"{name}.png")
+        save(ContourPlot(7).draw(results.of("mouth")), tmp_path / f"{name}.png")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match=r"written as \.png or \.pdf"):
-        save(contours(results, "mouth"), tmp_path / "one.bmp")
+        save(ContourPlot().draw(results.of("mouth")), tmp_path / "one.bmp")
     with pytest.raises(InputError, match="frame 3 has no results; there are frames 5 to 7"):
-        contours(results, "mouth", 3)
+        ContourPlot(3).draw(results.of("mouth"))
     with pytest.raises(InputError, match="no results of a recording 'ear'; there are mouth"):
-        contours(results, "ear")
+        results.of("ear")
 
 
 def test_the_frame_that_most_estimators_solved() -> None:
     cases = [invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS]
-    assert shown_frame(cases[1:]) == 2
-    assert shown_frame(cases) == 1
+    assert strongest_index(cases[1:]) == 2
+    assert strongest_index(cases) == 1
 
 
 def test_where_pictures_go(tmp_path: Path) -> None:

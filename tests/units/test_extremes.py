@@ -24,9 +24,9 @@ from lampest.solvers.search import best_solution, evaluated
 from lampest.solvers.solution import Settings, Status
 from lampest.studies.extremes.audit import exact_residual
 from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
-from lampest.studies.extremes.report import mild, remarks, rows
+from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
 from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
-from lampest.studies.extremes.scenes import CASES, Sample, recording_of
+from lampest.studies.extremes.scenes import CASES, AtlasSample, recording_of
 from lampest.studies.extremes.settings import AtlasFile, Grid, read_atlas
 
 ROOT = Path(__file__).parents[2]
@@ -69,12 +69,12 @@ def test_rows_count_what_the_solves_say(tiny: tuple[Solve, ...]) -> None:
         replace(tiny[1], solved=False, status=f"{CRASHED}ValueError: no"),
         *tiny[2:],
     )
-    found = rows(doctored)
+    found = atlas_rows(doctored)
     assert sum(row.solves for row in found) == len(tiny)
     assert (found[0].doubtful, found[0].crashed, found[0].verified, found[0].named) == (1, 1, 0, 0)
     for row in found:
         assert row.verified + row.named + row.doubtful + row.crashed == row.solves
-    assert remarks(doctored)[0].startswith(f"{len(tiny) - 2} of {len(tiny)} solves end with a verified optimum")
+    assert atlas_remarks(doctored)[0].startswith(f"{len(tiny) - 2} of {len(tiny)} solves end with a verified optimum")
 
 
 def test_digits() -> None:
@@ -89,7 +89,7 @@ def test_digits() -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     shape = (CASES[case].shapes or ((4, 3),))[0]
-    recording, scene = recording_of(Sample(case, *shape, 9.0, 0.01, 3))
+    recording, scene = recording_of(AtlasSample(case, *shape, 9.0, 0.01, 3))
     assert np.all(np.isfinite(recording.resistance))
     certified = fifty_digits(scene.cells[1])
     assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
@@ -134,7 +134,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     def breaks(*arguments: object) -> None:
         raise error("singular")
 
-    recording, _ = recording_of(Sample("log-uniform", 3, 3, 1.0, 0.0, 0))
+    recording, _ = recording_of(AtlasSample("log-uniform", 3, 3, 1.0, 0.0, 0))
     estimator = Estimator((Misfit(),), "reduced")
     data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
@@ -178,7 +178,7 @@ def test_crashes_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     atlas = read_tiny()
     found = run_atlas(atlas)
     assert all(solve.crashed and "KeyError" in solve.status for solve in found)
-    assert remarks(found)[0].startswith("0 of ")
+    assert atlas_remarks(found)[0].startswith("0 of ")
 
 
 def read_tiny() -> AtlasFile:

@@ -11,8 +11,8 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, Water
-from lampest.report.plots import save
-from lampest.report.plots.pressure import pressure_figure
+from lampest.report.plots.pressure import PressurePlot
+from lampest.report.plots.style import save
 from lampest.runs.results import CaseResult
 
 
@@ -38,13 +38,13 @@ def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.
 def test_every_shape(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
     case = case_with_pressure(shape, sd)
     for name in ("first.png", "second.png"):
-        save(pressure_figure(case), tmp_path / name)
+        save(PressurePlot().draw((case,)), tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
 def test_units_and_frame_are_told() -> None:
     case = case_with_pressure()
-    figure = pressure_figure(case, frame=6)
+    figure = PressurePlot(6).draw((case,))
     labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
     assert len(labels) == 7 and all("[" in label for label in labels)
     assert "frame 6 at 6 s" in figure.get_suptitle()
@@ -53,8 +53,8 @@ def test_units_and_frame_are_told() -> None:
 def test_nothing_to_draw() -> None:
     case = case_with_pressure()
     with pytest.raises(InputError, match="has not solved frame 5"):
-        pressure_figure(case, frame=5)
+        PressurePlot(5).draw((case,))
     with pytest.raises(InputError, match="frame 99 has no results"):
-        pressure_figure(case, frame=99)
+        PressurePlot(99).draw((case,))
     with pytest.raises(InputError, match="holds no pressure"):
-        pressure_figure(invented_case())
+        PressurePlot().draw((invented_case(),))

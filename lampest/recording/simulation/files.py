@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.sweep import cases
+from lampest.files.sweep import combinations
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import stream
 
@@ -47,7 +47,7 @@ def read_simulations(path: Path) -> list[tuple[str, Simulation]]:
     """
     document = read_document(path)
     found = []
-    planned = cases(document, lambda varied: cast(Simulation, validated(drawn(varied), Simulation)))
+    planned = combinations(document, lambda varied: cast(Simulation, validated(drawn(varied), Simulation)))
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)

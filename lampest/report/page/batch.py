@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.report.page.words import listed
-from lampest.runs.results import CaseResult, Results, read_results
+from lampest.runs.results import CaseResult, read_results
 
 GIVEN = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
 LEAST_SOLVED = 0.95
@@ -29,9 +29,6 @@ class Subject:
 
     def of(self, estimator: str) -> CaseResult | None:
         return next((case for case in self.cases if case.estimator == estimator), None)
-
-    def results(self) -> Results:
-        return Results(self.cases)
 
 
 @dataclass(frozen=True, eq=False)

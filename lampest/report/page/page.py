@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from lampest.files.whole import write_text
+from lampest.files.whole import write_whole
 from lampest.report.page.advice import Advice, advise, doubts
 from lampest.report.page.batch import Batch, read_batch
 from lampest.report.page.compared import Comparison, compared
@@ -18,7 +18,7 @@ from lampest.report.page.standing import standing_section
 from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
 from lampest.report.page.words import counted, listed
-from lampest.report.plots.report import verbatim
+from lampest.report.plots.style import verbatim
 
 SEED = 20190604
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
@@ -44,7 +44,7 @@ def write_report(paths: Sequence[Path], out: Path) -> None:
 
     Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
     """
-    write_text(out, report(read_batch(paths)))
+    write_whole(out, report(read_batch(paths)))
 
 
 def report(batch: Batch) -> str:

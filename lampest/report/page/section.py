@@ -11,9 +11,12 @@ from lampest.report.page.differences import Disagreement, disagreements
 from lampest.report.page.measures import Measures, weighted_residual
 from lampest.report.page.tables import Sheet, failures, recording_sheet
 from lampest.report.page.words import counted, digits
-from lampest.report.plots.contours import contours, percent_change, shown_frame
+from lampest.report.plots.contours import ContourPlot, percent_change
+from lampest.report.plots.maps import Tile, maps_figure
+from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.profiles import histogram_figure, profile_figure
-from lampest.report.plots.report import Scale, Tile, data_uri, maps_figure, positive_scale, share_scale, signed_scale
+from lampest.report.plots.scales import Scale, positive_scale, share_scale, signed_scale
+from lampest.report.plots.style import data_uri
 from lampest.runs.case import CaseResult
 
 MOST_PAIRS, MOST_SHARP = 9, 1500
@@ -40,7 +43,7 @@ DIFFERENT = (
 
 
 @dataclass(frozen=True)
-class Picture:
+class Illustration:
     """An image as text, what it shows in words, its caption; wide : over the whole page."""
 
     uri: str
@@ -61,7 +64,7 @@ class Section:
     brief: str
     about: str
     sheet: Sheet
-    pictures: tuple[Picture, ...]
+    pictures: tuple[Illustration, ...]
     notes: tuple[str, ...]
     failed: tuple[str, ...]
 
@@ -75,7 +78,7 @@ def section(
     """
     kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     subject = Subject(subject.name, kept)
-    first, place = subject.cases[0], shown_frame(subject.cases)
+    first, place = subject.cases[0], strongest_index(subject.cases)
     panel = first.scene.panel
     about = (
         f"{panel.rows} × {panel.columns} cells, pitch {panel.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
@@ -110,13 +113,15 @@ def _brief(found: Mapping[str, Measures]) -> str:
     return ", ".join(parts)
 
 
-def _contours(subject: Subject) -> Picture:
-    figure = contours(subject.results(), subject.cases[0].recording)
+def _contours(subject: Subject) -> Illustration:
+    figure = ContourPlot().draw(subject.cases)
     words = f"Maps of relative change of {subject.name}: measured, by every estimator, and true where that is known"
-    return Picture(data_uri(figure, "png"), words, "Relative change of resistance against the unloaded panel.", True)
+    return Illustration(
+        data_uri(figure, "png"), words, "Relative change of resistance against the unloaded panel.", True
+    )
 
 
-def _certainty(subject: Subject, place: int, panel: Panel) -> list[Picture]:
+def _certainty(subject: Subject, place: int, panel: Panel) -> list[Illustration]:
     """Standard deviation, resolution, and a row with its intervals, as far as the results know them."""
     pictures = []
     tiles = [
@@ -126,13 +131,13 @@ def _certainty(subject: Subject, place: int, panel: Panel) -> list[Picture]:
     ]
     if tiles:
         scale = positive_scale(_drawn(tiles), "posterior standard deviation [% of the cell]")
-        pictures.append(Picture(_maps(tiles, panel, scale), "Maps of the standard deviation", UNCERTAIN))
+        pictures.append(Illustration(_maps(tiles, panel, scale), "Maps of the standard deviation", UNCERTAIN))
     tiles = [
         Tile(case.estimator, _at(case, place, case.resolution)) for case in subject.cases if case.resolution is not None
     ]
     if tiles:
         maps = _maps(tiles, panel, share_scale("resolution [1]"))
-        pictures.append(Picture(maps, "Maps of the resolution", RESOLVED))
+        pictures.append(Illustration(maps, "Maps of the resolution", RESOLVED))
     row = _strongest_row(subject, place)
     bars = any(case.relative_change_lower is not None for case in subject.cases)
     about = (
@@ -142,10 +147,10 @@ def _certainty(subject: Subject, place: int, panel: Panel) -> list[Picture]:
     )
     caption = f"The row with the strongest change; {about}. Logarithmic in the ratio of resistances."
     figure = profile_figure(subject.cases, place, row)
-    return [*pictures, Picture(data_uri(figure), f"Relative change along row {row}", caption)]
+    return [*pictures, Illustration(data_uri(figure), f"Relative change along row {row}", caption)]
 
 
-def _residuals(subject: Subject, place: int, panel: Panel) -> list[Picture]:
+def _residuals(subject: Subject, place: int, panel: Panel) -> list[Illustration]:
     """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
     weighted = all(case.sigma is not None for case in subject.cases)
     values = [_residual(case, weighted) for case in subject.cases]
@@ -155,12 +160,12 @@ def _residuals(subject: Subject, place: int, panel: Panel) -> list[Picture]:
     parts = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(subject.cases, values, strict=True)]
     caption = WEIGHTED if weighted else PLAIN
     return [
-        Picture(_maps(tiles, panel, scale), "Maps of the residuals", UNEXPLAINED),
-        Picture(data_uri(histogram_figure(parts, weighted)), "Histograms of the residuals", caption),
+        Illustration(_maps(tiles, panel, scale), "Maps of the residuals", UNEXPLAINED),
+        Illustration(data_uri(histogram_figure(parts, weighted)), "Histograms of the residuals", caption),
     ]
 
 
-def _differences(subject: Subject, place: int, panel: Panel) -> tuple[list[Picture], list[str]]:
+def _differences(subject: Subject, place: int, panel: Panel) -> tuple[list[Illustration], list[str]]:
     """Maps of the pairs that disagree most; or a sentence that says why there are none."""
     if len(subject.cases) < 2:
         return [], []
@@ -170,7 +175,7 @@ def _differences(subject: Subject, place: int, panel: Panel) -> tuple[list[Pictu
     tiles = [_difference_tile(pair, place) for pair in found[:MOST_PAIRS]]
     scale = signed_scale(_drawn(tiles), "difference of relative change [percentage points]", *POINTS)
     most = f" The {MOST_PAIRS} of {len(found)} pairs that differ most." if len(found) > MOST_PAIRS else ""
-    return [Picture(_maps(tiles, panel, scale), "Maps of significant differences", DIFFERENT + most)], []
+    return [Illustration(_maps(tiles, panel, scale), "Maps of significant differences", DIFFERENT + most)], []
 
 
 def _maps(tiles: list[Tile], panel: Panel, scale: Scale) -> str:

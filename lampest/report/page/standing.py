@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from math import exp
 
 from lampest.report.page.compared import Comparison
-from lampest.report.page.section import Picture
+from lampest.report.page.section import Illustration
 from lampest.report.page.statistics import Standing
 from lampest.report.page.tables import Sheet, pair_sheet, standing_sheet, unit_sheet
 from lampest.report.page.words import counted, digits
-from lampest.report.plots.report import data_uri, short_title
-from lampest.report.plots.standing import Forest, Line, forest_figure, paired_figure
+from lampest.report.plots.standing import Forest, ForestLine, forest_figure, paired_figure
+from lampest.report.plots.style import data_uri, short_title
 
 MOST_UNITS = 200
 
@@ -21,7 +21,7 @@ class StandingSection:
 
     about: tuple[str, ...]
     standings: Sheet
-    pictures: tuple[Picture, ...]
+    pictures: tuple[Illustration, ...]
     pairs: Sheet
     units: Sheet | None
     units_title: str
@@ -57,7 +57,7 @@ def _about(comparison: Comparison) -> tuple[str, ...]:
     return (f"Criterion: {criterion.name}, {criterion.meaning}. {smaller}", units)
 
 
-def _pictures(comparison: Comparison) -> tuple[Picture, ...]:
+def _pictures(comparison: Comparison) -> tuple[Illustration, ...]:
     scores, criterion, rows = comparison.scores, comparison.criterion, comparison.standings
     order = [scores.estimators.index(row.estimator) for row in rows]
     best, unit = rows[0].estimator, "frame" if scores.over_frames else "recording"
@@ -75,12 +75,12 @@ def _pictures(comparison: Comparison) -> tuple[Picture, ...]:
         Forest(_lines(comparison.times, exp), f"time per frame, times that of {short_title(quickest)} [1]", 1.0, True),
     )
     return (
-        Picture(
+        Illustration(
             data_uri(dots),
             f"{criterion.name} of every {unit}",
             f"A dot for each {unit}, grey lines join those of one {unit}, orange bars are means.",
         ),
-        Picture(
+        Illustration(
             data_uri(forest_figure(forests)),
             f"Differences from {best}, and times compared with {quickest}",
             f"Paired differences from {best}, and times over that of the fastest, {quickest} with "
@@ -90,11 +90,11 @@ def _pictures(comparison: Comparison) -> tuple[Picture, ...]:
     )
 
 
-def _lines(rows: Sequence[Standing], scale: Callable[[float], float]) -> tuple[Line, ...]:
+def _lines(rows: Sequence[Standing], scale: Callable[[float], float]) -> tuple[ForestLine, ...]:
     """All but the first, which the others are held against."""
     pairs = [row.against_best for row in rows[1:]]
     return tuple(
-        Line(
+        ForestLine(
             pair.first,
             scale(pair.difference.value),
             scale(pair.difference.lower),

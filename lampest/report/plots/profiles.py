@@ -11,8 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from lampest.panel.panel import Array
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT
-from lampest.report.plots.report import ACROSS, BLUE, ORANGE, half_figure, shared_legend, short_title
+from lampest.report.plots.maps import ACROSS
+from lampest.report.plots.style import (
+    BLUE,
+    ORANGE,
+    SMALL_POINT,
+    TEXT_POINT,
+    half_figure,
+    plain_number,
+    shared_legend,
+    short_title,
+)
 from lampest.runs.case import CaseResult
 
 BINS, LEAST_REACH = 41, 5.0  # of a histogram; its reach in standard deviations
@@ -135,7 +144,7 @@ def _histogram(axes: Axes, name: str, values: Array, edges: Array, weighted: boo
     if weighted:
         axes.set_xscale("asinh")
         axes.xaxis.set_major_locator(FixedLocator([tick for tick in DEVIATIONS if abs(tick) < edges[-1]]))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
+        axes.xaxis.set_major_formatter(FuncFormatter(plain_number))
         axes.xaxis.set_minor_locator(NullLocator())
     if values.size == 0:
         axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)

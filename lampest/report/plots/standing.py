@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from lampest.panel.panel import Array
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT
-from lampest.report.plots.report import BLUE, ORANGE, half_figure, short_title
+from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
 
 
 def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
@@ -43,7 +42,7 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
 
 
 @dataclass(frozen=True)
-class Line:
+class ForestLine:
     """One line of a forest: name, value and its interval, and whether the interval excludes the reference."""
 
     name: str
@@ -57,7 +56,7 @@ class Line:
 class Forest:
     """Lines beside a vertical one at the reference; label : of the axis, with its unit."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[ForestLine, ...]
     label: str
     reference: float
     logarithmic: bool
@@ -102,5 +101,5 @@ def _plain_ticks(axis: Axis, low: float, high: float) -> None:
     if len(ticks) < 2:
         ticks = list(MaxNLocator(4).tick_values(low, high))
     axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(plain_number))
     axis.set_minor_locator(NullLocator())

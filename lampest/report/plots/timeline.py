@@ -1,4 +1,4 @@
-"""What was attached, over time: probabilities, diameter, pressures and centre; and the strongest frame with circles."""
+"""What was attached, over time: probabilities, diameter, pressures and place; and the strongest frame with circles."""
 
 from collections.abc import Sequence
 from itertools import cycle, islice
@@ -6,10 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
@@ -18,15 +15,11 @@ from lampest.loads.recognition.candidates import KINDS
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
-from lampest.report.plots.contours import (
-    COLOURS,
-    SMALL_POINT,
-    TEXT_POINT,
-    WIDTH_INCH,
-    percent_change,
-    save,
-    shown_frame,
-)
+from lampest.report.plots.contours import percent_change
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
+from lampest.report.plots.plot import strongest_index
+from lampest.report.plots.scales import stepped_scale
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save, verbatim
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results
 
@@ -36,7 +29,7 @@ NEAR = 0.14  # of the width: the names of events that are closer stand one above
 UNIFORM_COLOURS, LOAD_COLOURS = ("0.93", "0.75"), ("#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#F0E442")
 LINE, OTHER = "#222222", "#CC79A7"
 X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
-BANDS_PERCENT = np.array([-100, -80, -60, -40, -20, -5, 5, 20, 40, 60, 80, 100])
+STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60, 100)
 
 
 def plot_timelines(results: Results, detections: Sequence[Detection], folder: str | Path) -> list[Path]:
@@ -48,19 +41,19 @@ def plot_timelines(results: Results, detections: Sequence[Detection], folder: st
     for detection in detections:
         if detection.source == SHARED:
             file = Path(folder) / f"timeline_{detection.recording}.png"
-            save(timeline(detection, results.of(detection.recording)), file)
+            with verbatim():
+                save(timeline(detection, results.of(detection.recording)), file)
             written.append(file)
     return written
 
 
 def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
-    """Five panels of one recording: probabilities of the loads, diameter, pressures, centre; and a map with circles.
+    """Five panels of one recording: probabilities of the loads, diameter, pressures, place; and a map with the circles.
 
     Bands are one standard deviation. The map is the first estimate's relative change in the frame that
-    `shown_frame` chooses; vertical lines are the events.
+    `strongest_index` chooses; vertical lines are the events.
     """
-    figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(HEIGHT_INCH)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
     left, right = halves
     panels = left.subplots(5, 1, sharex=True, height_ratios=(1.1, 1, 1, 1, 1))
@@ -73,10 +66,9 @@ def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
     panels[4].set_xlabel("time [s]", fontsize=TEXT_POINT)
     _events(panels, detection)
     left.align_ylabels(panels)
-    frame = shown_frame(cases)
-    _map(right, cases[0], detection, frame)
+    _map(right, cases[0], detection, strongest_index(cases))
     title = f"{detection.recording}: what is attached, from the two-point resistances"
-    figure.suptitle(title.replace("$", r"\$"), fontsize=TEXT_POINT + 1)
+    figure.suptitle(title, fontsize=TEXT_POINT + 1)
     return figure
 
 
@@ -109,7 +101,8 @@ def _line(axes: Axes, detection: Detection, lines: Sequence[tuple[int, str, str]
         value, error = detection.values[:, quantity], detection.errors[:, quantity]
         axes.fill_between(detection.time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
         axes.plot(detection.time, value, ".-", color=colour, ms=3, lw=0.9, label=name)
-    if not np.isfinite(detection.values[:, [line[0] for line in lines]]).any():
+    known = np.isfinite(detection.values[:, [line[0] for line in lines]])
+    if not known.any():
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
         axes.set_yticks([])
     else:
@@ -144,41 +137,33 @@ def _events(panels: Sequence[Axes], detection: Detection) -> None:
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 
-def _map(figure: Any, case: CaseResult, detection: Detection, frame: int) -> None:
-    """Relative change of the cells, and the circles of what is there."""
+def _map(figure: Any, case: CaseResult, detection: Detection, index: int) -> None:
+    """Relative change of the cells, and the circles of what was seen there."""
     axes = figure.subplots()
-    panel = case.scene.panel
-    x, y = panel.centres_mm()
-    change = case.relative_change[frame]
-    name = case.estimator
-    if not case.solved[frame]:
-        change, name = percent_change(case.measured[frame], case.measured_baseline), "two-point resistance"
-    norm = BoundaryNorm(BANDS_PERCENT, colormaps[COLOURS].N, extend="both")
-    half = panel.pitch_mm / 2
-    edges = (np.append(centres - half, centres[-1] + half) for centres in (x, y))
-    image = axes.pcolormesh(*edges, change, cmap=COLOURS, norm=norm)
-    values, errors = detection.values[frame], detection.errors[frame]
+    change, name = case.relative_change[index], case.estimator
+    if not case.solved[index]:
+        change, name = percent_change(case.measured[index], case.measured_baseline), "two-point resistance"
+    values, errors = detection.values[index], detection.errors[index]
+    title, note = f"frame {case.frame[index]} at {case.time[index]:g} s: {detection.labels[index]}", ""
     if np.isfinite(values[DIAMETER]):
-        radii = [values[DIAMETER] / 2]
-        if np.isfinite(values[WIDTH]):
-            radii.append(values[DIAMETER] / 2 - values[WIDTH])
-        for radius in radii:
-            circle = Circle((values[X], values[Y]), radius, fill=False, color="black", lw=1.1)
-            circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
-            axes.add_patch(circle)
-        axes.plot(values[X], values[Y], "+", color="black", ms=5, mew=0.9)
-    axes.set_xlim(x[0] - half, x[-1] + half)
-    axes.set_ylim(y[-1] + half, y[0] - half)
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=SMALL_POINT)
-    axes.set_xlabel("position across the columns [mm]", fontsize=TEXT_POINT)
-    axes.set_ylabel("position across the rows [mm]", fontsize=TEXT_POINT)
-    lines = [f"frame {case.frame[frame]} at {case.time[frame]:g} s: {detection.labels[frame]}"]
+        note = f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm"
+    scale = stepped_scale(STEPS_PERCENT, f"relative change of resistance [%], {name}", TICKS_PERCENT)
+    painter = MapPainter(case.scene.panel, scale)
+    painter.draw(axes, Tile(title, change, note))
+    painter.bar(figure, axes, "bottom")
+    axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
+    axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
     if np.isfinite(values[DIAMETER]):
-        lines.append(f"diameter {values[DIAMETER]:.1f} ± {errors[DIAMETER]:.1f} mm")
-    axes.set_title("\n".join(lines), fontsize=TEXT_POINT, linespacing=1.3)
-    bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.9, aspect=28, pad=0.02, extendfrac=0.04)
-    bar.set_ticks(BANDS_PERCENT[[0, 2, 4, 7, 9, 11]].tolist())
-    bar.set_label(f"relative change of resistance [%], {name}".replace("$", r"\$"), fontsize=TEXT_POINT)
-    bar.ax.tick_params(labelsize=SMALL_POINT)
-    bar.ax.minorticks_off()
+        _circles(axes, values)
+
+
+def _circles(axes: Axes, values: Array) -> None:
+    """The outer edge of a load, the inner one where it has a rim, and its centre."""
+    radii = [values[DIAMETER] / 2]
+    if np.isfinite(values[WIDTH]):
+        radii.append(values[DIAMETER] / 2 - values[WIDTH])
+    for radius in radii:
+        circle = Circle((values[X], values[Y]), radius, fill=False, color="black", lw=1.1)
+        circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
+        axes.add_patch(circle)
+    axes.plot(values[X], values[Y], "+", color="black", ms=5, mew=0.9)

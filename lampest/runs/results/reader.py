@@ -13,7 +13,7 @@ from lampest.panel.scene import Scene
 from lampest.runs.case import REQUIRED, SHARED, CaseResult, Results
 from lampest.runs.columns import FIGURES, MAPS, MEASURED, Column, all_columns
 from lampest.runs.published import PublishedFigures, published_from
-from lampest.runs.results.scene import read_scene
+from lampest.runs.results.scene import stored_scene
 from lampest.runs.results.writer import FORMAT
 
 
@@ -49,7 +49,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
         )
     given = _read_columns(file, base, [column for column in table if column.shared], sizes)
-    scene = read_scene(file, base, measured.shape[1:])
+    scene = stored_scene(file, base, measured.shape[1:])
     return [_read_case(file, (name, child), given, scene, table, sizes) for child in estimators]
 
 

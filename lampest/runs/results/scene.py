@@ -24,7 +24,7 @@ def write_scene(group: h5py.Group, scene: Scene) -> None:
     hdf5.write_dataset(group, "scene", hdf5.ascii_array(to_yaml(scene)), "1", "what was measured, YAML")
 
 
-def read_scene(file: h5py.File, base: str, shape: tuple[int, int]) -> Scene:
+def stored_scene(file: h5py.File, base: str, shape: tuple[int, int]) -> Scene:
     """The scene of a recording's group. Raises InputError where it is damaged or impossible."""
     if not hdf5.has(file, f"{base}/scene"):
         return _from_attributes(file, base, shape)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -61,12 +60,11 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
         seen.add(case.estimator)
-        pairs: list[tuple[str, Any, Any]] = [
-            (name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()
-        ]
-        pairs += [(each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared]
-        pairs.append(("scene", fullest((case.scene, scene)), scene))
-        for name, ours, theirs in pairs:
+        for name, ours, theirs in (
+            *((name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()),
+            *((each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared),
+            ("scene", fullest((case.scene, scene)), scene),
+        ):
             if (ours is None) != (theirs is None) or (ours is not None and not np.array_equal(ours, theirs)):
                 raise InputError(
                     f"{case.estimator} and {first.estimator} were given different recordings of the name "

@@ -17,11 +17,11 @@ def peak_memory(bench: BenchFile, shape: tuple[int, int]) -> float:
 
     Imports and simulation are part of it. Beyond the limit for it no pair of frames is solved jointly.
     """
-    ((_, megabytes),) = Processes(1).results(solving, [(bench, shape)])
+    ((_, megabytes),) = Processes(1).results(_solving, [(bench, shape)])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
-def solving(task: tuple[BenchFile, tuple[int, int]]) -> float:
+def _solving(task: tuple[BenchFile, tuple[int, int]]) -> float:
     """Solve the frames here; the peak of this process in megabytes."""
     bench, shape = task
     recording = bench.recording(shape)

@@ -20,7 +20,7 @@ SAMPLES = ("frame", "repeat")
 
 
 @dataclass(frozen=True)
-class Row:
+class BenchRow:
     """One solver on one panel with one method, or with `all` of them.
 
     Parameters
@@ -50,9 +50,9 @@ class Row:
     failed: int
 
 
-def rows(bench: Bench) -> list[Row]:
+def bench_rows(bench: Bench) -> list[BenchRow]:
     """By panel, then all methods together and each of them, then by solver."""
-    found: list[Row] = []
+    found: list[BenchRow] = []
     for shape in dict.fromkeys(timing.shape for timing in bench.timings):
         here = [timing for timing in bench.timings if timing.shape == shape]
         for method in (ALL, *dict.fromkeys(timing.method for timing in here)):
@@ -61,11 +61,11 @@ def rows(bench: Bench) -> list[Row]:
     return found
 
 
-def _rows(method: str, timings: list[Timing], inverse_s: float) -> Iterator[Row]:
+def _rows(method: str, timings: list[Timing], inverse_s: float) -> Iterator[BenchRow]:
     times = {name: _following([t for t in timings if t.solver == name]) for name in {t.solver: 0 for t in timings}}
     for name, following in times.items():
         own = [timing for timing in timings if timing.solver == name]
-        yield Row(
+        yield BenchRow(
             *own[0].shape,
             method,
             name,
@@ -97,7 +97,7 @@ def growth(bench: Bench) -> dict[str, float]:
     A least-squares line through the logarithms; `all` is that of the methods' geometric mean. Empty with fewer than two
     such panels.
     """
-    chosen = [row for row in rows(bench) if row.solver == "reduced" and min(row.rows, row.columns) >= GROWTH_FROM]
+    chosen = [row for row in bench_rows(bench) if row.solver == "reduced" and min(row.rows, row.columns) >= GROWTH_FROM]
     found = {}
     for method in dict.fromkeys(row.method for row in chosen if row.method != ALL):
         own = [row for row in chosen if row.method == method]
@@ -107,7 +107,7 @@ def growth(bench: Bench) -> dict[str, float]:
     return {ALL: float(np.mean(list(found.values()))), **found} if found else {}
 
 
-def summary_table(bench: Bench, method: str = ALL) -> Table:
+def bench_table(bench: Bench, method: str = ALL) -> Table:
     """The rows of one method, or of all together, as short texts."""
     headers = (
         "panel",
@@ -134,13 +134,13 @@ def summary_table(bench: Bench, method: str = ALL) -> Table:
             f"{row.gap:.0e}",
             f"{row.failed}/{row.frames}",
         )
-        for row in rows(bench)
+        for row in bench_rows(bench)
         if row.method == method
     ]
     return Table(headers, tuple(cells))
 
 
-def remarks(bench: Bench) -> list[str]:
+def bench_remarks(bench: Bench) -> list[str]:
     """Sentences beside the table: growth and memory."""
     exponents = growth(bench)
     lines = [f"{100 * np.mean([timing.clean() for timing in bench.timings]):.0f} % of the solves were not held up"]
@@ -158,12 +158,12 @@ def write_bench(folder: Path, bench: Bench) -> tuple[Path, Path]:
     Raises InputError where the folder cannot be written.
     """
     table, samples = folder / "bench.csv", folder / "bench.h5"
-    write_rows(table, Row, rows(bench))
-    write_samples(samples, bench)
+    write_rows(table, BenchRow, bench_rows(bench))
+    _write_samples(samples, bench)
     return table, samples
 
 
-def write_samples(path: Path, bench: Bench) -> None:
+def _write_samples(path: Path, bench: Bench) -> None:
     """/entry/<rows>x<columns>/<method>/<solver>: times, objectives, gaps; growth and memory as attributes of /entry."""
     with samples_file(path, "bench/1") as entry:
         hdf5.set_attributes(entry, **{f"growth_{method}": value for method, value in growth(bench).items()})

@@ -67,7 +67,7 @@ class Bench:
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _BenchRun:
     """One solve: its outcome, and what the cost is where it ended."""
 
     solution: Solution
@@ -87,18 +87,18 @@ def run_bench(bench: BenchFile, on_step: Callable[[int, int], None] = lambda don
         recording = bench.recording(shape)
         inverse_times: list[float] = []
         for method in bench.estimators:
-            timings += measure(bench, recording, method, inverse_times)
+            timings += _measure(bench, recording, method, inverse_times)
             done += 1
             on_step(done, total)
         inverses[shape] = float(np.median(inverse_times))
     return Bench(tuple(timings), inverses, memory)
 
 
-def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: list[float]) -> Iterator[Timing]:
+def _measure(bench: BenchFile, recording: Recording, method: str, inverse_times: list[float]) -> Iterator[Timing]:
     """One method on one panel by all its solvers; the time of inverses is taken in between and added to the list."""
     shape = recording.scene.panel.shape
     names = bench.solvers(shape)
-    runs: dict[str, list[list[_Run]]] = {name: [] for name in names}
+    runs: dict[str, list[list[_BenchRun]]] = {name: [] for name in names}
     matrix = _tied(recording)
     best = first_estimate(bench, recording, method)
     sizes: list[float] = []
@@ -106,7 +106,7 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
         fresh = frame_data(bench, recording, method, frame, best)
         example = fresh()
         solvers = {name: solver_of(bench, method, name, example) for name in names}
-        turns: list[list[_Run]] = []
+        turns: list[list[_BenchRun]] = []
         sizes.append(float(np.sum(example.measured**2)))
         for _ in range(bench.repeats if frame else 1):
             turns.append([_timed(solver, fresh(), None if best is None else best[None]) for solver in solvers.values()])
@@ -124,7 +124,7 @@ def measure(bench: BenchFile, recording: Recording, method: str, inverse_times: 
 
 
 def _timing(
-    shape: tuple[int, int], method: str, name: str, rows: list[list[_Run]], least: Array, nothing: Array
+    shape: tuple[int, int], method: str, name: str, rows: list[list[_BenchRun]], least: Array, nothing: Array
 ) -> Timing:
     objective = np.array([row[0].objective for row in rows])
     wall, cpu = np.full((2, len(rows), max(len(row) for row in rows)), np.nan)
@@ -145,7 +145,7 @@ def _timing(
     )
 
 
-def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
+def _timed(solver: Solver, data: Data, previous: Array | None) -> _BenchRun:
     """Solve as a sequence does; scipy's from the cheapest of the same starts."""
     wall, cpu = perf_counter(), process_time()
     if isinstance(solver, Trf):
@@ -158,9 +158,9 @@ def _timed(solver: Solver, data: Data, previous: Array | None) -> _Run:
         outcome = solver.solve(data, start)
         solution = check(start, outcome)
         wall, cpu = perf_counter() - wall, process_time() - cpu
-        return _Run(solution, evaluated(solver.cost, data, outcome.cell_resistance).objective, wall, cpu)
+        return _BenchRun(solution, evaluated(solver.cost, data, outcome.cell_resistance).objective, wall, cpu)
     solution = best_solution(solver, data, previous)
-    return _Run(solution, solution.objective, perf_counter() - wall, process_time() - cpu)
+    return _BenchRun(solution, solution.objective, perf_counter() - wall, process_time() - cpu)
 
 
 def _tied(recording: Recording) -> Array:

@@ -38,7 +38,7 @@ PAPER: dict[str, tuple[Term, ...]] = {
 
 
 @dataclass(frozen=True)
-class Method:
+class SquaredMethod:
     """The terms of one method. Raises ValueError without a term, or for a loss that is no least-squares problem."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
@@ -56,13 +56,13 @@ class Method:
         return terms_of(self.terms)
 
 
-def paper_methods() -> dict[str, Method]:
+def paper_methods() -> dict[str, SquaredMethod]:
     """The five methods of the paper with its weights."""
-    return {name: Method(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+    return {name: SquaredMethod(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
-class Limits:
+class BenchLimits:
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
     scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
@@ -98,14 +98,14 @@ class BenchFile:
     __pydantic_config__: ClassVar[Any] = FORBID
     schema: Literal[1]
     sizes: tuple[int | tuple[int, int], ...]
-    estimators: dict[str, Method] = field(default_factory=paper_methods)
+    estimators: dict[str, SquaredMethod] = field(default_factory=paper_methods)
     frames: int = 4
     repeats: int = 3
     seed: int = 1
     readout: TwoPointReadout = TwoPointReadout()
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     solver: Settings = Settings()
-    limits: Limits = Limits()
+    limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
 from lampest.studies.extremes.report import grouped, random_cells, structured
 from lampest.studies.extremes.run import Solve
 from lampest.studies.extremes.scenes import CASES

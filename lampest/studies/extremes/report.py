@@ -22,7 +22,7 @@ PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASC
 
 
 @dataclass(frozen=True)
-class Row:
+class AtlasRow:
     """One cell of the atlas: all solves of a case with a contrast, size, noise, method and formulation.
 
     Parameters
@@ -65,9 +65,9 @@ def place(solve: Solve) -> tuple[Any, ...]:
     return own.case, own.decades, own.rows, own.columns, own.noise, solve.method, solve.formulation
 
 
-def rows(solves: Sequence[Solve]) -> list[Row]:
+def atlas_rows(solves: Sequence[Solve]) -> list[AtlasRow]:
     """All cells of the atlas, in its order."""
-    return [Row(*cell, **_figures(own)) for cell, own in grouped(solves, place).items()]
+    return [AtlasRow(*cell, **_figures(own)) for cell, own in grouped(solves, place).items()]
 
 
 def grouped(solves: Iterable[Solve], key: Callable[[Solve], Any]) -> dict[Any, list[Solve]]:
@@ -106,7 +106,7 @@ def _of(reduce: Callable[[Any], Any], values: Sequence[float]) -> float:
     return float(reduce(known)) if known else NAN
 
 
-def summary_table(solves: Sequence[Solve]) -> Table:
+def atlas_table(solves: Sequence[Solve]) -> Table:
     """A line for every number of decades of the random panels and for every other case, all methods together."""
     headers = (
         "case",
@@ -153,7 +153,7 @@ def mild(solve: Solve) -> bool:
     return (contrast or case.single_fault) and solve.sample.noise <= MILD_NOISE
 
 
-def remarks(solves: Sequence[Solve]) -> list[str]:
+def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     """The promise in numbers, and how the others ended."""
     told = sum(not solve.crashed and not solve.doubtful for solve in solves)
     tame = [solve for solve in solves if mild(solve)]
@@ -185,12 +185,12 @@ def write_atlas(folder: Path, solves: Sequence[Solve]) -> tuple[Path, Path]:
     Raises InputError where the folder cannot be written.
     """
     table, samples = folder / "extremes.csv", folder / "extremes.h5"
-    write_rows(table, Row, rows(solves))
-    write_samples(samples, solves)
+    write_rows(table, AtlasRow, atlas_rows(solves))
+    _write_samples(samples, solves)
     return table, samples
 
 
-def write_samples(path: Path, solves: Sequence[Solve]) -> None:
+def _write_samples(path: Path, solves: Sequence[Solve]) -> None:
     """/entry/solves: one entry for each solve, in the order of the atlas."""
     columns: tuple[tuple[str, str, str, Callable[[Solve], Any]], ...] = (
         ("case", "1", "name of the scene", lambda solve: solve.sample.case.translate(PLAIN)),

@@ -20,8 +20,8 @@ from lampest.runs.executors import local
 from lampest.solvers.solution import VERIFIED
 from lampest.studies.extremes.audit import exact_cost, exact_residual, exact_scale
 from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
-from lampest.studies.extremes.scenes import Made, Sample, recording_of
-from lampest.studies.extremes.settings import AtlasFile, Task
+from lampest.studies.extremes.scenes import AtlasSample, Made, recording_of
+from lampest.studies.extremes.settings import AtlasFile, AtlasTask
 
 NAN = float("nan")
 CRASHED, REFUSED = "crashed: ", "refused: "
@@ -44,7 +44,7 @@ class Solve:
     in a scaled scene of any, against the scaled estimate of the original.
     """
 
-    sample: Sample
+    sample: AtlasSample
     method: str
     formulation: str
     part: str
@@ -83,15 +83,15 @@ def run_atlas(atlas: AtlasFile, on_step: Callable[[int, int], None] = lambda don
     tasks = atlas.tasks
     executor = atlas.executor or local(None, len(tasks))
     executor.ready()
-    found: dict[Sample, tuple[Solve, ...]] = {}
-    for task, result in executor.results(measured, tasks):
+    found: dict[AtlasSample, tuple[Solve, ...]] = {}
+    for task, result in executor.results(solves_of, tasks):
         lost = not isinstance(result, tuple)
         found[task.sample] = (_lost(task.sample, "", "", "", result),) if lost else result
         on_step(len(found), len(tasks))
     return tuple(solve for task in tasks for solve in found[task.sample])
 
 
-def measured(task: Task) -> tuple[Solve, ...]:
+def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
     """All solves of one scene."""
     sample, atlas = task.sample, task.atlas
     recording, scene = recording_of(sample)
@@ -112,15 +112,15 @@ def measured(task: Task) -> tuple[Solve, ...]:
     return tuple(replace(solve, forward_digits=min(forward)) for solve in solves)
 
 
-def _refused(sample: Sample, method: str, formulation: str, part: str, error: Exception) -> Solve:
+def _refused(sample: AtlasSample, method: str, formulation: str, part: str, error: Exception) -> Solve:
     return Solve(sample, method, formulation, part, False, f"{REFUSED}{error}", 0)
 
 
-def _lost(sample: Sample, method: str, formulation: str, part: str, error: object) -> Solve:
+def _lost(sample: AtlasSample, method: str, formulation: str, part: str, error: object) -> Solve:
     return Solve(sample, method, formulation, part, False, f"{CRASHED}{type(error).__name__}: {error}", 0)
 
 
-def _solves(task: Task, method: str, estimator: Estimator, recording: Recording, scene: Made) -> Iterator[Solve]:
+def _solves(task: AtlasTask, method: str, estimator: Estimator, recording: Recording, scene: Made) -> Iterator[Solve]:
     """The baseline and the frame, or the pair of both; where the scene is a scaled one, against the original."""
     originals: Sequence[_Part | None] = (None, None)
     if scene.scale != 1:
@@ -166,7 +166,9 @@ def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
     yield _Part("pair" if joint else "frame", slice(0 if joint else 1, 2), data, step)
 
 
-def _judged(task: Task, method: str, estimator: Estimator, part: _Part, scene: Made, recording: Recording) -> Solve:
+def _judged(
+    task: AtlasTask, method: str, estimator: Estimator, part: _Part, scene: Made, recording: Recording
+) -> Solve:
     solution, data = part.step.solution, part.data
     cost = estimator.cost(recording.scene, len(data.measured), data.partial)
     solve = Solve(

@@ -21,7 +21,7 @@ Generator = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Sample:
+class AtlasSample:
     """One scene of the atlas.
 
     Parameters
@@ -61,20 +61,20 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Case:
+class Extreme:
     """How a scene is made from the usual cells, and what it stands for.
 
     single_fault : one cell or line is broken. contrasted : its contrast is the sample's.
     shapes : the panels that it is about, in place of the atlas' own.
     """
 
-    make: Callable[[Array, Sample, Generator], Made]
+    make: Callable[[Array, AtlasSample, Generator], Made]
     single_fault: bool = False
     contrasted: bool = False
     shapes: tuple[tuple[int, int], ...] = ()
 
 
-def made(sample: Sample) -> Made:
+def made(sample: AtlasSample) -> Made:
     """The scene's cells; the same for every noise."""
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
@@ -82,7 +82,7 @@ def made(sample: Sample) -> Made:
     return CASES[sample.case].make(cells, sample, rng)
 
 
-def recording_of(sample: Sample) -> tuple[Recording, Made]:
+def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
     """The scene's readings: exact ones, times 1 + noise, through the converter where there is one."""
     scene = made(sample)
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 2])
@@ -117,10 +117,10 @@ def _filled(total: Array, sigma: Array | None) -> tuple[Array, Array | None]:
     return filled, None if sigma is None else np.where(usable, sigma, USUAL_OHM)
 
 
-def _changed(where: Callable[[Sample], object], factor: float) -> Callable[[Array, Sample, Generator], Made]:
+def _changed(where: Callable[[AtlasSample], object], factor: float) -> Callable[[Array, AtlasSample, Generator], Made]:
     """The cells with some of them times a factor."""
 
-    def make(cells: Array, sample: Sample, rng: Generator) -> Made:
+    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
         cells = cells.copy()
         for frame in cells:
             frame[where(sample)] *= factor
@@ -129,59 +129,59 @@ def _changed(where: Callable[[Sample], object], factor: float) -> Callable[[Arra
     return make
 
 
-def _known(factor: float, faults: Callable[[Sample], Faults], where: Callable[[Sample], object]) -> Case:
-    def make(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _known(factor: float, faults: Callable[[AtlasSample], Faults], where: Callable[[AtlasSample], object]) -> Extreme:
+    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
         return replace(_changed(where, factor)(cells, sample, rng), faults=faults(sample))
 
-    return Case(make, single_fault=True)
+    return Extreme(make, single_fault=True)
 
 
-def _cell(sample: Sample) -> tuple[int, int]:
+def _cell(sample: AtlasSample) -> tuple[int, int]:
     return sample.rows // 2, sample.columns // 3
 
 
-def _row(sample: Sample) -> int:
+def _row(sample: AtlasSample) -> int:
     return sample.rows // 2
 
 
-def _column(sample: Sample) -> tuple[slice, int]:
+def _column(sample: AtlasSample) -> tuple[slice, int]:
     return slice(None), sample.columns // 3
 
 
-def _log_uniform(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _log_uniform(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     return Made(_spread(cells, 10 ** rng.uniform(-sample.decades / 2, sample.decades / 2, sample.shape), sample))
 
 
-def _clusters(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _clusters(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     """Two blocks of good conductors that only bad ones connect."""
     first = np.add.outer(np.arange(sample.rows) < sample.rows // 2, np.arange(sample.columns) < sample.columns // 2)
     return Made(_spread(cells, np.where(first == 1, 10.0**sample.decades, 1.0), sample))
 
 
-def _checkerboard(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _checkerboard(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     odd = np.add.outer(np.arange(sample.rows), np.arange(sample.columns)) % 2
     return Made(_spread(cells, 10.0 ** (sample.decades * odd), sample))
 
 
-def _spread(cells: Array, factor: Array, sample: Sample) -> Array:
+def _spread(cells: Array, factor: Array, sample: AtlasSample) -> Array:
     """The cells times a factor that is the same in both frames, around the usual resistance."""
     return cells * factor / 10 ** (np.ptp(np.log10(factor)) / 2 if factor.min() == 1 else 0)
 
 
-def _milliohm_to_gigaohm(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     levels = np.logspace(-3, 9, cells[0].size)
     return Made(cells / USUAL_OHM * rng.permutation(levels).reshape(sample.shape))
 
 
-def _usual(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _usual(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     return Made(cells)
 
 
-def _weighted(weight: float) -> Case:
-    return Case(lambda cells, sample, rng: Made(cells, weight=weight))
+def _weighted(weight: float) -> Extreme:
+    return Extreme(lambda cells, sample, rng: Made(cells, weight=weight))
 
 
-def _rails(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     """A row of readings beyond one end of the converter, a cell beyond the other."""
     cells = cells.copy()
     cells[:, _row(sample)] *= 1e6
@@ -189,36 +189,36 @@ def _rails(cells: Array, sample: Sample, rng: Generator) -> Made:
     return Made(cells, readout=READOUT)
 
 
-def _at_series(cells: Array, sample: Sample, rng: Generator) -> Made:
+def _at_series(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     """One cell that is nothing beside the resistance in series with it."""
     cells = cells.copy()
     cells[(slice(None), *_cell(sample))] = 1e-3
     return Made(cells, series_ohm=SERIES_OHM)
 
 
-CASES: dict[str, Case] = {
-    "log-uniform": Case(_log_uniform, contrasted=True),
-    "two clusters": Case(_clusters, contrasted=True),
-    "checkerboard": Case(_checkerboard, contrasted=True),
-    "open cell": Case(_changed(_cell, OPEN), single_fault=True),
-    "open row": Case(_changed(_row, OPEN), single_fault=True),
-    "open column": Case(_changed(_column, OPEN), single_fault=True),
-    "shorted cell": Case(_changed(_cell, SHORT), single_fault=True),
-    "shorted row": Case(_changed(_row, SHORT), single_fault=True),
+CASES: dict[str, Extreme] = {
+    "log-uniform": Extreme(_log_uniform, contrasted=True),
+    "two clusters": Extreme(_clusters, contrasted=True),
+    "checkerboard": Extreme(_checkerboard, contrasted=True),
+    "open cell": Extreme(_changed(_cell, OPEN), single_fault=True),
+    "open row": Extreme(_changed(_row, OPEN), single_fault=True),
+    "open column": Extreme(_changed(_column, OPEN), single_fault=True),
+    "shorted cell": Extreme(_changed(_cell, SHORT), single_fault=True),
+    "shorted row": Extreme(_changed(_row, SHORT), single_fault=True),
     "open cell, known": _known(np.inf, lambda sample: Faults(open=(_cell(sample),)), _cell),
     "dead row, known": _known(np.inf, lambda sample: Faults(dead_rows=(_row(sample),)), _row),
     "dead column, known": _known(np.inf, lambda sample: Faults(dead_columns=(sample.columns // 3,)), _column),
     "shorted cell, known": _known(0.0, lambda sample: Faults(shorted=(_cell(sample),)), _cell),
-    "1 mΩ to 1 GΩ": Case(_milliohm_to_gigaohm),
-    "1 × 1": Case(_usual, shapes=((1, 1),)),
-    "1 × N": Case(_usual, shapes=((1, 9),)),
-    "M × 1": Case(_usual, shapes=((9, 1),)),
-    "2 × 64": Case(_usual, shapes=((2, 64),)),
-    "identical frames": Case(lambda cells, sample, rng: Made(np.stack([cells[0]] * 2), still=True)),
+    "1 mΩ to 1 GΩ": Extreme(_milliohm_to_gigaohm),
+    "1 × 1": Extreme(_usual, shapes=((1, 1),)),
+    "1 × N": Extreme(_usual, shapes=((1, 9),)),
+    "M × 1": Extreme(_usual, shapes=((9, 1),)),
+    "2 × 64": Extreme(_usual, shapes=((2, 64),)),
+    "identical frames": Extreme(lambda cells, sample, rng: Made(np.stack([cells[0]] * 2), still=True)),
     "weight 0": _weighted(0.0),
     "weight 1e-12": _weighted(1e-12),
     "weight 1e12": _weighted(1e12),
-    "codes at both rails": Case(_rails),
-    "at the series resistance": Case(_at_series, single_fault=True),
-    "all times 10⁶": Case(lambda cells, sample, rng: Made(1e6 * cells, scale=1e6)),
+    "codes at both rails": Extreme(_rails),
+    "at the series resistance": Extreme(_at_series, single_fault=True),
+    "all times 10⁶": Extreme(lambda cells, sample, rng: Made(1e6 * cells, scale=1e6)),
 }

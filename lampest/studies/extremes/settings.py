@@ -10,8 +10,8 @@ from lampest.files.document import read_document, validated
 from lampest.runs.config import FORBID
 from lampest.runs.executors import AnyExecutor
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.settings import Method, paper_methods
-from lampest.studies.extremes.scenes import CASES, Sample
+from lampest.studies.bench.settings import SquaredMethod, paper_methods
+from lampest.studies.extremes.scenes import CASES, AtlasSample
 
 LARGEST_SIDE = 64
 MOST_DECADES = 15.0
@@ -74,7 +74,7 @@ class AtlasFile:
     grid: Grid
     structured: Grid
     nodal: Grid = Grid(())
-    estimators: dict[str, Method] = field(default_factory=paper_methods)
+    estimators: dict[str, SquaredMethod] = field(default_factory=paper_methods)
     solver: Settings = Settings()
     audit_cells: int = 64
     executor: AnyExecutor | None = None
@@ -86,15 +86,15 @@ class AtlasFile:
             raise ValueError("grid and structured hold no scene")
 
     @property
-    def tasks(self) -> tuple["Task", ...]:
+    def tasks(self) -> tuple["AtlasTask", ...]:
         """Every scene with the formulations that solve it, in the order of the atlas."""
         samples = (
             *_samples(self.grid, (GRID,)),
             *_samples(self.structured, tuple(name for name in CASES if name != GRID)),
         )
-        return tuple(Task(sample, self, self._formulations(sample)) for sample in samples)
+        return tuple(AtlasTask(sample, self, self._formulations(sample)) for sample in samples)
 
-    def _formulations(self, sample: Sample) -> tuple[MethodName, ...]:
+    def _formulations(self, sample: AtlasSample) -> tuple[MethodName, ...]:
         part = self.nodal
         own = CASES[sample.case].shapes
         chosen = (sample.shape in part.shapes or (bool(own) and sample.rows * sample.columns < 100)) and (
@@ -104,22 +104,22 @@ class AtlasFile:
 
 
 @dataclass(frozen=True)
-class Task:
+class AtlasTask:
     """One scene, and the formulations in which every method solves it."""
 
-    sample: Sample
+    sample: AtlasSample
     atlas: AtlasFile
     formulations: tuple[MethodName, ...]
 
 
-def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[Sample]:
+def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[AtlasSample]:
     for name in names:
         case = CASES[name]
         for shape in (case.shapes or grid.shapes) if grid.sizes else ():
             for decades in grid.decades if case.contrasted else (0.0,):
                 for noise in grid.noise:
                     for seed in range(grid.seeds):
-                        yield Sample(name, *shape, decades, noise / 100, seed)
+                        yield AtlasSample(name, *shape, decades, noise / 100, seed)
 
 
 def read_atlas(path: Path) -> AtlasFile:

@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
-from lampest.studies.tradeoff.report import Row, first_method, front, method_rows
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
+from lampest.studies.tradeoff.report import TradeoffRow, first_method, front, method_rows
 from lampest.studies.tradeoff.run import Tradeoff
 
 FLOOR = 1e-12
@@ -66,7 +66,9 @@ def tradeoff_figure(found: Tradeoff) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Sequence[str], gap: bool) -> Placed:
+def _draw(
+    axes: Axes, rows: Sequence[TradeoffRow], single: Sequence[TradeoffRow], methods: Sequence[str], gap: bool
+) -> Placed:
     """Everything but the names; returns the rungs' names and where they stand."""
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -101,7 +103,7 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
     return [(row.formulation.replace("_", " "), point) for row, point in placed]
 
 
-def _place(row: Row, gap: bool) -> tuple[float, float] | None:
+def _place(row: TradeoffRow, gap: bool) -> tuple[float, float] | None:
     """Where a row stands; None without a truth, or where it failed."""
     value = row.gap if gap else row.changed_error
     if value is None or not np.isfinite(value):

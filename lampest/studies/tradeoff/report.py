@@ -20,7 +20,7 @@ SAMPLES = ("frame", "repeat")
 
 
 @dataclass(frozen=True)
-class Row:
+class TradeoffRow:
     """One rung on panels of one size; `all` where methods, recordings, scenes or noise are taken together.
 
     Parameters
@@ -54,34 +54,34 @@ class Row:
     memory_mb: float | None
 
 
-def detailed_rows(found: Tradeoff) -> list[Row]:
+def detailed_rows(found: Tradeoff) -> list[TradeoffRow]:
     """One row for each rung with each method on each recording."""
     return [_row(found, [one]) for one in found.measured]
 
 
-def summary_rows(found: Tradeoff) -> list[Row]:
+def summary_rows(found: Tradeoff) -> list[TradeoffRow]:
     """By panel size and rung, all methods and recordings together."""
     return list(_grouped(found, found.measured))
 
 
-def method_rows(found: Tradeoff) -> list[Row]:
+def method_rows(found: Tradeoff) -> list[TradeoffRow]:
     """By panel size, method and rung, all recordings together."""
     methods = dict.fromkeys(one.method for one in found.measured)
     return [row for method in methods for row in _grouped(found, [o for o in found.measured if o.method == method])]
 
 
-def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[Row]:
+def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[TradeoffRow]:
     for shape in dict.fromkeys(one.shape for one in chosen):
         here = [one for one in chosen if one.shape == shape]
         for formulation in dict.fromkeys(one.formulation for one in here):
             yield _row(found, [one for one in here if one.formulation == formulation])
 
 
-def _row(found: Tradeoff, parts: Sequence[Measured]) -> Row:
+def _row(found: Tradeoff, parts: Sequence[Measured]) -> TradeoffRow:
     gap = np.nan_to_num(np.concatenate([part.gap for part in parts]), nan=np.inf)
     solved = np.concatenate([part.solved for part in parts])
     shape, formulation = parts[0].shape, parts[0].formulation
-    return Row(
+    return TradeoffRow(
         *shape,
         _one(part.subject.recording.name for part in parts),
         _one(part.subject.scene for part in parts),
@@ -123,20 +123,20 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     return kept
 
 
-def on_front(rows: Sequence[Row]) -> list[str]:
+def on_front(rows: Sequence[TradeoffRow]) -> list[str]:
     """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
     kept = set(front([(row.frame_ms, row.gap) for row in rows]))
     measured = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
     return [rows[index].formulation for index in sorted(kept | set(front(measured)))]
 
 
-def first_method(found: Tradeoff) -> list[Row]:
+def first_method(found: Tradeoff) -> list[TradeoffRow]:
     """The rows of the file's first method, by panel size and rung, all recordings together."""
     name = found.measured[0].method
     return [row for row in method_rows(found) if row.method == name]
 
 
-def summary_table(found: Tradeoff) -> Table:
+def tradeoff_table(found: Tradeoff) -> Table:
     """The first method's rows as short texts."""
     headers = (
         "panel",
@@ -185,12 +185,12 @@ def write_tradeoff(folder: Path, found: Tradeoff) -> tuple[Path, Path]:
     Raises InputError where the folder cannot be written.
     """
     table, samples = folder / "tradeoff.csv", folder / "tradeoff.h5"
-    write_rows(table, Row, (*summary_rows(found), *method_rows(found), *detailed_rows(found)))
-    write_samples(samples, found)
+    write_rows(table, TradeoffRow, (*summary_rows(found), *method_rows(found), *detailed_rows(found)))
+    _write_samples(samples, found)
     return table, samples
 
 
-def write_samples(path: Path, found: Tradeoff) -> None:
+def _write_samples(path: Path, found: Tradeoff) -> None:
     """/entry/<recording>/<method>/<formulation>: times, errors, objectives and gaps of every frame; and memory."""
     with samples_file(path, "tradeoff/1") as entry:
         for one in found.measured:

@@ -22,7 +22,7 @@ from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import relative_error
 from lampest.runs.executors import Processes
 from lampest.studies.bench.memory import peak_mb
-from lampest.studies.tradeoff.settings import REFERENCE, Plan, Subject, TradeoffFile, first_frames
+from lampest.studies.tradeoff.settings import REFERENCE, Plan, TradeoffFile, TradeoffSubject, first_frames
 
 CHANGED = 0.05
 MEMORY_FRAMES = 2
@@ -46,7 +46,7 @@ class Measured:
     iterations, solved, status : (frames).
     """
 
-    subject: Subject
+    subject: TradeoffSubject
     method: str
     formulation: str
     shape: tuple[int, int]
@@ -67,14 +67,14 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _TradeoffRun:
     """One passage through a recording; cpu : (frames) s."""
 
     found: Reconstruction
     cpu: Array
 
     @classmethod
-    def of(cls, recording: Recording, estimator: Estimator) -> "_Run":
+    def of(cls, recording: Recording, estimator: Estimator) -> "_TradeoffRun":
         """Solve the frames in sequence."""
         clock = [process_time()]
         found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
@@ -98,7 +98,7 @@ def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, 
     measured: list[Measured] = []
     done = 0
     for subject, method in chosen:
-        measured += measure(settings, subject, method)
+        measured += _measure(settings, subject, method)
         done += 1
         on_step(done, total)
     memory = {}
@@ -109,17 +109,17 @@ def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, 
     return Tradeoff(tuple(measured), memory)
 
 
-def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[Measured]:
+def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[Measured]:
     """All rungs with one method on one recording."""
     recording = subject.recording
     rungs = settings.rungs(subject.shape)
-    runs: dict[str, list[_Run]] = {name: [] for name in rungs}
+    runs: dict[str, list[_TradeoffRun]] = {name: [] for name in rungs}
     begin = perf_counter()
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_Run.of(recording, settings.estimator(method, formulation)))
+            runs[name].append(_TradeoffRun.of(recording, settings.estimator(method, formulation)))
     objective, noise = _judged({name: run[0].found for name, run in runs.items()})
     least = np.nanmin(np.stack(list(objective.values())), axis=0)
     for name, run in runs.items():
@@ -127,7 +127,9 @@ def measure(settings: TradeoffFile, subject: Subject, method: str) -> Iterator[M
         yield _measured(subject, method, name, run, objective[name], gap)
 
 
-def _measured(subject: Subject, method: str, name: str, runs: list[_Run], objective: Array, gap: Array) -> Measured:
+def _measured(
+    subject: TradeoffSubject, method: str, name: str, runs: list[_TradeoffRun], objective: Array, gap: Array
+) -> Measured:
     first = runs[0].found
     cell, changed = errors(first)
     solutions = [step.solution for step in first.steps]
@@ -222,11 +224,11 @@ def _in_fresh_process(task: Task) -> float:
     The process's largest resident size, not what Python has allocated: the compiled costs and IPOPT's factors lie
     outside what tracemalloc sees.
     """
-    ((_, megabytes),) = Processes(1).results(solving, [task])
+    ((_, megabytes),) = Processes(1).results(_solving, [task])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
-def solving(task: Task) -> float:
+def _solving(task: Task) -> float:
     """Solve a recording here; the peak of this process in megabytes."""
     estimator, recording = task
     reconstruct(recording, estimator)

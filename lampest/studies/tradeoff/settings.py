@@ -42,7 +42,7 @@ LEAST_SIDE = 8
 
 
 @dataclass(frozen=True)
-class RungTerms:
+class TradeoffMethod:
     """The terms and bounds of one method. Raises ValueError without a term."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
@@ -59,13 +59,13 @@ class RungTerms:
         return terms_of(self.terms)
 
 
-def paper_methods() -> dict[str, RungTerms]:
+def tradeoff_methods() -> dict[str, TradeoffMethod]:
     """The five methods of the paper with its weights."""
-    return {name: RungTerms(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+    return {name: TradeoffMethod(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
-class Limits:
+class TradeoffLimits:
     """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
 
     joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
@@ -125,13 +125,13 @@ class Simulated:
         """(rows, columns) of every panel."""
         return tuple((size, size) if isinstance(size, int) else size for size in self.sizes)
 
-    def subjects(self, frames: int) -> Iterator["Subject"]:
+    def subjects(self, frames: int) -> Iterator["TradeoffSubject"]:
         """Every combination, in order of size; frames measured frames after three unloaded ones."""
         for shape in self.shapes:
             for noise, readout in self.noise.items():
                 for scene, unmodelled in self.scenes.items():
                     recording = self._recording(shape, readout, unmodelled, frames)
-                    yield Subject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
+                    yield TradeoffSubject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
 
     def _recording(
         self, shape: tuple[int, int], readout: TwoPointReadout, unmodelled: Unmodelled, frames: int
@@ -155,7 +155,7 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class TradeoffSubject:
     """A recording that is measured; scene and noise are '-' for one from a file."""
 
     recording: Recording
@@ -190,14 +190,14 @@ class TradeoffFile:
     schema: Literal[1]
     recordings: list[str] = field(default_factory=list)
     simulated: Simulated | None = None
-    estimators: dict[str, RungTerms] = field(default_factory=paper_methods)
+    estimators: dict[str, TradeoffMethod] = field(default_factory=tradeoff_methods)
     formulations: tuple[MethodName | AnyMethod, ...] = LADDER
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
     memory: str | None = None
     solver: Settings = Settings()
-    limits: Limits = Limits()
+    limits: TradeoffLimits = TradeoffLimits()
 
     def __post_init__(self) -> None:
         if not self.recordings and self.simulated is None:
@@ -244,7 +244,7 @@ class Plan:
     """A trade-off's file with its recordings at hand, cut to their first frames."""
 
     settings: TradeoffFile
-    subjects: tuple[Subject, ...]
+    subjects: tuple[TradeoffSubject, ...]
 
 
 def label(formulation: Method) -> str:
@@ -258,7 +258,7 @@ def read_plan(path: Path) -> Plan:
     subjects = []
     for file in recording_paths(path, settings.recordings):
         recording = Recording.load(file)
-        subjects.append(Subject(first_frames(recording, settings.frames), "-", "-"))
+        subjects.append(TradeoffSubject(first_frames(recording, settings.frames), "-", "-"))
     if settings.simulated is not None:
         try:
             subjects += settings.simulated.subjects(settings.frames)

@@ -12,8 +12,8 @@ import numpy as np
 from lampest.estimate.weights import rule_in_use
 from lampest.posterior.spectrum import Rule
 from lampest.solvers.search import convex
-from lampest.studies.tune.curves import Curves, Point, trace
-from lampest.studies.tune.subject import Subject
+from lampest.studies.tune.curves import CurvePoint, Curves, trace
+from lampest.studies.tune.subject import TuneSubject
 
 STANDING = 0.05  # of the fastest way along the L-curve; slower, it stands and its bends mean nothing
 
@@ -39,12 +39,12 @@ class Choice:
 class Tuned:
     """One case: its curves and every rule's choice on them."""
 
-    subject: Subject
+    subject: TuneSubject
     curves: Curves
     choices: tuple[Choice, ...]
 
 
-def tune(subject: Subject) -> Tuned:
+def tune(subject: TuneSubject) -> Tuned:
     """Every rule's choice for a subject, and the true curves round them.
 
     Raises InputError where the estimator's rule needs the noise and it is unknown.
@@ -53,7 +53,7 @@ def tune(subject: Subject) -> Tuned:
         return _tuned(subject)
 
 
-def _tuned(subject: Subject) -> Tuned:
+def _tuned(subject: TuneSubject) -> Tuned:
     first = convex(subject.data, None)
     rules = [rule for rule in get_args(Rule) if subject.noisy or rule == "press"]
     tried = {rule: subject.search.tried(subject.penalty, rule, first) for rule in rules}
@@ -95,7 +95,7 @@ def morozov(curves: Curves) -> float | None:
     return None
 
 
-def l_curve(points: tuple[Point, ...]) -> float | None:
+def l_curve(points: tuple[CurvePoint, ...]) -> float | None:
     """λ where log η over log ρ bends most, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where it bends nowhere."""
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None

@@ -13,13 +13,13 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import BROKEN, best_solution, evaluated
-from lampest.studies.tune.subject import Subject
+from lampest.studies.tune.subject import TuneSubject
 
 POINTS, FARTHEST, ROUNDS, FLAT = 33, 1e4, 2, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class CurvePoint:
     """What there is at one weight λ; NaN where it was not solved or is unknown.
 
     Parameters
@@ -47,11 +47,11 @@ class Point:
     cells: Array | None = None
 
 
-def solve_at(subject: Subject, weight: float, start: Array | None) -> Point:
+def solve_at(subject: TuneSubject, weight: float, start: Array | None) -> CurvePoint:
     """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
     found = best_solution(Newton(subject.with_weight(weight), subject.estimator.solver), subject.data, start)
     if found.at is None or found.dual is None:
-        return Point(weight)
+        return CurvePoint(weight)
     model = LinearModel(found.at, found.dual)
     misfit = float(model.data_curvature @ model.residual**2) / (model.scale if subject.noisy else 1.0)
     evidence = risk = press = np.nan
@@ -61,7 +61,7 @@ def solve_at(subject: Subject, weight: float, start: Array | None) -> Point:
         if subject.noisy:
             evidence = spectrum.evidence(weight) + held(model)
             risk = spectrum.risk(weight) if 2 * len(model.free) >= found.cell_resistance.size else np.nan
-    return Point(
+    return CurvePoint(
         weight,
         1,
         misfit,
@@ -76,7 +76,7 @@ def solve_at(subject: Subject, weight: float, start: Array | None) -> Point:
     )
 
 
-def error(subject: Subject, cells: Array) -> float:
+def error(subject: TuneSubject, cells: Array) -> float:
     """√ mean (log r̂ − log r)² over the measured frame of (frames, rows, columns) ohm; NaN without a truth."""
     if subject.truth is None:
         return float("nan")
@@ -103,19 +103,19 @@ def held(model: LinearModel) -> float:
 class Curves:
     """points : in the order of their weights. even : the weights of the grid that is even in log λ."""
 
-    subject: Subject
-    points: tuple[Point, ...]
+    subject: TuneSubject
+    points: tuple[CurvePoint, ...]
     even: tuple[float, ...]
 
     def values(self, name: str) -> Array:
         """One of a point's figures, at all points."""
         return np.array([getattr(point, name) for point in self.points], dtype=float)
 
-    def on_grid(self) -> tuple[Point, ...]:
+    def on_grid(self) -> tuple[CurvePoint, ...]:
         """The solved points of the even grid."""
         return tuple(point for point in self.points if point.solved and point.weight in self.even)
 
-    def at(self, weight: float) -> Point:
+    def at(self, weight: float) -> CurvePoint:
         """The point at a weight that is on the curves."""
         return next(point for point in self.points if point.weight == weight)
 
@@ -128,7 +128,7 @@ class Curves:
             points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
         return Curves(self.subject, tuple(points[weight] for weight in sorted(points)), self.even)
 
-    def best(self) -> Point | None:
+    def best(self) -> CurvePoint | None:
         """The point with the least true error."""
         known = [point for point in self.points if np.isfinite(point.error)]
         return min(known, key=lambda point: point.error, default=None)
@@ -147,14 +147,14 @@ class Curves:
         return curves
 
 
-def trace(subject: Subject, marks: list[float], first: Array) -> Curves:
+def trace(subject: TuneSubject, marks: list[float], first: Array) -> Curves:
     """Curves over the weights that matter, at most four decades beyond the marks, solved from the first mark outwards.
 
     first : an estimate to start from (frames, rows, columns) ohm.
     """
     weights = grid(subject, marks, first)
     middle = int(np.argmin([abs(np.log(weight / marks[0])) for weight in weights]))
-    points: dict[float, Point] = {}
+    points: dict[float, CurvePoint] = {}
     for side in (weights[middle:], weights[:middle][::-1]):
         start = points[weights[middle]].cells if points else None
         for weight in side:
@@ -163,7 +163,7 @@ def trace(subject: Subject, marks: list[float], first: Array) -> Curves:
     return Curves(subject, tuple(points[weight] for weight in weights), tuple(weights))
 
 
-def grid(subject: Subject, marks: list[float], at: Array) -> list[float]:
+def grid(subject: TuneSubject, marks: list[float], at: Array) -> list[float]:
     """Even in log λ: over all weights that make a difference, where they are within four decades of the marks."""
     low, high = min(marks) / FARTHEST, max(marks) * FARTHEST
     with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.panel.panel import Array
-from lampest.report.plots.contours import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
 from lampest.studies.tune.choices import Choice, Tuned
 from lampest.studies.tune.run import Study
 from lampest.studies.tune.subject import squared

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.files.whole import write_text
+from lampest.files.whole import write_whole
 from lampest.report.compare import Table
-from lampest.studies.study import csv_text, plain, samples_file
+from lampest.studies.study import comma_separated, csv_value, samples_file
 from lampest.studies.tune.choices import Choice, Tuned
 from lampest.studies.tune.run import Study
 from lampest.studies.tune.subject import squared
@@ -27,7 +27,7 @@ COLUMNS = (
 )
 
 
-def summary_table(study: Study) -> Table:
+def tune_table(study: Study) -> Table:
     """One row for every rule on every case."""
     headers = (
         "recording",
@@ -65,7 +65,7 @@ def write_study(folder: Path, study: Study) -> tuple[Path, Path]:
     """
     table, curves = folder / "tune.csv", folder / "tune.h5"
     choices = (_values(one, choice) for one in study.tuned for choice in one.choices)
-    write_text(table, csv_text([COLUMNS, *choices]))
+    write_whole(table, comma_separated([COLUMNS, *choices]))
     _write_curves(curves, study)
     return table, curves
 
@@ -74,7 +74,7 @@ def _values(one: Tuned, choice: Choice) -> list[Any]:
     subject = one.subject
     start = (subject.recording, subject.name, subject.frame, choice.rule, int(choice.in_use))
     rest = (choice.weight, subject.weight_unit, choice.solves, choice.error, choice.excess)
-    return [plain(value) for value in (*start, *rest)]
+    return [csv_value(value) for value in (*start, *rest)]
 
 
 def _write_curves(path: Path, study: Study) -> None:

@@ -7,7 +7,7 @@ from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run
 from lampest.studies.tune.choices import Tuned, tune
-from lampest.studies.tune.subject import Subject, why_not
+from lampest.studies.tune.subject import TuneSubject, why_not
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,5 +43,5 @@ def _tuned(case: Case) -> Tuned | str:
     reason = why_not(case.estimator, frames * recording.scene.panel.cells)
     if reason is not None:
         return reason
-    found = tune(Subject.of(case, recording))
+    found = tune(TuneSubject.of(case, recording))
     return found if any(point.solved for point in found.curves.points) else "it was solved for no weight"

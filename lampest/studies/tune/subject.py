@@ -21,7 +21,7 @@ from lampest.runs.config import Case
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class TuneSubject:
     """One case.
 
     recording, name : of the recording and of the estimator. frame : index into the recording. noisy : whether σ is
@@ -39,7 +39,7 @@ class Subject:
     truth: Array | None
 
     @classmethod
-    def of(cls, case: Case, recording: Recording) -> "Subject":
+    def of(cls, case: Case, recording: Recording) -> "TuneSubject":
         """The recording's strongest frame; with the baseline where terms compare it with that."""
         readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)

@@ -1,0 +1,156 @@
+"""The one painter of maps: cells in millimetre, their colours and bar, crosses on some of them, grey for no number."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FixedLocator, FuncFormatter
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array, Panel
+from lampest.report.plots.scales import Scale
+from lampest.report.plots.style import HALF_INCH, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
+
+ACROSS_LABEL, DOWN_LABEL = "position across the columns [mm]", "position across the rows [mm]"
+NO_NUMBER = "0.88"
+REFINEMENT = 8
+ACROSS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """One map: values (rows, columns); NaN is left grey, None says 'not solved'.
+
+    note : second line of the title. marked : (rows, columns) cells with a cross, which stands for `mark`.
+    """
+
+    title: str
+    values: Array | None
+    note: str = ""
+    marked: NDArray[np.bool_] | None = None
+    mark: str = "open cell"
+
+
+@dataclass(frozen=True, eq=False)
+class MapPainter:
+    """Draws maps of one panel on one scale.
+
+    contoured : bands of a banded scale over interpolated values, with dots at the cells; else one square for a cell,
+    for values that are not to be drawn as if they were known in between. point : size of titles.
+    """
+
+    panel: Panel
+    scale: Scale
+    contoured: bool = False
+    point: float = TEXT_POINT
+
+    def draw(self, axes: Axes, tile: Tile) -> None:
+        """One map, rows downwards."""
+        self._frame(axes)
+        axes.set_title("\n".join(filter(None, (tile.title, tile.note))), fontsize=self.point, linespacing=1.3)
+        if tile.values is None:
+            axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=self.point)
+            return
+        (self._bands if self._between else self._squares)(axes, tile.values)
+        columns, rows = np.meshgrid(*self.panel.centres_mm())
+        if self.contoured:
+            axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
+        if tile.marked is not None and np.any(tile.marked):
+            size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
+            look: dict[str, Any] = {"color": "black", "ms": size, "mew": size / 4, "ls": "none", "clip_on": False}
+            (cross,) = axes.plot(columns[tile.marked], rows[tile.marked], marker="x", label=tile.mark, **look)
+            cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
+
+    def draw_all(self, grid: Any, tiles: Sequence[Tile]) -> None:
+        """Maps row by row into a grid of axes, numbers of columns below the lowest; what is left over is hidden."""
+        across = grid.shape[1]
+        for number, axes in enumerate(grid.flat):
+            if number < len(tiles):
+                self.draw(axes, tiles[number])
+                axes.tick_params(labelbottom=number + across >= len(tiles))
+            else:
+                axes.set_visible(False)
+
+    def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
+        """The bar beside some axes of a figure, with what the colours mean."""
+        ticks = self.scale.ticks
+        bar = figure.colorbar(
+            ScalarMappable(self.scale.norm, self.scale.colours),
+            ax=axes,
+            location=location,
+            extend=self.scale.extend,
+            extendfrac=0.04,
+            spacing="proportional" if self.scale.proportional else "uniform",
+            ticks=None if ticks is None else FixedLocator(ticks),
+            aspect=aspect,
+            pad=0.02,
+        )
+        if ticks is not None:
+            axis = bar.ax.yaxis if location == "right" else bar.ax.xaxis
+            axis.set_major_formatter(FuncFormatter(plain_number))
+        bar.minorticks_off()
+        bar.set_label(self.scale.label, fontsize=TEXT_POINT)
+        bar.ax.tick_params(labelsize=SMALL_POINT)
+
+    @property
+    def _between(self) -> bool:
+        """Whether there is something between cells in both directions: bands need two lines each way."""
+        return self.contoured and min(self.panel.shape) > 1
+
+    def _frame(self, axes: Axes) -> None:
+        """The panel's extent: to the cells' edges, or as far as bands reach."""
+        x, y = self.panel.centres_mm()
+        beyond = 0.0 if self._between else self.panel.pitch_mm / 2
+        axes.set_facecolor(NO_NUMBER)
+        axes.set_aspect("equal")
+        axes.set_xlim(x[0] - beyond, x[-1] + beyond)
+        axes.set_ylim(y[-1] + beyond, y[0] - beyond)
+        axes.tick_params(labelsize=SMALL_POINT)
+        axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
+
+    def _bands(self, axes: Axes, values: Array) -> None:
+        assert isinstance(self.scale.norm, BoundaryNorm)
+        bounds = self.scale.norm.boundaries
+        # A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond.
+        beyond = 1.1 * bounds[-1]
+        look: dict[str, Any] = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
+        axes.contourf(*_refined(*self.panel.centres_mm(), np.clip(values, -beyond, beyond)), bounds, **look)
+
+    def _squares(self, axes: Axes, values: Array) -> None:
+        half = self.panel.pitch_mm / 2
+        edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
+        colours = self.scale.colours.with_extremes(bad=NO_NUMBER)
+        look: dict[str, Any] = {"cmap": colours, "norm": self.scale.norm, "edgecolor": "face", "lw": 0.2}
+        axes.pcolormesh(*edges, np.ma.masked_invalid(values), **look)
+
+
+def _refined(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Bilinear interpolation on a finer grid: contours without the corners that straight pieces between cells have."""
+    fine = [np.linspace(centres[0], centres[-1], (len(centres) - 1) * REFINEMENT + 1) for centres in (x, y)]
+    across = np.array([np.interp(fine[0], x, row) for row in values])
+    return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
+
+
+def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
+    """Maps cell by cell, three abreast, on one scale; half a page wide."""
+    across = min(ACROSS, len(tiles))
+    down = ceil(len(tiles) / across)
+    tall = ((HALF_INCH - 0.45) / across - 0.12) * panel.rows / panel.columns
+    figure = half_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)))
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    painter = MapPainter(panel, scale, point=SMALL_POINT + 0.5)
+    painter.draw_all(grid, [replace(tile, title=short_title(tile.title)) for tile in tiles])
+    for number, axes in enumerate(grid.flat[: len(tiles)]):
+        if number + across >= len(tiles):
+            axes.set_xlabel("columns [mm]", fontsize=SMALL_POINT, labelpad=1)
+        if number % across == 0:
+            axes.set_ylabel("rows [mm]", fontsize=SMALL_POINT, labelpad=1)
+    painter.bar(figure, grid, "bottom", aspect=45)
+    return figure

@@ -1,0 +1,91 @@
+"""What all pictures share: sizes, colours, how they are begun, and how they become files."""
+
+from base64 import b64encode
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal
+
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from lampest.files.errors import InputError
+from lampest.files.whole import whole_file
+
+WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0
+TEXT_POINT, SMALL_POINT = 8, 6.5
+DOTS_PER_INCH = 200
+LONGEST_TITLE = 22
+BLUE, ORANGE = "#0072B2", "#D55E00"
+SUFFIXES = (".png", ".pdf")
+
+
+def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
+    """An empty figure of that many inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def half_figure(height: float) -> Figure:
+    """One half a page wide, which a phone shows too."""
+    return new_figure(height, HALF_INCH)
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as .png or .pdf, whole or not at all; the same figure gives the same bytes.
+
+    Raises InputError for another suffix or where the place cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path}: pictures are written as {' or '.join(SUFFIXES)}")
+    metadata = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
+    with whole_file(path) as unfinished:
+        figure.savefig(unfinished, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=metadata)
+
+
+def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
+    """The figure as the address of an image that holds it; the same figure gives the same text."""
+    stream = BytesIO()
+    metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
+        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
+    form = "image/png" if kind == "png" else "image/svg+xml"
+    return f"data:{form};base64,{b64encode(stream.getvalue()).decode('ascii')}"
+
+
+@contextmanager
+def verbatim() -> Iterator[None]:
+    """What figures made herein say is no formula, whatever signs a name holds."""
+    with rc_context({"text.parse_math": False}):
+        yield
+
+
+def plain_number(value: float, _: int | None = None) -> str:
+    """A tick's number without powers of ten."""
+    return f"{value:g}".replace("-", "−")
+
+
+def short_title(name: str, longest: int = LONGEST_TITLE) -> str:
+    """A name that fits."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}…"
+
+
+def shared_labels(grid: Any) -> dict[str, Any]:
+    """Label → handle over all axes, each label once."""
+    labelled: dict[str, Any] = {}
+    for axes in grid.flat:
+        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+            labelled.setdefault(text, handle)
+    return labelled
+
+
+def shared_legend(figure: Figure, grid: Any) -> None:
+    """One legend above all axes."""
+    labelled = shared_labels(grid)
+    if labelled:
+        look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(labelled)}
+        figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", **look)

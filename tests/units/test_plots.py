@@ -1,0 +1,124 @@
+"""Kinds of pictures: the union is walked, and a further one is a class in a script or a name in a package."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from support import METHODS, invented_case
+
+from lampest.files.errors import InputError
+from lampest.panel.panel import Panel
+from lampest.report.plots import PLOTS, Plot, plot_of
+from lampest.report.plots.maps import MapPainter, Tile
+from lampest.report.plots.results import plot_results
+from lampest.report.plots.scales import banded_scale, share_scale
+from lampest.report.plots.style import new_figure
+from lampest.runs.case import TYPED, CaseResult
+from lampest.runs.columns import FRAMES, Column
+from lampest.runs.results import write_results
+
+ADDON = """\
+from dataclasses import dataclass
+from lampest.report.plots import Plot
+from lampest.report.plots.style import new_figure
+
+@dataclass(frozen=True)
+class Steps(Plot):
+    kind = "steps"
+
+    def draw(self, cases):
+        figure = new_figure(3.0)
+        axes = figure.subplots()
+        for case in cases:
+            axes.plot(case.time, case.iterations, label=case.estimator)
+        axes.set_xlabel("time [s]")
+        return figure
+
+STEPS = Steps()
+TWICE = type("Twice", (Steps,), {"kind": "contours"})()
+"""
+
+
+@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.kind)
+def test_every_kind_is_drawn_by_its_word(
+    plot: Plot, disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
+) -> None:
+    assert plot_of(plot.kind) is plot and set(plot.needs) <= set(TYPED)
+    run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n")
+    assert lampest("run", run, "--out", disk.folder / "out", "--jobs", "1").code == 0
+    ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)
+    assert (ended.code, ended.err) == (0, "")
+    files = [Path(line) for line in ended.out.splitlines()]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
+    names = [f"{plot.kind}_small_{name}.png" for name in METHODS[:3]] if plot.apart else [f"{plot.kind}_small.png"]
+    assert [file.name for file in files] == names, "cases without what a plot needs are left out"
+
+
+def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., None], tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case(method) for method in METHODS])
+    package("lampest.plots", "addon:STEPS", ADDON)
+    assert [file.name for file in plot_results(tmp_path / "r.h5", show="steps")] == ["steps_mouth.png"]
+    with pytest.raises(InputError, match="no plot 'step'; there are contours, certainty, pressure, steps"):
+        plot_results(tmp_path / "r.h5", show="step")
+
+
+def test_two_plots_of_one_word_are_refused(package: Callable[..., None]) -> None:
+    package("lampest.plots", "addon:TWICE", ADDON)
+    with pytest.raises(InputError, match="there are two plots 'contours'"):
+        plot_of("contours")
+
+
+@dataclass(frozen=True)
+class SharePlot(Plot):
+    kind: ClassVar[str] = "share"
+    needs: ClassVar[tuple[str, ...]] = ("share",)
+
+    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+        figure = new_figure(2.0)
+        figure.subplots().plot(cases[0].time, cases[0].extra["share"])
+        return figure
+
+
+def test_a_plot_of_a_script_draws_a_column_of_a_script(tmp_path: Path) -> None:
+    share = Column("share", FRAMES, "1", "a share", lambda done: None)
+    write_results(tmp_path / "r.h5", [invented_case(extra={"share": np.ones(3)})], columns=(share,))
+    assert plot_results(tmp_path / "r.h5", show=SharePlot(), columns=(share,)) == [tmp_path / "share_mouth.png"]
+    with pytest.raises(InputError, match=r"r\.h5: holds no share to draw, which needs share"):
+        plot_results(tmp_path / "r.h5", show=SharePlot())
+
+
+def painted(painter: MapPainter, tile: Tile) -> Axes:
+    axes = new_figure(3.0).subplots()
+    painter.draw(axes, tile)
+    return axes
+
+
+@pytest.mark.parametrize("contoured", [True, False])
+def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> None:
+    values, marked = np.linspace(-50, 50, 12).reshape(3, 4), np.zeros((3, 4), dtype=bool)
+    marked[1, 2] = True
+    painter = MapPainter(Panel(3, 4, 5.0), banded_scale([values], "change [%]"), contoured)
+    axes = painted(painter, Tile("a name", values, "a note", marked, "open cell"))
+    (cross,) = (line for line in axes.lines if line.get_label() == "open cell")
+    assert (cross.get_xdata()[0], cross.get_ydata()[0]) == (10.0, 5.0)
+    beyond = 0.0 if contoured else 2.5
+    assert axes.get_xlim() == (-beyond, 15 + beyond) and axes.get_ylim() == (10 + beyond, -beyond)
+    assert axes.get_title() == "a name\na note"
+
+
+def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
+    painter = MapPainter(Panel(1, 2), share_scale("share [1]"))
+    (mesh,) = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
+    assert mesh.get_array().mask.tolist() == [[False, True]]
+    assert mesh.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])
+    axes = painted(painter, Tile("", None))
+    assert [text.get_text() for text in axes.texts] == ["not solved"] and not axes.collections
+    figure = new_figure(3.0)
+    painter.bar(figure, figure.subplots(), "right")
+    assert figure.axes[1].get_ylabel() == "share [1]"
