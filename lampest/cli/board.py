@@ -121,7 +121,7 @@ def live(
     import signal
 
     from lampest.recording.foreign.importing import read_scene
-    from lampest.report.live.run import Board, Replay
+    from lampest.report.live.run import LiveBoard, Replay
     from lampest.report.live.run import live as run_live
 
     check_positive("--speed", speed)
@@ -129,7 +129,7 @@ def live(
     if recording is not None and (port or scene or period or out):
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if recording is None:
-        source: Board | Replay = Board(port, read_scene(scene) if scene else None, baseline, period, out)
+        source: LiveBoard | Replay = LiveBoard(port, read_scene(scene) if scene else None, baseline, period, out)
     else:
         source = Replay(recording, speed, baseline)
     # A board is told to stop, however live ends.

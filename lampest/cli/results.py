@@ -33,7 +33,10 @@ def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Out = None,
     show: Annotated[
-        str, typer.Option("--show", metavar="KIND", help="contours, certainty, pressure, or what a package adds.")
+        str,
+        typer.Option(
+            "--show", metavar="KIND", help="Such as contours, certainty or pressure; any other word names all kinds."
+        ),
     ] = "contours",
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""

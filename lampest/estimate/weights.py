@@ -36,7 +36,7 @@ def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Ar
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
-    search = Search(estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver)
+    search = WeightSearch(estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver)
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
     single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
     first = convex(data, near) if near is None else near
@@ -60,7 +60,7 @@ def rule_in_use(estimator: Estimator, noisy: bool) -> Rule:
 
 
 @dataclass(frozen=True)
-class Search:
+class WeightSearch:
     """cost : with weights that are numbers or 'auto'. data : of one solve."""
 
     cost: Cost

@@ -110,7 +110,7 @@ def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp], with
     return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
 
 
-def check_positive(values: Array, dataset: str | None, unit: str) -> None:
+def check_all_positive(values: Array, dataset: str | None, unit: str) -> None:
     """Raise InputError with the place of the first value that is not positive and finite."""
     _refuse(~(np.isfinite(values) & (values > 0)), values, dataset, unit, "; it must be positive and finite")
 
@@ -119,7 +119,7 @@ def check_recorded(scene: Scene, recorded: Array, dataset: str | None) -> None:
     """Raise InputError with the place of the first value that the scene's readout cannot have given."""
     circuit = scene.circuit
     if circuit.unit == "ohm":
-        check_positive(recorded, dataset, circuit.unit)
+        check_all_positive(recorded, dataset, circuit.unit)
     outside = ~((recorded >= 0) & (recorded <= circuit.supply_volt))
     if circuit.unit == "volt":
         why = f"; it must lie between 0 and the supply of {circuit.supply_volt:g} volt"
@@ -143,7 +143,7 @@ def _check(scene: Scene, recorded: Array, sigma: Array | None, dataset: str | No
     if sigma is not None:
         if sigma.shape not in (recorded.shape, shape):
             raise InputError("sigma has another shape than the readings")
-        check_positive(sigma, "sigma", scene.circuit.unit)
+        check_all_positive(sigma, "sigma", scene.circuit.unit)
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:

@@ -14,7 +14,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
-from lampest.recording.readings import Readings, check_positive, check_recorded
+from lampest.recording.readings import Readings, check_all_positive, check_recorded
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = 0, 1
@@ -66,7 +66,7 @@ class Recording:
         if self.sigma is not None:
             if self.sigma.shape not in (self.recorded.shape, shape):
                 raise InputError(f"{self.name}: {self._group}/sigma has another shape than the frames")
-            check_positive(self.sigma, f"{self.name}: {self._group}/sigma", self.scene.circuit.unit)
+            check_all_positive(self.sigma, f"{self.name}: {self._group}/sigma", self.scene.circuit.unit)
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):

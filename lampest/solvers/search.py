@@ -43,7 +43,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     relative, patience = bool(comparing), float("inf") if all(term.convex_in_log for term in comparing) else EASY
     if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
-        return solved(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
+        return solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
     plain = all(term.reads_measurement for term in solver.cost.terms)
     uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
@@ -51,12 +51,12 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     points = sorted(_evaluable(solver.cost, data, starts), key=lambda point: point.objective)
     if not points:
         return _broken(solver.cost, data)
-    found = solved(solver, points[0])
+    found = solved_from(solver, points[0])
     if found.solved and not (relative and (previous is None or found.iterations > patience)):
         return found
     more = [] if previous is None else [uniform, convex(data, None)]
     more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
-    others = [solved(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
+    others = [solved_from(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
     return min((other for other in (found, *others) if other.solved), key=lambda one: one.objective, default=found)
 
 
@@ -76,7 +76,7 @@ def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
     return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
 
 
-def solved(solver: Solver, start: Evaluation) -> Solution:
+def solved_from(solver: Solver, start: Evaluation) -> Solution:
     """Solve from one start, and, where an interior-point method stopped short of its bounds, take the last steps."""
     with suppress(*BROKEN):
         return _solved(solver, start)

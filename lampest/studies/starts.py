@@ -13,7 +13,7 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import evaluated, solved
+from lampest.solvers.search import evaluated, solved_from
 
 SAME = 1e-6
 FARTHEST = 60.0
@@ -67,7 +67,7 @@ def _objectives(
     found = []
     for _ in range(count):
         start: Array = data.apparent_resistance * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
-        solution = solved(Newton(cost, estimator.solver), evaluated(cost, data, start))
+        solution = solved_from(Newton(cost, estimator.solver), evaluated(cost, data, start))
         if solution.solved:
             found.append(solution.objective)
     return found

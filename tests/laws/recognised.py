@@ -13,7 +13,6 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.recording.simulation import Simulation, simulate
 
 
@@ -21,8 +20,8 @@ def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS) -> Verdict:
     """What one frame of a 10 × 10 panel under a load is called, with these candidates for loads."""
     panel = Panel(10, 10)
     recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
-    readings = Readings.of(recording)
+    readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
-    baseline = Baseline.of(resting.resistance, resting.sigma, 140.0, ModelErrors())
-    frame = Direct(readings.resistance[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
+    baseline = Baseline.of(resting.value, resting.sigma, 140.0, ModelErrors())
+    frame = Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
     return Detector.of(panel, 6.0, frame, loads).push(frame)[1]

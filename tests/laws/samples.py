@@ -1,6 +1,6 @@
 """Every configuration of the package, found by what it is, and examples of each made from its fields' types alone.
 
-A new configuration, and a new member of a union (a term, a loss, a load, an effort, an executor, a readout), is seen
+A new configuration, and a new member of a union (a term, a loss, a load, a method, an executor, a readout), is seen
 here without being named.
 """
 

@@ -6,11 +6,11 @@ from functools import cache
 from typing import Any, get_args
 
 import pytest
-from lampest.estimate.efforts import AnyEffort, Word, named
 from laws.samples import configurations, examples, hints, is_settled, members_of, parts, unions, words
 
 from lampest.cost.terms import term_types
-from lampest.files.document import Document, parse_document, plain, to_yaml, validated
+from lampest.estimate.methods import AnyMethod, MethodName, named_method
+from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
@@ -46,7 +46,7 @@ def test_examples_differ_in_every_field(kind: type) -> None:
 @EVERY
 def test_object_to_text_to_object_is_the_same(kind: type) -> None:
     for example, document in documents(kind):
-        assert document.content == plain(example)
+        assert document.content == plain_content(example)
         assert validated(document, kind) == example, document.content
 
 
@@ -70,7 +70,7 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 @EVERY
 def test_missing_key_is_refused_and_named(kind: type) -> None:
-    content = plain(examples(kind)[0])
+    content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):
         if field.default is field.default_factory:
             rest = {name: value for name, value in content.items() if name != field.name}
@@ -105,11 +105,11 @@ def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
             assert loaded(to_yaml({kind: example}), Terms) == Terms(**{kind: example})
 
 
-def test_every_effort_may_be_its_bare_word() -> None:
-    efforts = members_of(AnyEffort)
-    assert {word for effort in efforts for word in words(effort)} == {*get_args(Word)}
-    for effort in efforts:
-        assert all(named(word) == effort(kind=word) for word in words(effort))
+def test_every_method_may_be_its_bare_word() -> None:
+    methods = members_of(AnyMethod)
+    assert {word for method in methods for word in words(method)} == {*get_args(MethodName)}
+    for method in methods:
+        assert all(named_method(word) == method(kind=word) for word in words(method))
 
 
 @pytest.mark.parametrize("readout", members_of(hints(Scene)["readout"]))

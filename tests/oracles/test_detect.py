@@ -132,7 +132,7 @@ def test_drift_and_outliers_are_nothing(seed: int) -> None:
 
 def test_an_outlier_does_not_move_the_mouth() -> None:
     recording = recorded(MOUTH, frames=1)
-    measured = recording.readings().resistance.copy()
+    measured = recording.readings().value.copy()
     measured[3, 4, 6] += 80.0
     verdict = seen(frames_of(recording, measured))[-1]
     assert verdict.label == "lamprey"

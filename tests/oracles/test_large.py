@@ -83,7 +83,7 @@ def test_stencil_inverts_what_it_stands_for() -> None:
     free = generator.random((4, 5)) < 0.7
     stencil = Stencil.of(conductance, resistance, free)
     row, column = np.divmod(np.arange(20), 5)
-    matrix = np.diag(1 / np.where(free, stencil.own, 1.0).ravel())
+    matrix = np.diag(1 / np.where(free, stencil.diagonal, 1.0).ravel())
     matrix += (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
     matrix += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
     chosen = np.flatnonzero(free)

@@ -25,7 +25,7 @@ from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.runs.config import read_run
-from lampest.solvers.region.blocks import changed, grown, widened
+from lampest.solvers.region.blocks import grown, widened
 from lampest.solvers.solution import Status
 
 SHAPE = (14, 15)
@@ -215,8 +215,8 @@ def objective(estimator: Estimator, cells: Array, measured: Array) -> float:
 def test_changed_network_is_the_network_of_the_changed_cells() -> None:
     before, after = resting(), pressed(resting())
     tie = grounding(two_point_resistance(before))
-    found = changed(FloatingNetwork.solve(1 / before, tie), BLOCK, 1 / after[BLOCK])
-    assert_allclose(found.impedance, FloatingNetwork.solve(1 / after, tie).impedance, rtol=1e-10, atol=1e-9)
+    found = FloatingNetwork.solve(1 / before, tie).changed(BLOCK, 1 / after[BLOCK])
+    assert_allclose(found.potentials(), FloatingNetwork.solve(1 / after, tie).potentials(), rtol=1e-10, atol=1e-9)
     assert_array_equal(found.conductance, 1 / after)
 
 

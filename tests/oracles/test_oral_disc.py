@@ -75,7 +75,7 @@ def test_it_needs_the_noise_and_nothing_to_penalise() -> None:
 
 def test_its_numbers_are_in_the_results(tmp_path: Path) -> None:
     lamprey(4, 30.0).save(tmp_path / "mouth.h5")
-    text = "schema: 1\nrecordings: [mouth.h5]\nestimators: {disc: {terms: {misfit: {}}, unknowns: oral_disc}}\n"
+    text = "schema: 1\nrecordings: [mouth.h5]\nestimators: {disc: {terms: {misfit: {}}, formulation: oral_disc}}\n"
     (tmp_path / "run.yaml").write_text(text)
     run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", local(1, 1))
     (case,) = read_results(tmp_path / "out" / "results.h5").cases

@@ -171,7 +171,7 @@ def test_water_is_there_before_the_load_and_deeper_below() -> None:
 def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], centre: tuple[int, int]) -> None:
     """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3."""
     recording = shipped(name)
-    measured, cells = change(recording.readings().resistance), change(recording.truth_cell_resistance)
+    measured, cells = change(recording.readings().value), change(recording.truth_cell_resistance)
     assert -86 < measured.min() < -76
     assert -5 < np.median(measured[0, :3]) < 1
     assert np.sum(measured > 2) <= 2, "outliers only"
@@ -185,7 +185,7 @@ def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], cent
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_scene_is_plausible(name: str) -> None:
     recording = shipped(name)
-    cells, network = change(recording.truth_cell_resistance), recording.readings().resistance
+    cells, network = change(recording.truth_cell_resistance), recording.readings().value
     unloaded = network[:3].mean()
     assert 400 < unloaded < 620, "0.19 · 3.05 kilohm in air, less under water"
     assert (unloaded < 540) == ("water" in name or "lamprey" in name)

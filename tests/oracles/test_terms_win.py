@@ -39,7 +39,7 @@ from lampest.recording.simulation.course import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution, evaluated
-from lampest.solvers.search import solved as run
+from lampest.solvers.search import solved_from as run
 from lampest.solvers.solution import Settings
 
 pytestmark = pytest.mark.slow
@@ -196,7 +196,7 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     def moved(step: Array) -> Array:
         """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
         previous, baseline = known * np.exp(step.reshape(2, *shape))
-        where = replace(data, previous=previous, baseline=baseline)
+        where = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
         return np.log(best_solution(solver, where, known[:1]).cell_resistance.ravel())
 
     carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3

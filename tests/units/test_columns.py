@@ -70,14 +70,13 @@ def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruc
     assert not isinstance(values, np.ndarray) or values.dtype == column.dtype
     assert not any(check(values, np.ones(sizes["time"], dtype=bool)) for check in column.checks)
     assert column.units.isascii() and column.long_name.isascii() and column.long_name
-    assert column.name in TYPED, "a case has an attribute for each column of the contract"
 
 
 def test_every_array_of_a_case_is_a_column() -> None:
     rest = {"recording", "estimator", "case_id", "case_yaml", "versions", "scene", "extra"}
     rest |= {"baseline_status", "baseline_solve_time", "joint_start"} | {folder.name for folder in FIGURES}
-    assert {field.name for field in dataclasses.fields(CaseResult)} == rest | {column.name for column in COLUMNS}
-    assert set(TYPED) == {column.name for column in COLUMNS} and set(TYPED) > REQUIRED
+    assert {field.name for field in dataclasses.fields(CaseResult)} == rest | set(TYPED)
+    assert {column.name for column in COLUMNS} >= set(TYPED) > REQUIRED
     assert len({column.path for column in COLUMNS}) == len(COLUMNS)
 
 
@@ -95,7 +94,8 @@ def test_a_column_of_a_script_goes_in_and_comes_out(
     (found,) = read_results(tmp_path / "r.h5", further).cases
     for name in ("least_resistance", "contrast"):
         np.testing.assert_array_equal(found.extra[name], result.extra[name])
-    assert read_results(tmp_path / "r.h5").cases[0].extra == {}, "without its column nobody knows what it is"
+    (bare,) = read_results(tmp_path / "r.h5").cases
+    assert not {"least_resistance", "contrast"} & set(bare.extra), "without its column nobody knows what it is"
 
 
 def test_a_column_of_a_package_is_in_every_run(
@@ -143,9 +143,11 @@ def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
 
 def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
     words = Column("word", FRAMES, "1", "a word", lambda done: None, dtype=str)
-    marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=np.bool_)
+    marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=bool)
     case = invented_case(extra={"word": ("one", "two", "three"), "marked": np.eye(10, dtype=bool)})
     write_results(tmp_path / "r.h5", [case], columns=(words, marks))
     (found,) = read_results(tmp_path / "r.h5", (words, marks)).cases
     assert found.extra["word"] == ("one", "two", "three")
     np.testing.assert_array_equal(found.extra["marked"], np.eye(10, dtype=bool))
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file["entry/mouth/LSM/marked"].dtype == np.uint8 and file["entry/mouth/LSM/word"].dtype.kind == "S"

@@ -17,7 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.stream import Sample, scene_and_resistance, stream
+from lampest.recording.board.stream import Sample, board_samples, scene_and_resistance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 FEWEST_REPEATS = 50
@@ -89,7 +89,7 @@ def record(
     began = time.monotonic()
     try:
         with _interruptible(lambda: count > 0) as interrupted, contextlib.ExitStack() as stack:
-            samples = stack.enter_context(contextlib.closing(stream(port_url, scene, period, on_state)))
+            samples = stack.enter_context(contextlib.closing(board_samples(port_url, scene, period, on_state)))
             journal: Journal | None = None
             for sample in samples:
                 if sample is not None:

@@ -72,7 +72,7 @@ def scene_and_resistance(sample: Sample, scene: Scene | None) -> tuple[Scene, Ar
     return agreed, agreed.readout.recorded_from_sums(sample.frame.sums, sample.frame.readings)
 
 
-def stream(
+def board_samples(
     url: str,
     scene: Scene | None = None,
     period: float | None = None,

@@ -13,7 +13,7 @@ from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.sweep import combinations
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import stream
+from lampest.recording.simulation.unmodelled import random_stream
 
 MOST_VALUES = 50_000_000
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
@@ -78,7 +78,7 @@ def drawn(document: Document) -> Document:
         if not numbers or len(bounds) != 2 or not -1e12 < bounds[0] <= bounds[1] < 1e12:
             raise document.error((*place, "uniform"), "must be a list of two numbers, the lower one first")
         purpose = ".".join(str(part) for part in place)
-        return round(float(stream(seed, purpose).uniform(*bounds)), 6)
+        return round(float(random_stream(seed, purpose).uniform(*bounds)), 6)
 
     return dataclasses.replace(document, content=walk(content, ()))
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.recording.simulation.unmodelled import Unmodelled, stream
+from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 AT_ONCE = 64
 MOST_RAW = np.iinfo(np.uint16).max
@@ -19,7 +19,7 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
     one. Without a readout readings are exact and there are no sums. `cells` (frames, rows, columns) ohm.
     Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
-    off = unmodelled.reference_tolerance * stream(seed, "reference").uniform(-1, 1)
+    off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     total = actual.simulated(cells, scene, *channel_errors(scene, unmodelled, seed))
     if actual.unit == "ohm" and not np.all(total > 0):
@@ -33,13 +33,13 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
 def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
     """δ + δ_j and δ_k: what is in series beyond what the scene tells, channels included; (rows) and (columns) ohm."""
     rows, columns = scene.panel.shape
-    channel = unmodelled.channel_spread_ohm * stream(seed, "channels").standard_normal(rows + columns)
+    channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
     return unmodelled.series_resistance_ohm + channel[:rows], channel[rows:]
 
 
 def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
     """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
-    noise, outliers = stream(seed, "noise"), stream(seed, "outliers")
+    noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
     sigma = readout.noise_lsb * readout.lsb_volt
     sums = np.empty(total.shape, dtype=np.int64)
     for frame, volt in enumerate(readout.volt_from_recorded(total)):

@@ -15,7 +15,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.measure import measured, raw_sums
 from lampest.recording.simulation.pressure import pressure_on_cells
-from lampest.recording.simulation.unmodelled import Unmodelled, stream
+from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 MOST_VALUES = 20_000_000
 LEAST_OHM, MOST_OHM = 1e-3, 1e12
@@ -139,12 +139,12 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
 
 def unloaded_cells(simulation: Simulation) -> Array:
     """r0, (rows, columns) ohm, log-normal."""
-    normal = stream(simulation.seed, "cells").standard_normal(simulation.scene.panel.shape)
+    normal = random_stream(simulation.seed, "cells").standard_normal(simulation.scene.panel.shape)
     return np.asarray(simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal))
 
 
 def drift(simulation: Simulation, time: Array) -> Array:
     """exp(rate · t), (frames, rows, columns): every cell at its own rate, part of the truth."""
-    normal = stream(simulation.seed, "drift").standard_normal(simulation.scene.panel.shape)
+    normal = random_stream(simulation.seed, "drift").standard_normal(simulation.scene.panel.shape)
     rate = simulation.unmodelled.drift_per_minute / 60 * normal
     return np.asarray(np.exp(rate * time[:, None, None]))

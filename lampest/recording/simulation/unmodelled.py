@@ -42,6 +42,6 @@ class Unmodelled:
             raise ValueError("outlier_probability must not exceed 1")
 
 
-def stream(seed: int, purpose: str) -> np.random.Generator:
+def random_stream(seed: int, purpose: str) -> np.random.Generator:
     """The random numbers for one purpose: those of other purposes stay the same whether or not these are drawn."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))

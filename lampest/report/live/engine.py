@@ -119,11 +119,11 @@ class Engine:
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
-            stream, picture = solved(stream, source.scene, news.thing, len(self._unloaded) + seen, skipped)
+            stream, picture = solved_picture(stream, source.scene, news.thing, len(self._unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture))
 
 
-def solved(stream: Stream, scene: Scene, scan: Scan, number: int, skipped: int) -> tuple[Stream, Picture]:
+def solved_picture(stream: Stream, scene: Scene, scan: Scan, number: int, skipped: int) -> tuple[Stream, Picture]:
     """Solve one frame; where that cannot be, the picture holds NaN and says why, and the stream stays as it was."""
     nothing = np.full(scene.panel.shape, np.nan)
     flags = np.zeros(scene.panel.shape, dtype=bool)

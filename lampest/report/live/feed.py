@@ -10,7 +10,7 @@ import numpy as np
 from lampest.estimate.sequence import frame_period
 from lampest.panel.scene import Scene
 from lampest.recording.board.record import Progress, Recorded, record
-from lampest.recording.board.stream import Sample, scene_and_resistance, stream
+from lampest.recording.board.stream import Sample, board_samples, scene_and_resistance
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, Scan, Source
 
@@ -21,7 +21,7 @@ def from_board(engine: Engine, url: str, scene: Scene | None, period: float | No
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {url}")
-    with closing(stream(url, scene, period, engine.say)) as samples:
+    with closing(board_samples(url, scene, period, engine.say)) as samples:
         came = 0
         for sample in samples:
             if sample is not None:

@@ -32,7 +32,7 @@ METHODS = {
 
 
 @dataclass(frozen=True)
-class Board:
+class LiveBoard:
     """Live from a board.
 
     port : its port or a pyserial URL; None for the only one that looks like an Arduino. scene : what it must fit.
@@ -56,7 +56,7 @@ class Replay:
 
 
 def live(
-    source: Board | Replay,
+    source: LiveBoard | Replay,
     method: str | None = None,
     config: Path | None = None,
     http: str = "127.0.0.1:8137",
@@ -76,7 +76,7 @@ def live(
     """
     name, estimator = chosen(method, config)
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
-    port = source.port or only_port() if isinstance(source, Board) else ""
+    port = source.port or only_port() if isinstance(source, LiveBoard) else ""
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
         serving(*address(http), engine.shown) as server,

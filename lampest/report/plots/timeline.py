@@ -101,8 +101,7 @@ def _line(axes: Axes, detection: Detection, lines: Sequence[tuple[int, str, str]
         value, error = detection.values[:, quantity], detection.errors[:, quantity]
         axes.fill_between(detection.time, value - error, value + error, color=colour, alpha=0.2, linewidth=0)
         axes.plot(detection.time, value, ".-", color=colour, ms=3, lw=0.9, label=name)
-    known = np.isfinite(detection.values[:, [line[0] for line in lines]])
-    if not known.any():
+    if not np.isfinite(detection.values[:, [line[0] for line in lines]]).any():
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
         axes.set_yticks([])
     else:
@@ -131,9 +130,8 @@ def _events(panels: Sequence[Axes], detection: Detection) -> None:
         last = edge
         for axes in panels:
             axes.axvline(edge, color="black", lw=0.7, ls=(0, (3, 2)))
-        corner = (edge, 1.02 + 0.16 * level)
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "transform": panels[0].get_xaxis_transform()}
-        mark = panels[0].text(*corner, f" {event.kind}", **look)
+        mark = panels[0].text(edge, 1.02 + 0.16 * level, f" {event.kind}", **look)
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 

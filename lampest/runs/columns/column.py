@@ -33,7 +33,7 @@ class Column:
     axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
     value : reconstruction → values over the axes; None where it has none.
     checks : each says what is wrong with values, or nothing.
-    dtype : float64, bool, an integer kind, or str.
+    dtype : float, bool, an integer kind, or str.
     shared : True for what was measured: every estimate of a recording was given the same.
 
     Raises InputError where the name or the axes are unfit.
@@ -67,13 +67,13 @@ class Column:
         values = self.value(reconstruction)
         if values is None:
             return None
-        return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
+        return tuple(np.asarray(values).tolist()) if self._kind == "U" else np.asarray(values, self.dtype)
 
     def stored(self, values: Any) -> Any:
         """The values as HDF5 holds them: texts in ASCII, truth values as 0 and 1."""
-        if self.dtype is str:
+        if self._kind == "U":
             return ascii_array(values)
-        return np.asarray(values).astype(np.uint8 if self.dtype is np.bool_ else self.dtype)
+        return np.asarray(values).astype(np.uint8 if self._kind == "b" else self.dtype)
 
     def read(self, file: Any, group: str, sizes: Mapping[str, int]) -> Any:
         """The values in a group of a file, as a case holds them; sizes : axis → length.
@@ -81,12 +81,17 @@ class Column:
         Raises InputError where they are missing, damaged, of another shape or no such values.
         """
         path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
-        if self.dtype is str:
+        if self._kind == "U":
             return read_texts(file, path, *shape)
-        if np.issubdtype(self.dtype, np.floating):
+        if self._kind == "f":
             return read_array(file, path, len(shape), shape).astype(self.dtype)
-        stored = np.uint8 if self.dtype is np.bool_ else self.dtype
+        stored = np.uint8 if self._kind == "b" else self.dtype
         return read_whole(file, path, stored, len(shape), shape).astype(self.dtype)
+
+    @property
+    def _kind(self) -> str:
+        """numpy's letter: f, i or u, b, U for texts."""
+        return np.dtype(self.dtype).kind
 
 
 @dataclass(frozen=True)

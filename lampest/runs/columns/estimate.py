@@ -82,7 +82,7 @@ ESTIMATE = (
         "violation of the optimality conditions",
         of_steps(lambda step: step.solution.kkt_residual),
     ),
-    Column("solved", FRAMES, "1", "1: solved, 0: failed", of_steps(lambda step: step.solution.solved), dtype=np.bool_),
+    Column("solved", FRAMES, "1", "1: solved, 0: failed", of_steps(lambda step: step.solution.solved), dtype=bool),
 )
 
 

@@ -44,7 +44,8 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list
     measured = hdf5.read_array(file, f"{base}/{MEASURED.path}", 3)
     sizes = dict(zip(MAPS, measured.shape, strict=True))
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
-    if len(estimators) * len(table) * measured.size > hdf5.MOST_VALUES:
+    maps = sum(column.axes == MAPS and not column.shared for column in table)
+    if len(estimators) * maps * measured.size > hdf5.MOST_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
         )

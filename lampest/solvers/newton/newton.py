@@ -30,7 +30,7 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class Iterate:
     """Where the iteration stands: an evaluation with its curvature, and the damping for the next step."""
 
     curvature: Curvature
@@ -51,10 +51,10 @@ class Point:
         slope = self.curvature.smoothing.slope(self.at.rough)
         return self.at.dual_gap(slope) / self.at.cost_scale if len(slope) else 0.0
 
-    def sharpened(self) -> "Point":
+    def sharpened(self) -> "Iterate":
         """The same place with a tenth of the smoothing."""
         smoothing = replace(self.curvature.smoothing, width=self.curvature.smoothing.width / 10)
-        return Point(Curvature(self.at, smoothing), smoothing.objective(self.at), 0.0)
+        return Iterate(Curvature(self.at, smoothing), smoothing.objective(self.at), 0.0)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Newton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         smoothing = Smoothing.start(start)
-        point = Point(Curvature(start, smoothing), smoothing.objective(start), 0.0)
+        point = Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0)
         for iteration in range(self.settings.max_iterations):
             residual, gap = point.residual(), point.gap()
             if residual <= max(self.settings.tolerance, 0.1 * gap):
@@ -86,13 +86,13 @@ class Newton:
         return outcome(point, Status.ITERATIONS, self.settings.max_iterations)
 
 
-def outcome(point: Point, status: Status, iterations: int) -> Outcome:
+def outcome(point: Iterate, status: Status, iterations: int) -> Outcome:
     """What the caller gets to see."""
     smoothing = point.curvature.smoothing
     return Outcome(point.at.cell_resistance, smoothing.slope(point.at.rough), status, iterations)
 
 
-def advance(point: Point, data: Data, residual: float) -> Point | None:
+def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
     """The next point, or None where no damping makes a step that lowers the cost."""
     lower, upper = (bound.ravel() for bound in data.log_bounds)
     position, slope = np.log(point.at.cell_resistance).ravel(), point.curvature.gradient
@@ -134,7 +134,7 @@ def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -
     return stops
 
 
-def trial(point: Point, data: Data, target: Array, damping: float, residual: float) -> Point | None:
+def trial(point: Iterate, data: Data, target: Array, damping: float, residual: float) -> Iterate | None:
     """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual."""
     cells = np.clip(np.exp(target).reshape(data.measured.shape), data.lower, data.upper)
     smoothing = point.curvature.smoothing
@@ -142,14 +142,14 @@ def trial(point: Point, data: Data, target: Array, damping: float, residual: flo
         at = Evaluation.at(point.at.cost, data, cells)
     except np.linalg.LinAlgError:
         return None
-    found = Point(Curvature(at, smoothing), smoothing.objective(at), damping)
+    found = Iterate(Curvature(at, smoothing), smoothing.objective(at), damping)
     gain = point.objective - found.objective
     promised = -float(point.curvature.gradient @ (target - np.log(point.at.cell_resistance).ravel()))
     better = promised > 0 and gain >= DECREASE * promised
     if not better and not (abs(gain) <= 1e-12 * abs(point.objective) and found.residual() < 0.5 * residual):
         return None
     damping = relaxed(damping, gain / promised) if better else damping
-    return Point(Curvature(at, smoothing.moved(point.at, at)), found.objective, damping)
+    return Iterate(Curvature(at, smoothing.moved(point.at, at)), found.objective, damping)
 
 
 def relaxed(damping: float, share: float) -> float:

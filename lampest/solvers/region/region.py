@@ -177,7 +177,7 @@ class Inside:
             _chosen(data, lambda part: np.ascontiguousarray(part[around])),
         )
 
-    def at(self, position: Array) -> "Place":
+    def at(self, position: Array) -> "BlockPoint":
         """The point u = log r of the block's cells, held to their bounds."""
         position = np.clip(position, self.lower, self.upper)
         conductance = np.exp(-position).reshape(self.resting.conductance[self.block].shape)
@@ -190,11 +190,11 @@ class Inside:
         if self.penalty is not None:
             own, read = (np.ascontiguousarray(whole[self.around])[None] for whole in (cells, model))
             parts.append(Evaluation(self.penalty, self.cells, own, read, ()))
-        return Place(position, network, tuple(parts), sum(part.objective for part in parts))
+        return BlockPoint(position, network, tuple(parts), sum(part.objective for part in parts))
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class BlockPoint:
     """A point of a block: u, the whole panel's network, the misfit and the penalty there (those that exist), and φ."""
 
     position: Array
@@ -203,7 +203,7 @@ class Place:
     objective: float
 
 
-def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
+def minimised(inside: Inside, here: BlockPoint) -> tuple[Network, int]:
     """(network, steps) of damped, projected Gauss-Newton steps in u = log r that lower φ until they are small."""
     damping = 0.0
     for count in range(MOST_STEPS):
@@ -229,7 +229,7 @@ def minimised(inside: Inside, here: Place) -> tuple[Network, int]:
     return here.network, MOST_STEPS
 
 
-def _model(inside: Inside, here: Place, sharpness: int) -> tuple[Array, Array]:
+def _model(inside: Inside, here: BlockPoint, sharpness: int) -> tuple[Array, Array]:
     """(∇φ, its curvature without that of R) in u over the block's cells; absolute losses smoothed more or less."""
     block = np.zeros(here.network.conductance.shape, dtype=bool)
     block[inside.block] = True

@@ -12,7 +12,7 @@ from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import deciding_data, resting_readings
-from lampest.estimate.weights import Search
+from lampest.estimate.weights import WeightSearch
 from lampest.panel.panel import Array
 from lampest.posterior.track import MOST_DENSE
 from lampest.recording.readings import strongest_frame
@@ -64,9 +64,9 @@ class TuneSubject:
         return None if weight == "auto" else float(weight)
 
     @property
-    def search(self) -> Search:
+    def search(self) -> WeightSearch:
         """What chooses weights for these data."""
-        return Search(self.cost, self.data, self.estimator.solver)
+        return WeightSearch(self.cost, self.data, self.estimator.solver)
 
     def with_weight(self, weight: float) -> Cost:
         """The cost with a weight of the penalty."""
