@@ -37,7 +37,8 @@ def import_file(
     Parameters
     ----------
     scene : panel, readout and series resistance; None: this panel and resistances alone.
-    unit : what the numbers are: 'ohm'; 'volt' at the divider and 'code' of the converter need the scene's readout.
+    unit : what the numbers are: 'ohm' of two-point readouts; 'volt' at the converter and its 'code' need the scene's
+        readout.
     baseline_frames : the first so many frames were taken without load.
     transpose : the file's rows are the panel's columns.
     variable : which array of a .mat file; needed where several would do.
@@ -50,6 +51,8 @@ def import_file(
         raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(UNITS)}")
     if unit != "ohm" and (scene is None or scene.readout is None):
         raise InputError(f"{path}: {unit} values need a scene with a readout, which tells how they become ohm")
+    if scene is not None and unit == "ohm" != scene.circuit.unit:
+        raise InputError(f"{path}: the scene's readout gives {scene.circuit.unit}; say unit volt or code")
     frames = _read(path, (columns, rows) if transpose else (rows, columns), variable)
     notes = list(frames.notes)
     values, place = frames.values, frames.place
@@ -61,13 +64,13 @@ def import_file(
             f"{path}: {baseline_frames} baseline frames asked for, but the file holds {len(values)} frames"
         )
     scene = scene or Scene(panel)
-    resistance = _resistance(values, unit, scene, place)
+    recorded = _recorded(values, unit, scene, place)
     time = np.arange(len(values), dtype=float) if frames.time is None else frames.time
     if frames.time is None:
         notes.append("no time in the file: one frame a second is assumed")
     role = np.where(np.arange(len(values)) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     notes.append(f"{len(values)} frames of {rows} × {columns} cells, the first {baseline_frames} of them unloaded")
-    return Recording(scene, resistance, time, role, name=path.stem), tuple(notes)
+    return Recording(scene, recorded, time, role, name=path.stem), tuple(notes)
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -200,8 +203,8 @@ def _array_place(where: str, order: tuple[str, ...], first: int = 0) -> Callable
     return place
 
 
-def _resistance(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
-    """Values in their unit → ohm as the divider equation gives it, (frames, rows, columns)."""
+def _recorded(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
+    """Values in their unit → what a recording of this readout holds, (frames, rows, columns)."""
     _refuse(~np.isfinite(values), values, place, "is no finite number")
     readout = scene.readout
     if unit == "ohm" or readout is None:
@@ -210,12 +213,12 @@ def _resistance(values: Array, unit: str, scene: Scene, place: Callable[[int, in
     if unit == "code":
         highest = 2**readout.adc_bits - 1
         _refuse((values < 0) | (values > highest), values, place, f"is no code of a {readout.adc_bits}-bit converter")
-        _refuse((values == 0) | (values == highest), values, place, "is a saturated code, whose resistance is unknown")
+        _refuse((values == 0) | (values == highest), values, place, "is a saturated code, whose voltage is unknown")
         return readout.recorded_from_volt(readout.volt_from_code(values))
     outside = (values < 0) | (values > readout.supply_volt)
-    _refuse(outside, values, place, f"lies outside 0 to {readout.supply_volt:g} V, the divider's supply")
+    _refuse(outside, values, place, f"lies outside 0 to {readout.supply_volt:g} V, the readout's supply")
     saturated = (values == 0) | (values == readout.supply_volt)
-    _refuse(saturated, values, place, "V is saturated, its resistance would be zero or infinite")
+    _refuse(saturated, values, place, "V is saturated: it may be anything beyond")
     return readout.recorded_from_volt(values)
 
 

@@ -1,0 +1,169 @@
+"""What every kind of readout obeys, whoever wrote it: its derivatives, its two forms, its way to the recorded and back.
+
+A kind that joins the union, or that an installed package names, is seen here without being named.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.files.tagged import members_of
+from lampest.panel.kirchhoff import laplacian
+from lampest.panel.network import Network
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.scene import Scene
+from tests.laws.samples import examples
+
+KINDS = members_of(AnyReadout)
+PANELS = ((4, 6), (5, 3))
+STEP = 1e-4  # of ln r; a Taylor remainder falls with its square, a wrong derivative with itself
+
+
+def fits(scene: tuple[Any, ...]) -> Scene | None:
+    try:
+        return Scene(*scene)
+    except ValueError:
+        return None
+
+
+def scenes() -> Iterator[Any]:
+    """Every configuration of every kind that fits a panel, on a wide and on a tall one."""
+    for kind in KINDS:
+        for number, readout in enumerate(examples(kind)):
+            for rows, columns in PANELS:
+                scene = fits((Panel(rows, columns), readout))
+                if scene is not None:
+                    yield pytest.param(scene, id=f"{kind.__name__}-{number}-{rows}x{columns}")
+
+
+every_scene = pytest.mark.parametrize("scene", tuple(scenes()))
+
+
+def cells_of(scene: Scene) -> Array:
+    """ln r, (rows, columns)."""
+    rng = np.random.default_rng(7)
+    return np.asarray(np.log(3000) + rng.normal(size=scene.panel.shape))
+
+
+def network_of(readout: Readout, logarithm: Array, ties: Array | None = None) -> Network:
+    cells = np.exp(logarithm)
+    return readout.network(cells, readout.ties(cells) if ties is None else ties)
+
+
+def size(values: Array) -> float:
+    return float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_some_configuration_fits(kind: type) -> None:
+    assert any(fits((Panel(*panel), readout)) for readout in examples(kind) for panel in PANELS)
+
+
+@every_scene
+def test_adjoint_is_the_transpose(scene: Scene) -> None:
+    """⟨w, J·p⟩ = ⟨Jᵀ·w, p⟩."""
+    network, rng = network_of(scene.circuit, cells_of(scene)), np.random.default_rng(1)
+    step, weights = rng.normal(size=(2, *scene.panel.shape))
+    there, back = np.sum(weights * network.forward(step)), np.sum(network.adjoint(weights) * step)
+    assert there == pytest.approx(back, rel=1e-9, abs=1e-12 * size(network.reading()))
+
+
+@every_scene
+def test_forward_is_the_derivative(scene: Scene) -> None:
+    """y(u + h·p) − y(u) − h·J·p falls as h²: a hundredfold where h falls tenfold."""
+    readout, logarithm = scene.circuit, cells_of(scene)
+    ties = readout.ties(np.exp(logarithm))
+    step = np.random.default_rng(2).normal(size=scene.panel.shape)
+    network = network_of(readout, logarithm, ties)
+    first, slope = network.reading(), network.forward(step)
+
+    def remainder(length: float) -> float:
+        return size(network_of(readout, logarithm + length * step, ties).reading() - first - length * slope)
+
+    large = remainder(100 * STEP)
+    assert large < 0.05 * 100 * STEP * size(slope)
+    assert remainder(10 * STEP) < 0.02 * large + 1e-11 * size(first)
+
+
+@every_scene
+def test_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
+    """d(Jᵀw) along p = H·p − Jᵀw∘p, by central differences."""
+    readout, logarithm = scene.circuit, cells_of(scene)
+    ties = readout.ties(np.exp(logarithm))
+    step, weights = np.random.default_rng(3).normal(size=(2, *scene.panel.shape))
+    network = network_of(readout, logarithm, ties)
+    second = network.second_order(weights)
+    forward, bent = second.products(step)
+    assert_allclose(forward, network.forward(step), rtol=1e-9, atol=1e-12 * size(forward))
+    assert_allclose((second.matrix() @ step.ravel()).reshape(bent.shape), bent, atol=1e-9 * size(bent))
+    ends = [network_of(readout, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)]
+    expected = (ends[0] - ends[1]) / (2 * STEP)
+    assert_allclose(bent - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected))
+
+
+@every_scene
+def test_parts_of_the_sensitivity(scene: Scene) -> None:
+    network, cells = network_of(scene.circuit, cells_of(scene)), np.array([2, 3, 11])
+    readings = np.array([0, 5, 9])
+    whole = network.sensitivity()
+    step = np.random.default_rng(4).normal(size=scene.panel.shape)
+    assert_allclose((whole @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(whole))
+    assert_allclose(network.own_response().ravel(), np.diag(whole), atol=1e-9 * size(whole))
+    assert_allclose(network.sensitivity(cells), whole[:, cells], atol=1e-12 * size(whole))
+    assert_allclose(network.sensitivity(cells, readings), whole[np.ix_(readings, cells)], atol=1e-12 * size(whole))
+
+
+@every_scene
+def test_a_changed_block_is_the_network_of_the_changed_cells(scene: Scene) -> None:
+    readout, logarithm, block = scene.circuit, cells_of(scene), (slice(1, 3), slice(0, 2))
+    ties = readout.ties(np.exp(logarithm))
+    network = network_of(readout, logarithm, ties)
+    moved = logarithm.copy()
+    moved[block] -= 1.5
+    expected = network_of(readout, moved, ties).reading()
+    assert_allclose(network.changed(block, np.exp(-moved[block])).reading(), expected, atol=1e-9 * size(expected))
+
+
+@every_scene
+def test_the_equation_says_what_the_network_reads(scene: Scene) -> None:
+    """The symbolic form of the reading, at the impedances of a matrix that is inverted here."""
+    readout, cells = scene.circuit, np.exp(cells_of(scene))
+    rows, columns = scene.panel.shape
+    impedance = np.linalg.inv(laplacian(1 / cells) + np.diag(readout.ties(cells)))
+    diagonal = np.diag(impedance)
+    own_row, own_column = np.tile(diagonal[:rows, None], columns), np.tile(diagonal[None, rows:], (rows, 1))
+    entries = (own_row, own_column, impedance[:rows, rows:])
+    symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
+    equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
+    expected = np.array(equation(*entries))
+    assert_allclose(network_of(readout, np.log(cells)).reading(), expected, atol=1e-9 * size(expected))
+    assert_allclose(readout.exact_reading(cells), expected, atol=1e-9 * size(expected))
+
+
+@every_scene
+def test_there_and_back(scene: Scene) -> None:
+    """network ↔ recorded ↔ volt; what is recorded moves as `direction` says; σ is positive; bounds hold the cells."""
+    readout, cells = scene.circuit, np.exp(cells_of(scene))
+    reading = readout.exact_reading(cells)
+    recorded = readout.to_recorded(reading, scene)
+    near = 1e-9 * size(recorded)
+    assert_allclose(readout.from_recorded(recorded, scene), reading, rtol=1e-9, atol=near)
+    assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(recorded)), recorded, rtol=1e-6, atol=near)
+    more = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
+    assert np.all(np.sign(more) == readout.direction)
+    assert np.all(readout.sigma(recorded) >= 0)
+    assert np.all(readout.least_cells(reading, None) <= cells * (1 + 1e-9))
+    assert np.all(readout.start(reading, np.full(cells.shape, np.inf)) > 0)
+
+
+@every_scene
+def test_homogeneous_as_it_says(scene: Scene) -> None:
+    """Readings grow with all cells by one factor exactly where the kind says so."""
+    readout, logarithm = scene.circuit, cells_of(scene)
+    once, thrice = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
+    assert (size(thrice - 3 * once) < 1e-9 * size(thrice)) == readout.homogeneous
