@@ -61,7 +61,7 @@ def invented_case(
         measured_baseline=measured_baseline,
         cell_resistance=estimate,
         relative_change=(estimate / baseline - 1) * 100,
-        two_point_model=model,
+        reading_model=model,
         open_cell=((estimate > 3.6 * baseline) & solved[:, None, None]).astype(np.uint8),
         at_lower_bound=np.zeros(shape, dtype=np.uint8),
         baseline_resistance=baseline,

@@ -179,7 +179,7 @@ class Scene:
             raise ValueError("series_resistance_ohm must be zero or positive, and finite")
         if self.faults is not None:
             self.faults.check(self.panel)
-        self.circuit.check(self.panel)
+        self.circuit.check(self)
 
     @property
     def circuit(self) -> Readout:

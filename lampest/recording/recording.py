@@ -90,7 +90,7 @@ class Recording:
     def resistance(self) -> Array:
         """`recorded` of a two-point readout, ohm. Raises InputError of any other."""
         if self.scene.circuit.unit != "ohm":
-            raise InputError(f"{self.name}: was read in volt, not in ohm")
+            raise InputError(f"{self.name}: its readout gives {self.scene.circuit.unit}, not resistances")
         return self.recorded
 
     @classmethod

@@ -104,7 +104,7 @@ def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFig
         frames=int(np.sum(chosen)),
         solved=int(np.sum(good)),
         solve_time=spread(case.solve_time[good]),
-        data_error=spread(relative_error(case.two_point_model[good], case.measured[good])),
+        data_error=spread(relative_error(case.reading_model[good], case.measured[good])),
         cell_error=None if case.truth is None else spread(relative_error(case.cell_resistance[good], case.truth[good])),
         open_cells=int(np.sum(case.open_cell[good] != 0)),
         worst_kkt_residual=None if residual is None else float(np.nanmax(case.kkt_residual[good])),

@@ -11,6 +11,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.runs.results import FORMAT, Results, read_results
 
+READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 MOST_ROWS, MOST_COLUMNS = 24, 12
 
 
@@ -23,7 +24,7 @@ def describe(path: str | Path) -> list[str]:
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         form = form if isinstance(form, str) else None
-        if form is None and not hdf5.has(file, "/entry/two_point/resistance"):
+        if form is None and not any(hdf5.has(file, path) for path in READINGS):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
     if form == FORMAT:
         return [f"{path}: {form}", *_results_lines(read_results(path))]
@@ -31,7 +32,7 @@ def describe(path: str | Path) -> list[str]:
 
 
 def _recording_lines(recording: Recording) -> list[str]:
-    role, time, resistance = recording.role, recording.time, recording.resistance
+    role, time, recorded, circuit = recording.role, recording.time, recording.recorded, recording.scene.circuit
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
     extras = [
         ("σ", recording.sigma),
@@ -44,10 +45,10 @@ def _recording_lines(recording: Recording) -> list[str]:
     return [
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
         *_scene_lines(recording.scene),
-        f"R         {resistance.min():.4g} to {resistance.max():.4g} ohm (two-point, series resistance included)",
+        f"readings  {recorded.min():.4g} to {recorded.max():.4g} {circuit.unit} ({circuit.signal_name})",
         f"besides   {held or 'nothing'}",
-        f"two-point resistance of frame 0 ({first}) in ohm:",
-        *text_map(resistance[0]),
+        f"readings of frame 0 ({first}) in {circuit.unit}:",
+        *text_map(recorded[0]),
     ]
 
 
@@ -91,8 +92,8 @@ def _results_lines(results: Results) -> list[str]:
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            f"R         {first.measured.min():.4g} to {first.measured.max():.4g} ohm "
-            f"(two-point, series resistance of {first.scene.series_resistance_ohm:g} ohm taken off)",
+            f"readings  {first.measured.min():.4g} to {first.measured.max():.4g} {first.scene.circuit.unit} "
+            "(as the network is read, series resistance taken off)",
         ]
         width = max(len(case.estimator) for case in cases)
         for case in cases:

@@ -32,8 +32,9 @@ class CaseResult:
     versions : library → version.
     scene : the recording's, as the estimator was told it.
     frame : (frames) index into the recording; time : (frames) s.
-    measured, measured_baseline : (frames, rows, columns) and (rows, columns) ohm, series resistance taken off.
-    cell_resistance, two_point_model : (frames, rows, columns) ohm; NaN where a frame failed.
+    measured, measured_baseline : (frames, rows, columns) and (rows, columns), what the network reads: ohm with the
+        series resistance taken off, or volt across the load.
+    cell_resistance : (frames, rows, columns) ohm; reading_model : what it reads; NaN where a frame failed.
     relative_change : (frames, rows, columns) percent of the baseline; NaN where a frame failed.
     open_cell, at_lower_bound : (frames, rows, columns) 0 or 1.
     baseline_resistance : (rows, columns) ohm.
@@ -44,7 +45,7 @@ class CaseResult:
     joint_start : whether the first frame was solved together with the baseline.
     solved : (frames) False where a frame failed.
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
-    sigma, sigma_baseline : standard deviations of what was measured, same shapes, ohm; None where unknown, infinite
+    sigma, sigma_baseline : standard deviations of what was measured, same shapes and unit; None where unknown, infinite
     where a reading is a bound or says nothing.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
@@ -64,7 +65,7 @@ class CaseResult:
     measured_baseline: Array
     cell_resistance: Array
     relative_change: Array
-    two_point_model: Array
+    reading_model: Array
     open_cell: NDArray[np.uint8]
     at_lower_bound: NDArray[np.uint8]
     baseline_resistance: Array
@@ -166,7 +167,8 @@ class CaseResult:
                     raise InputError(f"{self._path(column)} {fault}")
 
     def _path(self, column: Column) -> str:
-        return f"/entry/{self.recording}/{SHARED if column.shared else self.estimator}/{column.path}"
+        group = SHARED if column.shared else self.estimator
+        return f"/entry/{self.recording}/{group}/{column.of(self.scene.circuit).path}"
 
     def _check_shape(self, path: str, values: Any, axes: tuple[str, ...]) -> None:
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))

@@ -59,8 +59,9 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
 
 
 def _held(case: CaseResult, columns: Sequence[Column]) -> list[tuple[Column, Any]]:
-    """The columns that the case holds, with their values."""
-    return [(column, values) for column in columns if (values := case.column(column.name)) is not None]
+    """The columns that the case holds, in its readout's unit, with their values."""
+    fitting = (column.of(case.scene.circuit) for column in columns)
+    return [(column, values) for column in fitting if (values := case.column(column.name)) is not None]
 
 
 def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:

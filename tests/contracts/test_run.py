@@ -52,7 +52,7 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
         assert np.all(case.solve_time > 0)
         assert np.all(case.kkt_residual < 1e-6)
         assert case.objective == pytest.approx(sum(case.costs.values()))
-        np.testing.assert_allclose(disk.exact(case.cell_resistance), case.two_point_model, rtol=1e-9)
+        np.testing.assert_allclose(disk.exact(case.cell_resistance), case.reading_model, rtol=1e-9)
         np.testing.assert_allclose(
             case.relative_change, 100 * (case.cell_resistance / case.baseline_resistance - 1), rtol=1e-9
         )
@@ -110,7 +110,7 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
     failed, *fine = cases(disk.folder / "out")
     assert set(failed.status) == {"the iteration limit was reached before an optimum"}
     assert not np.any(failed.solved)
-    for values in (failed.cell_resistance, failed.relative_change, failed.two_point_model, failed.objective):
+    for values in (failed.cell_resistance, failed.relative_change, failed.reading_model, failed.objective):
         assert np.all(np.isnan(values))
     assert not np.any(failed.open_cell)
     assert all(np.all(case.solved) for case in fine)

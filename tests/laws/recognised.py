@@ -22,6 +22,6 @@ def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS) -> Verdict:
     recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
-    baseline = Baseline.of(resting.value, resting.sigma, 140.0, ModelErrors())
+    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
     frame = Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
     return Detector.of(panel, 6.0, frame, loads).push(frame)[1]

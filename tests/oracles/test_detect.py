@@ -52,7 +52,7 @@ def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
     readings, panel = recording.readings(), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None and resting.sigma is not None
-    baseline = Baseline.of(resting.value, resting.sigma, 140.0, ModelErrors())
+    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
     values = readings.value if measured is None else measured
     dry = np.zeros(panel.shape)
     return [Direct(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]

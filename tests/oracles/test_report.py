@@ -125,7 +125,7 @@ def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:
     for share in (0.2, 0.5, 1.0):
         model = 50 + share * (readings - 50)
         known = dataclasses.replace(
-            case, measured=readings, sigma=np.ones(shape), two_point_model=model, resolution=np.full(shape, share)
+            case, measured=readings, sigma=np.ones(shape), reading_model=model, resolution=np.full(shape, share)
         )
         expected = 1 + share**2 + (1 - share) ** 2 * 0.49
         assert np.mean(predicted(known)) == pytest.approx(expected, rel=0.03)
@@ -167,7 +167,7 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
         plain = invented_case(name, recording, SHAPE, truth=False)
         sigma = 0.01 * plain.measured
         model = plain.measured + misfit * sigma
-        return dataclasses.replace(plain, sigma=sigma, two_point_model=model, resolution=np.full(SHAPE, resolution))
+        return dataclasses.replace(plain, sigma=sigma, reading_model=model, resolution=np.full(SHAPE, resolution))
 
     given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
     known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
@@ -206,7 +206,7 @@ def test_figures_of_a_case_are_what_they_are_called() -> None:
     ends["cell_resistance_lower"][1, :2] = case.truth[1, :2] * 1.05
     sigma = 0.01 * case.measured
     found = measures(dataclasses.replace(case, sigma=sigma, **ends), np.random.default_rng(0))
-    residual = ((case.two_point_model - case.measured) / sigma)[good]
+    residual = ((case.reading_model - case.measured) / sigma)[good]
     assert (found.frames, found.solved, found.cells) == (10, 8, 160)
     assert found.failures == (("stopped: too many iterations", (8, 9)),)
     assert found.misfit == pytest.approx(np.mean(residual**2)) and found.spread == pytest.approx(1.0, abs=0.2)

@@ -30,7 +30,7 @@ def test_the_figures_are_what_they_are_called() -> None:
     case = invented_case("LSM", failed=(1,))
     (row,) = compare(Results((case,), PUBLISHED))
     good = [0, 2]
-    data = 100 * np.abs(case.two_point_model[good] - case.measured[good]) / case.measured[good]
+    data = 100 * np.abs(case.reading_model[good] - case.measured[good]) / case.measured[good]
     cell = 100 * np.abs(case.cell_resistance[good] - case.truth[good]) / case.truth[good]
     assert (row.steps, row.frames, row.solved) == ("all", 3, 2)
     assert row.data_error.mean == pytest.approx(data.mean()) and row.data_error.sd == pytest.approx(data.std(ddof=1))

@@ -96,7 +96,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
 
     monkeypatch.setattr(engine_module, "solved", slowly)
     source = Source(lamprey.scene, 1.0, "receiving")
-    scan = Scan(lamprey.resistance[5], None, 1.0, time.time())
+    scan = Scan(lamprey.recorded[5], None, 1.0, time.time())
     with Engine("test", "test", LSM, 1) as engine:
         for _ in range(2):
             engine.take(source, scan)

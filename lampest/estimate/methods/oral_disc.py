@@ -58,7 +58,10 @@ class OralDiscTracker:
             channel_ohm=0.0 if systematic is None else systematic.channel_spread_ohm,
             reference=0.0 if systematic is None else systematic.reference_tolerance / np.sqrt(3),
         )
-        baseline = Baseline.of(resting.value, _sigma(resting), scene.series_resistance_ohm, model_errors)
+        try:
+            baseline = Baseline.of(resting.value, _sigma(resting), scene, model_errors)
+        except ValueError as error:
+            raise InputError(f"formulation: oral_disc: {error}") from error
         every = period if np.isfinite(period) else 0.0
         return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every)
 

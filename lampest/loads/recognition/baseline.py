@@ -10,6 +10,7 @@ from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
 
 STEPS = 12
 SETTLED = 1e-6
@@ -35,11 +36,15 @@ class Baseline:
     model_errors: ModelErrors
 
     @classmethod
-    def of(cls, measured: Array, sigma: Array, series_ohm: float, model_errors: ModelErrors) -> "Baseline":
+    def of(cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², by Gauss-Newton steps.
 
         measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
+        scene : what they were taken in. Raises ValueError unless its readout is a two-point one.
         """
+        if scene.circuit.unit != "ohm":
+            raise ValueError("recognition knows readout.kind: two_point only")
+        series_ohm = scene.series_resistance_ohm
         rows, columns = measured.shape
         cells, lines = measured.size, rows + columns + 1
         prior = np.zeros((cells + lines,) * 2)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
 from lampest.panel.readouts.tied import TiedNetwork
 
@@ -61,8 +61,12 @@ class Readout(ABC):
         if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
             raise ValueError("noise_lsb must be zero or positive, and finite")
 
-    def check(self, panel: Panel) -> None:  # noqa: B027 - nothing to check unless a kind lists numbers for lines
-        """Raise ValueError where the readout does not fit the panel."""
+    def check(self, scene: "Scene") -> None:
+        """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
+        if scene.series_resistance_ohm:
+            raise ValueError("series_resistance_ohm belongs to readout.kind: two_point")
+        if scene.systematic is not None:
+            raise ValueError("systematic belongs to readout.kind: two_point")
 
     @abstractmethod
     def description(self) -> str:

@@ -17,7 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.stream import Sample, board_samples, scene_and_resistance
+from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 FEWEST_REPEATS = 50
@@ -93,10 +93,10 @@ def record(
             journal: Journal | None = None
             for sample in samples:
                 if sample is not None:
-                    agreed, resistance = scene_and_resistance(sample, scene)
+                    agreed, recorded = agreed_and_recorded(sample, scene)
                     if journal is None:
                         journal = stack.enter_context(Journal.create(out, agreed, sample.hello.readings))
-                    journal.append(sample, resistance, UNLOADED if count < baseline else MEASURED)
+                    journal.append(sample, recorded, UNLOADED if count < baseline else MEASURED)
                     count, lost, restarts, state = count + 1, lost + sample.lost, sample.session, ""
                     for key in keys():
                         journal.mark(sample.time, key)

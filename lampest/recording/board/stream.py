@@ -49,6 +49,8 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
         return Scene(Panel(hello.rows, hello.columns), told)
     if scene.readout is None:
         return replace(scene, readout=told)
+    if not isinstance(scene.readout, TwoPointReadout):
+        raise InputError("the firmware reads panels as readout.kind: two_point only")
     for name in ("supply_volt", "reference_ohm", "measured_across", "adc_bits"):
         ours, theirs = getattr(scene.readout, name), getattr(told, name)
         if ours != theirs:
@@ -62,7 +64,7 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     return scene
 
 
-def scene_and_resistance(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
+def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
     """The agreed scene, and R of the mean code, (rows, columns) ohm, as the divider equation gives it.
 
     Raises InputError as `scene_of`.

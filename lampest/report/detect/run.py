@@ -80,7 +80,10 @@ class Given:
         sigma = _noise(case, case.sigma, case.measured, settings)
         resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
         errors = _model_errors(settings, scene)
-        baseline = Baseline.of(case.measured_baseline, resting, scene.series_resistance_ohm, errors)
+        try:
+            baseline = Baseline.of(case.measured_baseline, resting, scene, errors)
+        except ValueError as error:
+            raise InputError(f"{case.recording}: {error}") from error
         return cls(case, settings.patch_of(scene.panel), water, sigma, baseline)
 
     def frames(self) -> Iterator[Direct]:

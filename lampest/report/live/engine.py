@@ -23,11 +23,11 @@ from lampest.report.live.view import POINTS, Picture, Point, View
 class Scan:
     """One frame as it arrives.
 
-    resistance, sigma : (rows, columns) ohm, as `Readings.of` takes them; σ may be None.
+    recorded, sigma : (rows, columns) ohm or volt, as `Readings.of` takes them; σ may be None.
     time : s, on the recording's axis. arrived : s since 1970-01-01 UTC. lost : frames missing before this one.
     """
 
-    resistance: Array
+    recorded: Array
     sigma: Array | None
     time: float
     arrived: float
@@ -35,7 +35,7 @@ class Scan:
 
     def readings(self, scene: Scene) -> Readings:
         """What the frame says to an estimator. Raises InputError as `Readings.of`."""
-        return Readings.of(scene, self.resistance, self.sigma)
+        return Readings.of(scene, self.recorded, self.sigma)
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,7 @@ class Engine:
         try:
             first, *others = (scan.readings(source.scene) for scan in unloaded)
         except InputError as error:
-            hint = "check series_resistance_ohm and measured_across"
-            raise InputError(f"the unloaded panel is no baseline: {error}; {hint}") from error
+            raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         resting = first.together(*others).mean()
         self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
         self._solving = self._pool.submit(self._solve, source, resting)

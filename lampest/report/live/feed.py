@@ -10,7 +10,7 @@ import numpy as np
 from lampest.estimate.sequence import frame_period
 from lampest.panel.scene import Scene
 from lampest.recording.board.record import Progress, Recorded, record
-from lampest.recording.board.stream import Sample, board_samples, scene_and_resistance
+from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, Scan, Source
 
@@ -53,11 +53,11 @@ def recorded_from_board(
 
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
-    """Hand a board's frame on, as resistance."""
-    agreed, resistance = scene_and_resistance(sample, scene)
+    """Hand a board's frame on, as a recording would hold it."""
+    agreed, recorded = agreed_and_recorded(sample, scene)
     engine.take(
         Source(agreed, sample.hello.period_us * 1e-6, "receiving"),
-        Scan(resistance, None, sample.time, sample.host_time, sample.lost),
+        Scan(recorded, None, sample.time, sample.host_time, sample.lost),
     )
 
 
@@ -80,8 +80,8 @@ def scan_of(recording: Recording, frame: int) -> Scan:
     """One frame of a recording, as if it arrived now."""
     sigma, origin = recording.sigma, recording.acquisition
     return Scan(
-        recording.resistance[frame],
-        None if sigma is None else np.broadcast_to(sigma, recording.resistance.shape)[frame],
+        recording.recorded[frame],
+        None if sigma is None else np.broadcast_to(sigma, recording.recorded.shape)[frame],
         float(recording.time[frame]),
         time.time(),
         0 if origin is None else int(origin.lost[frame]),

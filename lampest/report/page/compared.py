@@ -106,7 +106,7 @@ DATA_ERROR = Criterion(
     "percentage points",
     "100·|model − measured|/measured, its median over readings and frames",
     False,
-    lambda case: relative_error(case.two_point_model, case.measured),
+    lambda case: relative_error(case.reading_model, case.measured),
     np.median,
 )
 

@@ -78,7 +78,7 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
             for text in failed
         ),
         cell_error=None if error is None else median_interval(_flat(error), _drawn(error, generator)),
-        data_error=None if none else float(np.mean(relative_error(case.two_point_model, case.measured)[good])),
+        data_error=None if none else float(np.mean(relative_error(case.reading_model, case.measured)[good])),
         misfit=None if residual is None else float(np.nanmean(residual[good] ** 2)),
         spread=None if residual is None else MAD * float(np.nanmedian(np.abs(residual[good]))),
         width=None if ended is None or ended.size == 0 else float(np.mean(ended)),
@@ -108,7 +108,7 @@ def weighted_residual(case: CaseResult) -> Array | None:
     """(model − measured)/σ, (frames, rows, columns), NaN where nothing was measured; None where σ is unknown."""
     if case.sigma is None:
         return None
-    residual: Array = (case.two_point_model - case.measured) / case.sigma
+    residual: Array = (case.reading_model - case.measured) / case.sigma
     return np.asarray(np.where(np.isfinite(case.sigma), residual, np.nan))
 
 

@@ -193,7 +193,7 @@ def _difference_tile(pair: Disagreement, place: int) -> Tile:
 def _residual(case: CaseResult, weighted: bool) -> Array:
     """(frames, rows, columns)."""
     own = weighted_residual(case) if weighted else None
-    return percent_change(case.two_point_model, case.measured) if own is None else own
+    return percent_change(case.reading_model, case.measured) if own is None else own
 
 
 def _at(case: CaseResult, place: int, values: Array | None) -> Array | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import ascii_array, read_array, read_texts, read_whole
 from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import Readout
 from lampest.runs.columns.checks import Check
 
 if TYPE_CHECKING:  # what reads results need not load what solves
@@ -35,6 +36,7 @@ class Column:
     checks : each says what is wrong with values, or nothing.
     dtype : float, bool, an integer kind, or str.
     shared : True for what was measured: every estimate of a recording was given the same.
+    as_volt : (dataset, long name) where the readout gives volt; none for what does not follow the readout's unit.
 
     Raises InputError where the name or the axes are unfit.
     """
@@ -48,6 +50,7 @@ class Column:
     dtype: type[Any] = np.float64
     dataset: str = ""
     shared: bool = False
+    as_volt: tuple[str, str] = ("", "")
 
     def __post_init__(self) -> None:
         if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
@@ -61,6 +64,13 @@ class Column:
     def path(self) -> str:
         """The name of the dataset."""
         return self.dataset or self.name
+
+    def of(self, readout: Readout) -> Column:
+        """The same column as a readout's unit, 'ohm' or 'volt', asks for it."""
+        dataset, long_name = self.as_volt
+        if readout.unit == "ohm" or not dataset:
+            return self
+        return replace(self, dataset=dataset, units=readout.unit, long_name=long_name)
 
     def filled(self, estimates: Estimates) -> Any:
         """The values as a case holds them: an array, a tuple of texts, or None where there are none."""

@@ -34,12 +34,14 @@ ESTIMATE = (
         (numbers_if_solved,),
     ),
     Column(
-        "two_point_model",
+        "reading_model",
         MAPS,
         "ohm",
         "two-point resistance of the estimated cells",
         of_steps(lambda step: step.solution.reading[-1]),
         (numbers_if_solved, not_negative),
+        dataset="two_point_model",
+        as_volt=("reading_model", "voltage across the load, of the estimated cells"),
     ),
     Column(
         "open_cell",

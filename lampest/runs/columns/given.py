@@ -53,6 +53,7 @@ MEASURED = Column(
     (positive,),
     dataset="resistance",
     shared=True,
+    as_volt=("volt", "measured voltage across the load"),
 )
 GIVEN = (
     TIME,
@@ -67,6 +68,7 @@ GIVEN = (
         (positive,),
         dataset="baseline",
         shared=True,
+        as_volt=("baseline", "mean voltage across the load in the unloaded frames"),
     ),
     Column(
         "sigma",
@@ -76,6 +78,7 @@ GIVEN = (
         lambda done: done.sigma,
         (positive_or_infinite,),
         shared=True,
+        as_volt=("sigma", "standard deviation of the measured voltage"),
     ),
     Column(
         "sigma_baseline",
@@ -85,6 +88,7 @@ GIVEN = (
         lambda done: done.sigma_baseline,
         (positive_or_infinite,),
         shared=True,
+        as_volt=("sigma_baseline", "standard deviation of the baseline"),
     ),
     Column("truth", MAPS, "ohm", "true cell resistance", _truth, (positive,), shared=True),
     Column(

@@ -41,7 +41,9 @@ def _in_order(file: h5py.File, path: str) -> list[str]:
 
 def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list[CaseResult]:
     base = f"/entry/{name}/{SHARED}"
-    measured = hdf5.read_array(file, f"{base}/{MEASURED.path}", 3)
+    scene = stored_scene(file, base, f"{base}/{MEASURED.path}")
+    table = [column.of(scene.circuit) for column in table]
+    measured = hdf5.read_array(file, f"{base}/{MEASURED.of(scene.circuit).path}", 3)
     sizes = dict(zip(MAPS, measured.shape, strict=True))
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
     maps = sum(column.axes == MAPS and not column.shared for column in table)
@@ -50,7 +52,6 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
         )
     given = _read_columns(file, base, [column for column in table if column.shared], sizes)
-    scene = stored_scene(file, base, measured.shape[1:])
     return [_read_case(file, (name, child), given, scene, table, sizes) for child in estimators]
 
 

@@ -24,10 +24,13 @@ def write_scene(group: h5py.Group, scene: Scene) -> None:
     hdf5.write_dataset(group, "scene", hdf5.ascii_array(to_yaml(scene)), "1", "what was measured, YAML")
 
 
-def stored_scene(file: h5py.File, base: str, shape: tuple[int, int]) -> Scene:
-    """The scene of a recording's group. Raises InputError where it is damaged or impossible."""
+def stored_scene(file: h5py.File, base: str, measured: str) -> Scene:
+    """The scene of a recording's group. Raises InputError where it is damaged or impossible.
+
+    measured : the dataset of the readings, whose shape says the panel's where a file has no scene.
+    """
     if not hdf5.has(file, f"{base}/scene"):
-        return _from_attributes(file, base, shape)
+        return _from_attributes(file, base, hdf5.read_array(file, measured, 3).shape[1:])
     document = parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene")
     scene: Scene = validated(document, Scene)
     return scene

@@ -10,7 +10,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.runs.case import SHARED, CaseResult
-from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, TIME, Column, Figures, all_columns
+from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
 from lampest.runs.published import PublishedFigures, published_text
 from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
 
@@ -67,9 +67,11 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
 
 def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:
     hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
-    given = _frames_group(group, SHARED, "resistance", cases[0])
-    write_scene(given, fullest(case.scene for case in cases))
-    _write_columns(given, cases[0], [column for column in table if column.shared and column is not TIME])
+    scene = fullest(case.scene for case in cases)
+    table = [column.of(scene.circuit) for column in table]
+    given = _frames_group(group, SHARED, MEASURED.of(scene.circuit).path, cases[0])
+    write_scene(given, scene)
+    _write_columns(given, cases[0], [column for column in table if column.shared and column != TIME])
     for number, case in enumerate(cases):
         estimate = _frames_group(group, case.estimator, "cell_resistance", case)
         hdf5.set_attributes(estimate, order=number, case_id=case.case_id, case=case.case_yaml)

@@ -1,14 +1,17 @@
 """Loaded columns: one line is driven through a resistor, the other driven lines float, every sensed line has a load."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, lines_text, per_line
 from lampest.panel.readouts.loaded_columns.start import kirchhoff_start
 from lampest.panel.readouts.readout import LEAST_SHARE, Readout
+
+if TYPE_CHECKING:
+    from lampest.panel.scene import Scene
 
 RELAXED = 3.0  # σ of the data by which bounds give way: with 1 % noise the truth itself breaks them in a third of cases
 END = 1e-9  # of the supply: a reading so near to an end says that a cell is open or a short
@@ -42,9 +45,10 @@ class LoadedColumnsReadout(Readout):
         check_lines("load_ohm", self.load_ohm, least=0.0, open_end=True)
         check_lines("drive_ohm", self.drive_ohm, least=0.0)
 
-    def check(self, panel: Panel) -> None:
-        """Raise ValueError unless a list has one resistance for each line."""
-        driven, sensed = self._sides(*panel.shape)
+    def check(self, scene: "Scene") -> None:
+        """Raise ValueError as every kind does, and unless a list has one resistance for each line."""
+        super().check(scene)
+        driven, sensed = self._sides(*scene.panel.shape)
         per_line("load_ohm", self.load_ohm, sensed)
         per_line("drive_ohm", self.drive_ohm, driven)
 
