@@ -2,69 +2,163 @@
 
     import lampest
     recording = lampest.Recording.load("data/lamprey_35mm.h5")
-    found = lampest.reconstruct(recording, terms=[lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
     found.cell_resistance  # (frames, rows, columns) ohm
     found.relative_change  # percent of the unloaded panel
+    found.plot()
 
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
 
-from importlib import import_module
-from importlib.metadata import version
-from typing import Any
+from __future__ import annotations
 
-__version__ = version("lampest")
-_HOMES = {
-    "Recording": "lampest.recording.recording",
-    "Readings": "lampest.recording.readings",
-    "Scene": "lampest.panel.scene",
-    "TwoPointReadout": "lampest.panel.readouts",
-    "Panel": "lampest.panel.panel",
-    "Faults": "lampest.panel.scene",
-    "Systematic": "lampest.panel.scene",
-    "Temperature": "lampest.panel.scene",
-    "Water": "lampest.panel.scene",
-    "LoadedColumnsReadout": "lampest.panel.readouts",
-    "InputError": "lampest.files.errors",
-    "Estimator": "lampest.estimate.estimator",
-    "Bounds": "lampest.estimate.estimator",
-    "Stream": "lampest.estimate.stream",
-    "Settings": "lampest.solvers.solution",
-    "Misfit": "lampest.cost.terms",
-    "CellResistance": "lampest.cost.terms",
-    "RelativeChange": "lampest.cost.terms",
-    "Gradient": "lampest.cost.terms",
-    "GradientOfRelativeChange": "lampest.cost.terms",
-    "LogRatio": "lampest.cost.terms",
-    "TotalVariation": "lampest.cost.terms",
-    "TotalVariationOfChange": "lampest.cost.terms",
-    "Arrival": "lampest.cost.terms",
-    "Squared": "lampest.cost.losses",
-    "Huber": "lampest.cost.losses",
-    "Absolute": "lampest.cost.losses",
-    "two_point_resistance": "lampest.panel.readouts.two_point.exact",
-    "read_results": "lampest.runs.results",
-}
-__all__ = [*_HOMES, "reconstruct"]
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    __version__: str
+
+    # The public names, once for editors, type checkers and `__getattr__`, which reads them from here.
+    from lampest.cost.losses import Absolute as Absolute
+    from lampest.cost.losses import Huber as Huber
+    from lampest.cost.losses import Loss as Loss
+    from lampest.cost.losses import Squared as Squared
+    from lampest.cost.problem import Data as Data
+    from lampest.cost.terms import term_types as term_types
+    from lampest.cost.terms.arrival import Arrival as Arrival
+    from lampest.cost.terms.cell_resistance import CellResistance as CellResistance
+    from lampest.cost.terms.gradient import Gradient as Gradient
+    from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange as GradientOfRelativeChange
+    from lampest.cost.terms.log_ratio import LogRatio as LogRatio
+    from lampest.cost.terms.misfit import Misfit as Misfit
+    from lampest.cost.terms.relative_change import RelativeChange as RelativeChange
+    from lampest.cost.terms.term import State as State
+    from lampest.cost.terms.term import Term as Term
+    from lampest.cost.terms.total_variation import TotalVariation as TotalVariation
+    from lampest.cost.terms.total_variation_of_change import TotalVariationOfChange as TotalVariationOfChange
+    from lampest.estimate.estimates import Estimates as Estimates
+    from lampest.estimate.estimator import AutoWeight as AutoWeight
+    from lampest.estimate.estimator import Bounds as Bounds
+    from lampest.estimate.estimator import Estimator as Estimator
+    from lampest.estimate.methods import LinearisedMethod as LinearisedMethod
+    from lampest.estimate.methods import Method as Method
+    from lampest.estimate.methods import MethodName
+    from lampest.estimate.methods import OptimalMethod as OptimalMethod
+    from lampest.estimate.methods import OralDiscMethod as OralDiscMethod
+    from lampest.estimate.methods import RegionMethod as RegionMethod
+    from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
+    from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
+    from lampest.estimate.step import Step as Step
+    from lampest.estimate.stream import Stream as Stream
+    from lampest.files.errors import InputError as InputError
+    from lampest.loads.shapes import Block as Block
+    from lampest.loads.shapes import OralDisc as OralDisc
+    from lampest.loads.shapes import Ring as Ring
+    from lampest.loads.shapes import Rod as Rod
+    from lampest.loads.shapes import Shape as Shape
+    from lampest.loads.shapes import SuctionCup as SuctionCup
+    from lampest.panel.panel import Array as Array
+    from lampest.panel.panel import Panel as Panel
+    from lampest.panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
+    from lampest.panel.readouts import Readout as Readout
+    from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
+    from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
+    from lampest.panel.scene import Faults as Faults
+    from lampest.panel.scene import Scene as Scene
+    from lampest.panel.scene import Systematic as Systematic
+    from lampest.panel.scene import Temperature as Temperature
+    from lampest.panel.scene import Water as Water
+    from lampest.recording.foreign.importing import import_file as import_file
+    from lampest.recording.foreign.importing import read_scene as read_scene
+    from lampest.recording.readings import Readings as Readings
+    from lampest.recording.recording import MEASURED as MEASURED
+    from lampest.recording.recording import UNLOADED as UNLOADED
+    from lampest.recording.recording import Recording as Recording
+    from lampest.recording.simulation import Cells as Cells
+    from lampest.recording.simulation import Course as Course
+    from lampest.recording.simulation import Simulation as Simulation
+    from lampest.recording.simulation import Unmodelled as Unmodelled
+    from lampest.recording.simulation import read_simulations as read_simulations
+    from lampest.recording.simulation import simulate as simulate
+    from lampest.report.plots import CertaintyPlot as CertaintyPlot
+    from lampest.report.plots import ContourPlot as ContourPlot
+    from lampest.report.plots import Plot as Plot
+    from lampest.report.plots import PressurePlot as PressurePlot
+    from lampest.report.plots.results import plot_results as plot_results
+    from lampest.report.reconstruction import Reconstruction as Reconstruction
+    from lampest.runs.columns import Column as Column
+    from lampest.runs.config import read_run as read_run
+    from lampest.runs.results import CaseResult as CaseResult
+    from lampest.runs.results import PublishedFigures as PublishedFigures
+    from lampest.runs.results import Results as Results
+    from lampest.runs.results import StepFigures as StepFigures
+    from lampest.runs.results import read_results as read_results
+    from lampest.runs.results import write_results as write_results
+    from lampest.solvers.solution import Outcome as Outcome
+    from lampest.solvers.solution import Settings as Settings
+    from lampest.solvers.solution import Solution as Solution
+    from lampest.solvers.solution import Solver as Solver
+    from lampest.solvers.solution import Status as Status
+    from lampest.solvers.solution import approximation as approximation
+else:
+    import ast
+    from importlib import import_module
+    from pathlib import Path
+
+    _HOMES = {
+        alias.name: node.module
+        for node in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname == alias.name
+    }
+    __all__ = [*_HOMES, "reconstruct"]
+
+    def __getattr__(name: str) -> object:
+        if name == "__version__":
+            return import_module("importlib.metadata").version("lampest")
+        if name in _HOMES:
+            return getattr(import_module(_HOMES[name]), name)
+        raise AttributeError(f"module 'lampest' has no attribute '{name}'")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'lampest' has no attribute '{name}'")
-
-
-def reconstruct(recording: Any, terms: Any, **options: Any) -> Any:
-    """r̂ = argmin Σ weight·loss(residual) for every measured frame of a recording.
+def reconstruct(
+    recording: Recording,
+    terms: Sequence[Term],
+    *,
+    formulation: MethodName | Method = "nodal",
+    solver: Settings | None = None,
+    bounds: Bounds | None = None,
+    error_bars: Literal["auto"] | bool = "auto",
+    auto_weight: AutoWeight | None = None,
+) -> Reconstruction:
+    """r̂ = argmin Σ weight·loss(residual) within the bounds, for every measured frame of a recording.
 
     Parameters
     ----------
-    recording : a Recording.
-    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)].
-    options : formulation, solver and bounds, as `Estimator` takes them.
+    recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
+    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a weight may be 'auto'.
+    formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4).
+    solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
+    error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.
 
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
-    Raises InputError where the recording and the estimator do not fit.
+    Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
     """
-    estimator = import_module("lampest.estimate.estimator").Estimator(tuple(terms), **options)
-    return import_module("lampest.estimate.sequence").reconstruct(recording, estimator)
+    from lampest.estimate.estimator import AutoWeight, Bounds, Estimator, checked_terms
+    from lampest.report.reconstruction import Reconstruction
+    from lampest.solvers.solution import Settings
+
+    estimator = Estimator(
+        checked_terms(terms),
+        formulation,
+        Settings() if solver is None else solver,
+        Bounds() if bounds is None else bounds,
+        error_bars,
+        AutoWeight() if auto_weight is None else auto_weight,
+    )
+    return Reconstruction.of(recording, estimator)

@@ -1,7 +1,4 @@
-"""What several tests need: invented but consistent results, and live without haste. No test stands here.
-
-Tests of contracts take from here what they need of the package and its public face does not offer.
-"""
+"""What several tests need: invented but consistent results, and live without haste. No test stands here."""
 
 import dataclasses
 import time
@@ -10,35 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from lampest.cost.terms import term_types
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Faults, Scene, Systematic, Temperature, Water
-from lampest.recording.foreign.importing import import_file, read_scene
-from lampest.recording.simulation import read_simulations
+from lampest.panel.scene import Scene
 from lampest.report.live.engine import Engine, Scan, Source
 from lampest.report.live.view import Picture
-from lampest.runs.config import read_run
-from lampest.runs.results import CaseResult, PublishedFigures, StepFigures, write_results
+from lampest.runs.results import CaseResult
 
-__all__ = [
-    "METHODS",
-    "CaseResult",
-    "Faults",
-    "PublishedFigures",
-    "StepFigures",
-    "Systematic",
-    "Temperature",
-    "Water",
-    "import_file",
-    "invented_case",
-    "mouth",
-    "read_run",
-    "read_scene",
-    "read_simulations",
-    "term_types",
-    "write_results",
-]
 METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 
 

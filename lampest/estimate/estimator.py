@@ -1,6 +1,6 @@
 """One method of estimation: which terms, which formulation, which bounds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, ClassVar, Literal
@@ -10,9 +10,10 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
+from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
 from lampest.estimate.methods import Method, MethodName, named_method
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -89,6 +90,21 @@ class AutoWeight:
     per: Literal["recording", "frame"] = "recording"
 
 
+def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The same terms. Raises InputError unless they are a list or tuple of terms, and one of them is a data term."""
+    if not isinstance(terms, list | tuple):
+        raise InputError(f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}")
+    for term in terms:
+        if not isinstance(term, Term):
+            raise InputError(f"terms must hold objects such as Misfit(), not {in_words(term)}")
+    if not terms:
+        raise InputError("an estimator needs at least one term")
+    if not any(term.reads_measurement for term in terms):
+        named = " + ".join(map(term_kind, terms))
+        raise InputError(f"{named} needs the term misfit: without it nothing reads what was measured")
+    return tuple(terms)
+
+
 @dataclass(frozen=True)
 class Estimator:
     """Terms, the method that minimises them, its settings, and bounds.
@@ -98,8 +114,8 @@ class Estimator:
     verified optima of readings whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
 
-    Raises ValueError without a data term, for a formulation that does not exist or does not fit the terms, or where a
-    term weighs the previous frame by its error bars and there can be none.
+    Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a
+    term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
     """
 
     terms: tuple[Term, ...]
@@ -110,20 +126,19 @@ class Estimator:
     auto_weight: AutoWeight = AutoWeight()
 
     def __post_init__(self) -> None:
-        if not self.terms:
-            raise ValueError("an estimator needs at least one term")
-        if self.automatic and not any(term.reads_measurement for term in self.terms):
-            raise ValueError("weight: auto needs the term misfit")
+        object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
+        for name, kind in (("solver", Settings), ("bounds", Bounds), ("auto_weight", AutoWeight)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name} must be {kind.__name__}(...), not {in_words(getattr(self, name))}")
+        if self.error_bars not in ("auto", True, False):
+            raise InputError(f"error_bars must be 'auto', True or False, not {in_words(self.error_bars)}")
         self.method.check(self.terms)
-        if self.weighs_previous:
-            if self.error_bars is False or not self.method.optimum:
-                raise ValueError(
-                    "arrival weighs frames by their error bars: it needs error_bars, and an optimum to have them"
-                )
-            if not any(term.reads_measurement for term in self.terms):
-                raise ValueError("arrival needs the term misfit")
+        if self.weighs_previous and (self.error_bars is False or not self.method.optimum):
+            raise InputError(
+                "arrival weighs frames by their error bars: it needs error_bars, and an optimum to have them"
+            )
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
-            raise ValueError("auto_weight.per: frame needs a formulation that ends at an optimum")
+            raise InputError("auto_weight.per: frame needs a formulation that ends at an optimum")
 
     @property
     def method(self) -> Method:

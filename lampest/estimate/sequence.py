@@ -1,67 +1,31 @@
 """A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
-from lampest.panel.panel import Array
+from lampest.files.errors import InputError, in_words
 from lampest.panel.scene import Scene
-from lampest.posterior.certainty import Certainty
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import UNLOADED, Recording
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """Cell resistances of a recording's measured frames.
-
-    frame : (frames) index into the recording. measured : (frames, rows, columns) ohm, series resistance taken off.
-    measured_baseline : (rows, columns) ohm, mean of the unloaded frames, or the first frame where there is none.
-    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
-    baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
-    baseline_bars : the baseline's error bars, or None.
-    """
-
-    recording: Recording
-    estimator: Estimator
-    frame: NDArray[np.intp]
-    measured: Array
-    measured_baseline: Array
-    sigma: Array | None
-    sigma_baseline: Array | None
-    baseline_resistance: Array
-    baseline: Step
-    baseline_bars: Certainty | None
-    steps: tuple[Step, ...]
-    joint_start: bool
-
-    @property
-    def cell_resistance(self) -> Array:
-        """(frames, rows, columns) ohm; NaN where a frame failed."""
-        return np.stack([step.solution.cell_resistance[-1] for step in self.steps])
-
-    @property
-    def relative_change(self) -> Array:
-        """100·(r − r_baseline)/r_baseline, (frames, rows, columns) percent."""
-        return 100 * (self.cell_resistance / self.baseline_resistance - 1)
-
-
-def reconstruct(
-    recording: Recording, estimator: Estimator, on_frame: Callable[[], None] = lambda: None
-) -> Reconstruction:
+def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[], None] = lambda: None) -> Estimates:
     """Solve every measured frame of a recording.
 
     A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
-    InputError where readings do not exceed the series resistance or the noise is needed and unknown.
+    InputError where readings do not exceed the series resistance, the noise is needed and unknown, or what is given is
+    no Recording.
     """
+    if not isinstance(recording, Recording):
+        raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     frames = recording.measured_frames()
@@ -70,7 +34,7 @@ def reconstruct(
         stream, step = stream.push(readings[frame])
         steps.append(step)
         on_frame()
-    return Reconstruction(
+    return Estimates(
         recording,
         stream.estimator,
         frames,

@@ -24,6 +24,17 @@ class Step:
     bars_seconds: float = 0.0
     disc: OralDiscFit | None = None
 
+    @property
+    def cell_resistance(self) -> Array:
+        """The frame's cells, (rows, columns) ohm; NaN where the solve failed."""
+        cells: Array = self.solution.cell_resistance[-1]
+        return cells
+
+    @property
+    def status(self) -> str:
+        """How the solve ended, a sentence."""
+        return self.solution.status.value
+
     def estimate(self, frame: int) -> Array | None:
         """The cells (rows, columns) ohm of one of its frames; None where the solve failed."""
         return self.solution.cell_resistance[frame] if self.solution.solved else None

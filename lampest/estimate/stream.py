@@ -12,6 +12,7 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
+from lampest.files.errors import InputError, in_words
 from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -26,6 +27,23 @@ UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 @dataclass(frozen=True, eq=False)
 class Stream:
     """Where a sequence of frames stands. Pushing a frame gives the next stream and how the frame was solved.
+
+    The cells are those of a recording with the same frames: files and boards come in by this door, too.
+
+    >>> import numpy as np
+    >>> import lampest
+    >>> scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    >>> frames = np.full((3, 3, 4), 640.0)  # ohm as the divider gives it; each is measured when it comes
+    >>> frames[2, 1, 2] = 560.0
+    >>> resting = lampest.Readings.of(scene, frames[:2]).mean()  # of the unloaded panel
+    >>> estimator = lampest.Estimator((lampest.Misfit(),), formulation="reduced")
+    >>> stream = lampest.Stream.begin(estimator, scene, 0.1, resting)
+    >>> stream.baseline_resistance.round()[1]
+    array([1000., 1000., 1000., 1000.])
+    >>> for frame in frames[2:]:
+    ...     stream, step = stream.push(lampest.Readings.of(scene, frame))
+    ...     print(step.status, step.cell_resistance.round()[1])
+    optimum verified [1033. 1033.  700. 1033.]
 
     Parameters
     ----------
@@ -52,8 +70,10 @@ class Stream:
     def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
         """Before the first frame; an absolute method solves its baseline now.
 
-        Raises InputError where the noise is needed and unknown, or bounds leave no room.
+        Raises InputError where the noise is needed and unknown, bounds leave no room, or the readings are no frame of
+        the panel.
         """
+        _check_frame(resting, scene)
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene, period, resting, track=track)
         return stream if estimator.joint_start else estimator.method.begin(stream)
@@ -63,6 +83,7 @@ class Stream:
 
         Raises InputError as `begin`.
         """
+        _check_frame(readings, self.scene)
         return self.estimator.method.push(self, readings)
 
     def after_baseline(self) -> "Stream":
@@ -164,6 +185,17 @@ class Stream:
     def without_comparisons(self) -> "Stream":
         """The stream without the terms that compare with an earlier frame."""
         return replace(self, estimator=replace(self.estimator, terms=self.estimator.absolute_terms))
+
+
+def _check_frame(readings: Readings, scene: Scene) -> None:
+    """Raise InputError unless these are the readings of one frame."""
+    if not isinstance(readings, Readings):
+        raise InputError(f"a stream takes Readings.of(scene, values), not {in_words(readings)}")
+    if readings.value.shape != scene.panel.shape:
+        held, wanted = (" × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape))
+        raise InputError(
+            f"a stream takes one frame of {wanted} readings, not {held}; of several, take one or their mean()"
+        )
 
 
 def _deviation(track: Track | None, step: Step) -> Array | None:

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
@@ -188,7 +189,9 @@ def to_yaml(value: Any) -> str:
 
 
 def plain_content(value: Any) -> Any:
-    """Dataclasses as mappings without their None entries, tuples as lists; everything else as it is."""
+    """Dataclasses as mappings without their None entries; tuples and arrays as lists, numpy's numbers as plain ones."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, dict):

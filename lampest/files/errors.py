@@ -1,5 +1,7 @@
 """The one exception that stands for a user's mistake."""
 
+from typing import Any
+
 LONGEST_START, LONGEST_END = 500, 200
 
 
@@ -15,3 +17,10 @@ class InputError(ValueError):
         if len(sentence) > LONGEST_START + LONGEST_END:
             sentence = f"{sentence[:LONGEST_START]} ... {sentence[-LONGEST_END:]}"
         super().__init__(sentence)
+
+
+def in_words(value: Any) -> str:
+    """What a user gave in place of something else: words and numbers as they are, of all else its class."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"

@@ -1,9 +1,11 @@
 """Unions told apart by `kind`, so that a misspelt key is reported for the kind that was meant."""
 
 import typing
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from lampest.files.errors import InputError
 from lampest.files.plugins import installed
 
 
@@ -20,10 +22,11 @@ class ByKind:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """The tagged union of the members, one choice for each literal; called by the validating library."""
+        members = typing.get_args(source)
         choices = {
-            name: handler.generate_schema(member)
-            for member in (*typing.get_args(source), *extra(self.group))
-            for name in kinds_of(member)
+            kind: handler.generate_schema(member)
+            for member in (*members, *_installed_members(members, self.group))
+            for kind in kinds_of(member)
         }
         tag = self._tag if self.default else "kind"
         return {"type": "tagged-union", "discriminator": tag, "choices": choices}
@@ -33,16 +36,34 @@ class ByKind:
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
-    """The words that a class's `kind: Literal[...]` allows."""
-    return typing.get_args(typing.get_type_hints(member)["kind"])
+    """The words that a class's `kind: Literal[...]` allows; none where it has no such field."""
+    return typing.get_args(typing.get_type_hints(member).get("kind"))
 
 
 def members_of(union: Any) -> tuple[type[Any], ...]:
-    """The classes of Annotated[A | B, ByKind(group)], those of installed packages included."""
+    """The classes of Annotated[A | B, ByKind(group)], those of installed packages included.
+
+    Raises InputError where a package names something else, or a class without a word of its own as `kind`.
+    """
     inner, mark = typing.get_args(union)
-    return (*typing.get_args(inner), *extra(mark.group))
+    return (*typing.get_args(inner), *_installed_members(typing.get_args(inner), mark.group))
 
 
-def extra(group: str) -> tuple[type[Any], ...]:
-    """The classes that installed packages name in a group of entry points; none without a group."""
-    return installed(group, type) if group else ()
+def members_by_kind(union: Any) -> dict[str, type[Any]]:
+    """kind → class, for every word of every member. Raises InputError as `members_of`."""
+    return {kind: member for member in members_of(union) for kind in kinds_of(member)}
+
+
+def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
+    """What installed packages add to the members of a union."""
+    base = next(kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members))
+    taken = [kind for member in members for kind in kinds_of(member)]
+    for added in installed(group, type) if group else ():
+        named = f"{group}: {added.__name__} of an installed package"
+        if not issubclass(added, base):
+            raise InputError(f"{named} is no {base.__name__}")
+        kinds = kinds_of(added)
+        if not kinds or not set(kinds).isdisjoint(taken):
+            raise InputError(f"{named} needs kind: Literal['...'] with a word other than {', '.join(taken)}")
+        taken += kinds
+        yield added

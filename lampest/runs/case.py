@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column
+from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column, all_columns
+from lampest.runs.labelled import dataset_of, table_of
 from lampest.runs.published import PublishedFigures
+
+if TYPE_CHECKING:
+    from lampest.runs.labelled import DataFrame, Dataset
 
 SHARED = "recording"  # the group beside the estimators that holds what they were given
 LONGEST_NAME = 200
@@ -123,6 +127,33 @@ class CaseResult:
     def column(self, name: str) -> Any:
         """The values of a column, or None where the case has none."""
         return getattr(self, name) if name in TYPED else self.extra.get(name)
+
+    def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
+        """The case as an xarray.Dataset over time (s), row and column, with x and y in mm; units in every `attrs`.
+
+        columns : of `extra`, as `read_results` takes them. Raises InputError where an extra has no column, or xarray is
+        not installed.
+        """
+        return dataset_of(self, self.described(columns))
+
+    def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
+        """The case as a long pandas.DataFrame: time, frame, row, column, and a column for each of the case's.
+
+        One line for every cell of every frame; units in `attrs["units"]`. Raises InputError as `to_xarray`.
+        """
+        return table_of(self, self.described(columns))
+
+    def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
+        """All columns: those of lampest, of installed packages, and further ones.
+
+        Raises InputError where values do not fit them, or an extra is none of them.
+        """
+        table = all_columns(columns)
+        self.check(table)
+        for name in self.extra:
+            if name not in {column.name for column in table}:
+                raise InputError(f"{self.recording} × {self.estimator}: no column says what the extra '{name}' is")
+        return table
 
     def check(self, columns: Sequence[Column]) -> None:
         """Raise InputError where the values of a column have another shape than its axes or are impossible."""

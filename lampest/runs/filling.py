@@ -1,9 +1,12 @@
-"""A reconstruction → what its results file keeps."""
+"""Estimates → what their results file keeps."""
 
+import hashlib
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from lampest.estimate.sequence import Reconstruction
+from lampest.cost.terms import term_kind
+from lampest.estimate.estimates import Estimates
+from lampest.files.document import plain_content, to_yaml
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import FIGURES, Column, all_columns
 from lampest.runs.config import Case
@@ -11,26 +14,46 @@ from lampest.runs.config import Case
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
 
-def case_result(case: Case, reconstruction: Reconstruction, columns: Sequence[Column] = ()) -> CaseResult:
-    """What the results file keeps of a reconstruction: every column that it can fill.
+def case_result(case: Case, estimates: Estimates, columns: Sequence[Column] = ()) -> CaseResult:
+    """What the results file keeps of a run's case: every column that its estimates can fill.
 
     columns : besides those of lampest and of installed packages. Raises InputError where a column's values are of
     another shape than its axes, or impossible.
     """
+    return _filled(estimates, columns, case.recording, case.name, case.resolved, case.case_id)
+
+
+def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
+    """The same of estimates that no run's file asked for.
+
+    name : of the estimator; None: its terms, `misfit + gradient`. Raises InputError as `case_result`.
+    """
+    recording, estimator = estimates.recording, estimates.estimator
+    name = " + ".join(map(term_kind, estimator.terms)) if name is None else name
+    readings = hashlib.sha256(recording.recorded.tobytes()).hexdigest()
+    told = {"recording": recording.name, "readings_sha256": readings, "estimator": name}
+    resolved = to_yaml(told | plain_content(recording.scene) | plain_content(estimator))
+    case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
+    return _filled(estimates, columns, recording.name, name, resolved, case_id)
+
+
+def _filled(
+    estimates: Estimates, columns: Sequence[Column], recording: str, name: str, resolved: str, case_id: str
+) -> CaseResult:
     table = all_columns(columns)
-    values = {column.name: column.filled(reconstruction) for column in table}
+    values = {column.name: column.filled(estimates) for column in table}
     result = CaseResult.of(
-        {name: held for name, held in values.items() if held is not None},
-        recording=case.recording,
-        estimator=case.name,
-        case_id=case.case_id,
-        case_yaml=case.resolved,
+        {column: held for column, held in values.items() if held is not None},
+        recording=recording,
+        estimator=name,
+        case_id=case_id,
+        case_yaml=resolved,
         versions={library: version(library) for library in LIBRARIES},
-        scene=reconstruction.recording.scene,
-        baseline_status=reconstruction.baseline.solution.status.value,
-        baseline_solve_time=reconstruction.baseline.seconds,
-        joint_start=reconstruction.joint_start,
-        **{folder.name: folder.value(reconstruction) for folder in FIGURES},
+        scene=estimates.recording.scene,
+        baseline_status=estimates.baseline.status,
+        baseline_solve_time=estimates.baseline.seconds,
+        joint_start=estimates.joint_start,
+        **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)
     return result

@@ -40,6 +40,8 @@ DOORS = {
     ),
     "scipy": ("panel.readouts", "loads", "solvers", "posterior", "studies"),
     "mpmath": ("studies.extremes",),
+    "xarray": ("runs.labelled",),
+    "pandas": ("runs.labelled",),
     "h5py": ("files.hdf5", "recording", "runs.results"),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),
@@ -279,7 +281,7 @@ def test_rules_leave_others_alone(module: str, text: str) -> None:
 
 
 def test_contracts_may_use_the_public_face_and_the_command() -> None:
-    text = "import lampest\nfrom lampest import Misfit\nfrom support import read_run\nPath('lampest.schema.json')"
+    text = "import lampest\nfrom lampest import Misfit\nfrom support import invented_case\nPath('lampest.schema.json')"
     assert not list(faces("test_run", ast.parse(text)))
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from support import import_file, read_scene
 
-from lampest import InputError, Panel, Scene, TwoPointReadout
+from lampest import InputError, Panel, Scene, TwoPointReadout, import_file, read_scene
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5

@@ -11,20 +11,23 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import (
-    METHODS,
+from support import METHODS, invented_case
+
+from lampest import (
     CaseResult,
     Faults,
+    InputError,
+    Panel,
     PublishedFigures,
+    Scene,
     StepFigures,
     Systematic,
     Temperature,
+    TwoPointReadout,
     Water,
-    invented_case,
+    read_results,
     write_results,
 )
-
-from lampest import InputError, Panel, Scene, TwoPointReadout, read_results
 
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 
@@ -74,7 +77,8 @@ def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
 
 def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from support import METHODS, invented_case, write_results\n"
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from support import METHODS, invented_case\nfrom lampest import write_results\n"
         "write_results(sys.argv[2], [invented_case(name, failed=(1,)) for name in METHODS])"
     )
     for name in ("one.h5", "two.h5"):

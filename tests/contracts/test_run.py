@@ -14,9 +14,8 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from support import CaseResult, read_run, term_types
 
-from lampest import read_results
+from lampest import CaseResult, read_results, read_run, term_types
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")

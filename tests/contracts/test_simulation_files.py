@@ -6,9 +6,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from support import read_simulations
 
-from lampest import InputError, Recording
+from lampest import InputError, Recording, read_simulations
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]

@@ -15,9 +15,10 @@ from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Arrival, LogRatio, Misfit
 from lampest.cost.terms.term import Term
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Rod
@@ -60,19 +61,17 @@ def scene(kind: str, seed: int, frames: int = 18) -> Recording:
     return recorded(cells, seed + 1000)
 
 
-def estimated(
-    recording: Recording, *terms: Term, formulation: MethodName = "reduced", **options: Any
-) -> Reconstruction:
+def estimated(recording: Recording, *terms: Term, formulation: MethodName = "reduced", **options: Any) -> Estimates:
     return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), formulation, **options))
 
 
-def deviation(found: Reconstruction) -> Array:
+def deviation(found: Estimates) -> Array:
     """Of log r, all frames, as the bars have it."""
     assert all(step.bars is not None for step in found.steps)
     return np.stack([step.bars.frame.deviation for step in found.steps if step.bars is not None])
 
 
-def errors(found: Reconstruction) -> Array:
+def errors(found: Estimates) -> Array:
     """log r − log truth, (frames, rows, columns)."""
     truth = found.recording.truth_cell_resistance
     assert truth is not None

@@ -13,8 +13,9 @@ from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
@@ -165,7 +166,7 @@ def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Rec
     )
 
 
-def changes_within(found: Reconstruction, cells: Array) -> list[bool]:
+def changes_within(found: Estimates, cells: Array) -> list[bool]:
     """Of the last frame's changes against the baseline, which ones lie in their intervals."""
     change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
     assert bars is not None and bars.change is not None

@@ -11,6 +11,7 @@ from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import Method
 from lampest.estimate.methods.linearised import LinearisedMethod
@@ -18,7 +19,7 @@ from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.methods.region import RegionMethod
 from lampest.estimate.methods.truncated import TruncatedMethod
 from lampest.estimate.methods.uncorrected import UncorrectedMethod
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
@@ -57,7 +58,7 @@ def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: 
     return Recording(scene, readings, np.arange(float(len(cells))), role, exact * max(noise, sigma))
 
 
-def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Reconstruction:
+def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
     found = reconstruct(data, Estimator(terms, method, **options))
     assert all(step.solution.solved for step in found.steps)
     return found

@@ -15,8 +15,9 @@ from lampest.cost.given import Background, Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.readout import resolution_limit
 from lampest.panel.scene import Scene
@@ -403,7 +404,7 @@ def test_sequence_is_its_frames_one_by_one(method: str) -> None:
         assert_allclose(alone.cell_resistance[-1], found.cell_resistance[-1], rtol=1e-6)
 
 
-def single(recorded: Recording, frame: int, chosen: Estimator) -> Reconstruction:
+def single(recorded: Recording, frame: int, chosen: Estimator) -> Estimates:
     """The baseline and one frame of a recording."""
     kept = [0, frame]
     return reconstruct(

@@ -24,9 +24,10 @@ from lampest.cost.terms import (
     TotalVariationOfChange,
 )
 from lampest.cost.terms.term import Reference, State, Term
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
@@ -71,7 +72,7 @@ def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
     )
 
 
-def estimated(recorded: Recording, *terms: Term, formulation: MethodName = "reduced") -> Reconstruction:
+def estimated(recorded: Recording, *terms: Term, formulation: MethodName = "reduced") -> Estimates:
     return reconstruct(recorded, Estimator((Misfit(weighting="noise"), *terms), formulation, error_bars=False))
 
 

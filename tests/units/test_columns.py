@@ -11,8 +11,9 @@ import pytest
 from support import invented_case
 
 import lampest
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.sequence import Reconstruction, reconstruct
+from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.runs.case import REQUIRED, TYPED, CaseResult
 from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAMES, MAPS, Column, all_columns, of_steps
@@ -33,7 +34,7 @@ LEAST = Column(
 CONTRAST = Column("contrast", MAPS, "1", "cell over the panel's median", lambda done: contrast(done))
 
 
-def contrast(done: Reconstruction) -> np.ndarray:
+def contrast(done: Estimates) -> np.ndarray:
     return done.cell_resistance / np.median(done.cell_resistance, axis=(1, 2), keepdims=True)
 
 
@@ -47,7 +48,7 @@ LEAST = Column(
 
 
 @pytest.fixture(scope="module")
-def reconstruction() -> Reconstruction:
+def reconstruction() -> Estimates:
     recording = lampest.Recording.load(DATA / "cup_air_10kpa.h5")
     kept = slice(0, 8)
     few = dataclasses.replace(
@@ -63,7 +64,7 @@ def reconstruction() -> Reconstruction:
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
-def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruction: Reconstruction) -> None:
+def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruction: Estimates) -> None:
     values = column.filled(reconstruction)
     sizes = dict(zip(MAPS, reconstruction.cell_resistance.shape, strict=True))
     assert np.shape(values) == tuple(sizes[axis] for axis in column.axes)
@@ -81,7 +82,7 @@ def test_every_array_of_a_case_is_a_column() -> None:
 
 
 def test_a_column_of_a_script_goes_in_and_comes_out(
-    disk: SimpleNamespace, tmp_path: Path, reconstruction: Reconstruction
+    disk: SimpleNamespace, tmp_path: Path, reconstruction: Estimates
 ) -> None:
     further = (LEAST, CONTRAST)
     case = read_run(disk.folder / "run.yaml").cases[0]

@@ -9,7 +9,9 @@ import h5py
 import numpy as np
 import pytest
 from studies.equal import compare, equal, largest, relative_difference
-from support import METHODS, invented_case, write_results
+from support import METHODS, invented_case
+
+from lampest import write_results
 
 BASE = "/entry/mouth/LSM"
 

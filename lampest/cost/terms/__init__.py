@@ -1,6 +1,6 @@
 """The cost terms. To add one: write its file, name it in `AnyTerm`."""
 
-from typing import get_args
+from typing import Annotated
 
 from lampest.cost.terms.arrival import Arrival
 from lampest.cost.terms.cell_resistance import CellResistance
@@ -12,8 +12,9 @@ from lampest.cost.terms.relative_change import RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.cost.terms.total_variation import TotalVariation
 from lampest.cost.terms.total_variation_of_change import TotalVariationOfChange
+from lampest.files.tagged import ByKind, members_by_kind
 
-AnyTerm = (
+AnyTerm = Annotated[
     Misfit
     | CellResistance
     | RelativeChange
@@ -22,15 +23,16 @@ AnyTerm = (
     | TotalVariation
     | LogRatio
     | TotalVariationOfChange
-    | Arrival
-)
+    | Arrival,
+    ByKind("lampest.terms"),
+]
 
 
 def term_kind(term: Term) -> str:
     """The word that names the term in YAML and results."""
-    return str(type(term).__dataclass_fields__["kind"].default)
+    return str(getattr(term, "kind", type(term).__name__))
 
 
 def term_types() -> dict[str, type[Term]]:
-    """kind → class, for every member of the union, in its order."""
-    return {kind.__dataclass_fields__["kind"].default: kind for kind in get_args(AnyTerm)}
+    """kind → class, for every member of the union, in its order; then those of installed packages."""
+    return members_by_kind(AnyTerm)

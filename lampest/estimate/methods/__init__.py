@@ -9,9 +9,21 @@ from lampest.estimate.methods.oral_disc import OralDiscMethod
 from lampest.estimate.methods.region import RegionMethod
 from lampest.estimate.methods.truncated import TruncatedMethod
 from lampest.estimate.methods.uncorrected import UncorrectedMethod
-from lampest.files.tagged import ByKind, kinds_of, members_of
+from lampest.files.errors import InputError, in_words
+from lampest.files.tagged import ByKind, members_by_kind
 
-__all__ = ["AnyMethod", "Method", "MethodName", "named_method"]
+__all__ = [
+    "AnyMethod",
+    "LinearisedMethod",
+    "Method",
+    "MethodName",
+    "OptimalMethod",
+    "OralDiscMethod",
+    "RegionMethod",
+    "TruncatedMethod",
+    "UncorrectedMethod",
+    "named_method",
+]
 AnyMethod = Annotated[
     OptimalMethod | UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod | OralDiscMethod,
     ByKind("lampest.methods"),
@@ -22,11 +34,11 @@ MethodName = Literal[
 
 
 def named_method(method: "Method | str") -> Method:
-    """The method that a bare word stands for; a method as it is. Raises ValueError where there is none of that name."""
+    """The method that a bare word stands for; a method as it is. Raises InputError where there is none of that name."""
     if isinstance(method, Method):
         return method
-    kinds = {kind: member for member in members_of(AnyMethod) for kind in kinds_of(member)}
-    if method not in kinds:
-        raise ValueError(f"formulation: there is no {method!r}; there are {', '.join(kinds)}")
+    kinds = members_by_kind(AnyMethod)
+    if not isinstance(method, str) or method not in kinds:
+        raise InputError(f"formulation: there is no {in_words(method)}; there are {', '.join(kinds)}")
     chosen: Method = kinds[method](kind=method)
     return chosen

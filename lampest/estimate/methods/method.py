@@ -37,7 +37,7 @@ class Method(ABC):
             """The word that names it."""
 
     def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
-        """Raise ValueError where the method cannot minimise these terms."""
+        """Raise InputError where the method cannot minimise these terms."""
 
     def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""

@@ -81,9 +81,9 @@ class OralDiscMethod(Method):
     kind: Literal["oral_disc"] = "oral_disc"
 
     def check(self, terms: tuple[Term, ...]) -> None:
-        """Raise ValueError unless the misfit is alone."""
+        """Raise InputError unless the misfit is alone."""
         if not all(term.reads_measurement for term in terms):
-            raise ValueError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
+            raise InputError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
 
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""

@@ -1,8 +1,8 @@
 """What presses on the panel or sucks at it. To add a shape: write its file, name it in `AnyShape`."""
 
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated
 
-from lampest.files.tagged import ByKind
+from lampest.files.tagged import ByKind, members_of
 from lampest.loads.shapes.block import Block as Block
 from lampest.loads.shapes.oral_disc import OralDisc as OralDisc
 from lampest.loads.shapes.ring import Ring as Ring
@@ -10,9 +10,12 @@ from lampest.loads.shapes.rod import Rod as Rod
 from lampest.loads.shapes.shape import Shape as Shape
 from lampest.loads.shapes.suction_cup import SuctionCup as SuctionCup
 
-AnyShape = Annotated[Rod | Ring | SuctionCup | OralDisc | Block, ByKind()]
+if TYPE_CHECKING:
+    AnyShape = Shape  # a shape that a user derives may stand wherever these may
+else:
+    AnyShape = Annotated[Rod | Ring | SuctionCup | OralDisc | Block, ByKind("lampest.shapes")]
 
 
 def shape_types() -> tuple[type[Shape], ...]:
-    """Every member of the union, in its order."""
-    return get_args(get_args(AnyShape)[0])
+    """Every member of the union, in its order; then those of installed packages."""
+    return members_of(AnyShape)

@@ -24,7 +24,7 @@ class Block(Shape):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("length_mm", "width_mm", "mass_g")
-    kind: Literal["block"]
+    kind: Literal["block"] = "block"
     length_mm: float
     width_mm: float
     mass_g: float

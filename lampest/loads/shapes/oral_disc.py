@@ -59,7 +59,7 @@ class OralDisc(Shape):
         bound=harder_than_needed,
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm",)
-    kind: Literal["oral_disc"]
+    kind: Literal["oral_disc"] = "oral_disc"
     diameter_mm: float
     rim_width_mm: float
     pressure_kpa: float

@@ -30,7 +30,7 @@ class Ring(Shape):
         numbers={"diameter": DIAMETER, "width": WIDTH, "rim": Prior(log(30), 1.0)} | TILT,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
-    kind: Literal["ring"]
+    kind: Literal["ring"] = "ring"
     inner_diameter_mm: float
     outer_diameter_mm: float
     mass_g: float

@@ -28,7 +28,7 @@ class Rod(Shape):
         numbers={"diameter": DIAMETER, "rim": Prior(log(8), 1.0)} | TILT,
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
-    kind: Literal["rod"]
+    kind: Literal["rod"] = "rod"
     diameter_mm: float
     mass_g: float
 

@@ -45,7 +45,7 @@ class SuctionCup(Shape):
         bound=pushed_by_hand,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
-    kind: Literal["suction_cup"]
+    kind: Literal["suction_cup"] = "suction_cup"
     inner_diameter_mm: float
     outer_diameter_mm: float
     pressure_kpa: float

@@ -28,7 +28,6 @@ class CertaintyPlot(Plot):
 
     kind: ClassVar[str] = "certainty"
     needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
-    frame: int | None = None
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """One picture of all estimators. Raises InputError where the frame has no results."""

@@ -29,7 +29,6 @@ class ContourPlot(Plot):
     """
 
     kind: ClassVar[str] = "contours"
-    frame: int | None = None
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """One picture of all estimators. Raises InputError where the frame has no results."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Figure
 
 from lampest.files.errors import InputError
 from lampest.recording.readings import strongest_frame
@@ -21,11 +21,13 @@ class Plot(ABC):
 
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
     apart : whether every estimator has a picture of its own; else all of a recording share one.
+    frame : index into the recording of what is shown; None: `strongest_index` chooses.
     """
 
     kind: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     apart: ClassVar[bool] = False
+    frame: int | None = None
 
     @abstractmethod
     def draw(self, cases: Sequence[CaseResult]) -> Figure:

@@ -41,7 +41,6 @@ class PressurePlot(Plot):
     kind: ClassVar[str] = "pressure"
     needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
     apart: ClassVar[bool] = True
-    frame: int | None = None
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """One estimator's picture. Raises InputError where it has no pressure, or has not solved the frame."""

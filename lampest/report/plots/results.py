@@ -1,16 +1,17 @@
 """Pictures of a results file, one file each."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, in_words
 from lampest.report.plots import plot_of
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import SUFFIXES, save, verbatim
 from lampest.runs.columns import Column
-from lampest.runs.results import Results, read_results
+from lampest.runs.results import CaseResult, Results, read_results
 
 
 def plot_results(
@@ -23,15 +24,14 @@ def plot_results(
     Raises InputError where there is no such plot, the results cannot be read or hold nothing to draw, or the place
     cannot be written.
     """
-    plot = plot_of(show) if isinstance(show, str) else show
+    plot = _chosen(show, None)
     path = Path(path)
     results = read_results(path, columns)
     target = path.parent if out is None else Path(out)
     with verbatim():
         pictures = list(_pictures(results, plot))
         if not pictures:
-            wanted = f", which needs {', '.join(plot.needs)}" if plot.needs else ""
-            raise InputError(f"{path}: holds no {plot.kind} to draw{wanted}")
+            raise InputError(f"{path}: {_lacks(plot)}")
         if target.suffix in SUFFIXES and len(pictures) > 1:
             raise InputError(f"{target}: one picture cannot hold {len(pictures)}; name a folder instead")
         written = []
@@ -40,6 +40,32 @@ def plot_results(
             save(figure, file)
             written.append(file)
     return written
+
+
+def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
+    """One picture of a recording's cases; of one of them where the plot draws them apart.
+
+    frame : index into the recording; None: what the plot says. Raises InputError where there is no such plot or frame,
+    or nothing to draw.
+    """
+    plot = _chosen(show, frame)
+    drawable = plot.drawable(cases)
+    if not drawable:
+        raise InputError(f"{cases[0].recording}: {_lacks(plot)}")
+    with verbatim():
+        return plot.draw(drawable)
+
+
+def _chosen(show: str | Plot, frame: int | None) -> Plot:
+    plot = plot_of(show) if isinstance(show, str) else show
+    if not isinstance(plot, Plot):
+        raise InputError(f"a plot is a word such as 'contours' or a Plot, not {in_words(plot)}")
+    return plot if frame is None else replace(plot, frame=frame)
+
+
+def _lacks(plot: Plot) -> str:
+    """Why there is nothing to draw."""
+    return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
 
 
 def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, Figure]]:

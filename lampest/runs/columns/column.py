@@ -16,7 +16,7 @@ from lampest.panel.readouts.readout import Readout
 from lampest.runs.columns.checks import Check
 
 if TYPE_CHECKING:  # what reads results need not load what solves
-    from lampest.estimate.sequence import Reconstruction
+    from lampest.estimate.estimates import Estimates
     from lampest.estimate.step import Step
 
 MAPS = ("time", "row", "column")
@@ -32,7 +32,7 @@ class Column:
     ----------
     name : what a case calls it, and the file too unless `dataset` says otherwise.
     axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
-    value : reconstruction → values over the axes; None where it has none.
+    value : estimates → values over the axes; None where it has none.
     checks : each says what is wrong with values, or nothing.
     dtype : float, bool, an integer kind, or str.
     shared : True for what was measured: every estimate of a recording was given the same.
@@ -45,7 +45,7 @@ class Column:
     axes: tuple[str, ...]
     units: str
     long_name: str
-    value: Callable[[Reconstruction], ArrayLike | None]
+    value: Callable[[Estimates], ArrayLike | None]
     checks: tuple[Check, ...] = ()
     dtype: type[Any] = np.float64
     dataset: str = ""
@@ -72,9 +72,9 @@ class Column:
             return self
         return replace(self, dataset=dataset, units=readout.unit, long_name=long_name)
 
-    def filled(self, reconstruction: Reconstruction) -> Any:
+    def filled(self, estimates: Estimates) -> Any:
         """The values as a case holds them: an array, a tuple of texts, or None where there are none."""
-        values = self.value(reconstruction)
+        values = self.value(estimates)
         if values is None:
             return None
         return tuple(np.asarray(values).tolist()) if self._kind == "U" else np.asarray(values, self.dtype)
@@ -108,17 +108,17 @@ class Column:
 class Figures:
     """Columns over the frames whose names only a case knows, in a folder of their own.
 
-    name : what a case calls them. folder : the file. value : reconstruction → name → (frames).
+    name : what a case calls them. folder : the file. value : estimates → name → (frames).
     units, long_name : of the figure of a name.
     """
 
     name: str
     folder: str
-    value: Callable[[Reconstruction], Mapping[str, Array]]
+    value: Callable[[Estimates], Mapping[str, Array]]
     units: Callable[[str], str]
     long_name: Callable[[str], str]
 
 
-def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Reconstruction], Array]:
+def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
     """(frames, ...) of what every step says."""
-    return lambda reconstruction: np.stack([np.asarray(value(step)) for step in reconstruction.steps])
+    return lambda estimates: np.stack([np.asarray(value(step)) for step in estimates.steps])

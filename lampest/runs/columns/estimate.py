@@ -12,7 +12,7 @@ from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
 
 if TYPE_CHECKING:
-    from lampest.estimate.sequence import Reconstruction
+    from lampest.estimate.estimates import Estimates
 
 UNITS = {"_mm": "mm", "_kpa": "kPa"}
 
@@ -48,7 +48,7 @@ ESTIMATE = (
         MAPS,
         "1",
         "1: cannot be told from an open cell",
-        of_steps(lambda step: step.solution.open_cell[-1]),
+        lambda done: done.open_cell,
         dtype=np.uint8,
     ),
     Column(
@@ -56,7 +56,7 @@ ESTIMATE = (
         MAPS,
         "1",
         "1: cell resistance stands at its lower bound",
-        of_steps(lambda step: step.solution.at_lower[-1]),
+        lambda done: done.at_lower_bound,
         dtype=np.uint8,
     ),
     Column(
@@ -66,7 +66,7 @@ ESTIMATE = (
         "estimated unloaded cell resistance",
         lambda done: done.baseline_resistance,
     ),
-    Column("status", FRAMES, "1", "how the solve ended", of_steps(lambda step: step.solution.status.value), dtype=str),
+    Column("status", FRAMES, "1", "how the solve ended", lambda done: done.status, dtype=str),
     Column(
         "iterations",
         FRAMES,
@@ -84,11 +84,11 @@ ESTIMATE = (
         "violation of the optimality conditions",
         of_steps(lambda step: step.solution.kkt_residual),
     ),
-    Column("solved", FRAMES, "1", "1: solved, 0: failed", of_steps(lambda step: step.solution.solved), dtype=bool),
+    Column("solved", FRAMES, "1", "1: solved, 0: failed", lambda done: done.solved, dtype=bool),
 )
 
 
-def _costs(done: Reconstruction) -> dict[str, Array]:
+def _costs(done: Estimates) -> dict[str, Array]:
     """Term → its part of the cost."""
     return {
         term_kind(term): np.array([step.solution.costs[number] for step in done.steps])
@@ -96,7 +96,7 @@ def _costs(done: Reconstruction) -> dict[str, Array]:
     }
 
 
-def _weights(done: Reconstruction) -> dict[str, Array]:
+def _weights(done: Estimates) -> dict[str, Array]:
     """Term → its weight."""
     return {
         term_kind(term): np.array([step.weights[number] for step in done.steps])
@@ -104,7 +104,7 @@ def _weights(done: Reconstruction) -> dict[str, Array]:
     }
 
 
-def _disc(done: Reconstruction) -> dict[str, Array]:
+def _disc(done: Estimates) -> dict[str, Array]:
     """Every number of the discs and its standard deviation; NaN where a frame failed. None without any disc."""
     discs = [step.disc for step in done.steps]
     first = next((disc for disc in discs if disc is not None), None)

@@ -12,17 +12,17 @@ from lampest.runs.columns.checks import finite, positive, positive_or_infinite
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column
 
 if TYPE_CHECKING:
-    from lampest.estimate.sequence import Reconstruction
+    from lampest.estimate.estimates import Estimates
 
 
-def _truth(reconstruction: Reconstruction) -> Array | None:
-    truth = reconstruction.recording.truth_cell_resistance
-    return None if truth is None else truth[reconstruction.frame]
+def _truth(estimates: Estimates) -> Array | None:
+    truth = estimates.recording.truth_cell_resistance
+    return None if truth is None else truth[estimates.frame]
 
 
-def _truth_baseline(reconstruction: Reconstruction) -> Array | None:
-    truth = reconstruction.recording.truth_cell_resistance
-    unloaded = reconstruction.recording.role == UNLOADED
+def _truth_baseline(estimates: Estimates) -> Array | None:
+    truth = estimates.recording.truth_cell_resistance
+    unloaded = estimates.recording.role == UNLOADED
     return truth[unloaded].mean(axis=0) if truth is not None and np.any(unloaded) else None
 
 
@@ -31,7 +31,7 @@ TIME = Column(
     FRAMES,
     "s",
     "time of the frame",
-    lambda done: done.recording.time[done.frame],
+    lambda done: done.time,
     (finite,),
     shared=True,
 )

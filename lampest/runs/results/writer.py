@@ -32,7 +32,7 @@ def write_results(
     table = all_columns(columns)
     groups: dict[str, list[CaseResult]] = {}
     for case in cases:
-        _check_extra(case, table)
+        case.described(columns)
         groups.setdefault(case.recording, []).append(case)
     for recording in groups.values():
         _check_together(recording, table)
@@ -44,13 +44,6 @@ def write_results(
             hdf5.set_attributes(entry, published=published_text(published))
         for order, (name, recording) in enumerate(groups.items()):
             _write_recording(entry.create_group(name), order, recording, table)
-
-
-def _check_extra(case: CaseResult, table: Sequence[Column]) -> None:
-    case.check(table)
-    for name in case.extra:
-        if name not in {column.name for column in table}:
-            raise InputError(f"{case.recording} × {case.estimator}: no column says what the extra '{name}' is")
 
 
 def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:

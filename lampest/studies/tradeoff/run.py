@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import Reconstruction, first_stream, reconstruct
+from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import relative_error
@@ -70,7 +71,7 @@ class Measured:
 class _TradeoffRun:
     """One passage through a recording; cpu : (frames) s."""
 
-    found: Reconstruction
+    found: Estimates
     cpu: Array
 
     @classmethod
@@ -151,7 +152,7 @@ def _measured(
     )
 
 
-def errors(found: Reconstruction) -> tuple[Array, Array]:
+def errors(found: Estimates) -> tuple[Array, Array]:
     """(frames) median error of all cells and of the changed ones, percent; NaN where there is nothing to compare."""
     recording, frames = found.recording, len(found.frame)
     truth = recording.truth_cell_resistance
@@ -165,7 +166,7 @@ def errors(found: Reconstruction) -> tuple[Array, Array]:
     return np.median(error, axis=(1, 2)), np.array(inside)
 
 
-def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
+def _judged(runs: dict[str, Estimates]) -> tuple[dict[str, Array], Array]:
     """(objective of every rung's estimates, what noise costs), each (frames), all with the reference's previous."""
     costs = list(_costs(runs[REFERENCE]))
     objective = {
@@ -175,7 +176,7 @@ def _judged(runs: dict[str, Reconstruction]) -> tuple[dict[str, Array], Array]:
     return objective, np.array([_noise_cost(*cost) for cost in costs])
 
 
-def _costs(reference: Reconstruction) -> Iterator[tuple[Cost, Data]]:
+def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     """Every frame's cost and data, with the reference's estimate of the frame before."""
     recording, estimator = reference.recording, reference.estimator
     readings = recording.readings()

@@ -1,0 +1,189 @@
+"""What an estimator made of a recording's frames, as arrays."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.terms import term_kind
+from lampest.estimate.error_bars import ErrorBars
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.step import Step
+from lampest.loads.pressure import Pressure, pressure_of
+from lampest.panel.panel import Array
+from lampest.posterior.certainty import Certainty
+from lampest.recording.recording import Recording
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimates:
+    """Cell resistances of a recording's measured frames, and what follows from them.
+
+    What is said of cells is (frames, rows, columns) over the measured frames, NaN where a frame failed. What needs
+    error bars is None where there are none: the noise is unknown, the panel is large, or the method ends at no
+    optimum. A frame that alone has none holds infinity.
+
+    Parameters
+    ----------
+    recording, estimator : what was estimated, and how; weights that were chosen for the whole recording are numbers.
+    frame : (frames) index into the recording.
+    measured : (frames, rows, columns) in the readout's unit, series resistance taken off.
+    measured_baseline : (rows, columns) the same unit, mean of the unloaded frames, or the first where there is none.
+    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
+    baseline_resistance : (rows, columns) ohm, cells of the unloaded panel.
+    baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
+    baseline_bars : the baseline's error bars, or None.
+    joint_start : whether the first frame was solved together with the baseline.
+    """
+
+    recording: Recording
+    estimator: Estimator
+    frame: NDArray[np.intp]
+    measured: Array
+    measured_baseline: Array
+    sigma: Array | None
+    sigma_baseline: Array | None
+    baseline_resistance: Array
+    baseline: Step
+    baseline_bars: Certainty | None
+    steps: tuple[Step, ...]
+    joint_start: bool
+
+    def __repr__(self) -> str:
+        solved, status = int(self.solved.sum()), self.status[0]
+        return (
+            f"{type(self).__name__}({self.recording.name}: {self.method}, "
+            f"{solved} of {len(self.steps)} frames solved, the first: {status})"
+        )
+
+    @property
+    def method(self) -> str:
+        """What was minimised, and how, in words: `misfit + gradient, nodal`."""
+        return f"{' + '.join(map(term_kind, self.estimator.terms))}, {self.estimator.method.kind}"
+
+    @property
+    def time(self) -> Array:
+        """(frames) s."""
+        return self.recording.time[self.frame]
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """(frames) how each solve ended, a sentence."""
+        return tuple(step.status for step in self.steps)
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """(frames) False where a frame failed."""
+        return np.array([step.solution.solved for step in self.steps])
+
+    @property
+    def cell_resistance(self) -> Array:
+        """r, (frames, rows, columns) ohm."""
+        return np.stack([step.cell_resistance for step in self.steps])
+
+    @property
+    def relative_change(self) -> Array:
+        """100·(r/r_baseline − 1), (frames, rows, columns) percent."""
+        return 100 * (self.cell_resistance / self.baseline_resistance - 1)
+
+    @property
+    def open_cell(self) -> NDArray[np.bool_]:
+        """(frames, rows, columns) where a cell cannot be told from an open one."""
+        return np.stack([step.solution.open_cell[-1] for step in self.steps])
+
+    @property
+    def at_lower_bound(self) -> NDArray[np.bool_]:
+        """(frames, rows, columns) where a cell stands at its lower bound."""
+        return np.stack([step.solution.at_lower[-1] for step in self.steps])
+
+    @property
+    def cell_resistance_errors(self) -> Array | None:
+        """Standard deviation of r, (frames, rows, columns) ohm; infinite where a cell may be open."""
+        return None if self._bars is None else self._bars.cell_resistance_errors
+
+    @property
+    def cell_resistance_lower(self) -> Array | None:
+        """Lower end of the 95 % interval of r, (frames, rows, columns) ohm."""
+        return None if self._bars is None else self._bars.cell_resistance_lower
+
+    @property
+    def cell_resistance_upper(self) -> Array | None:
+        """Upper end of the 95 % interval of r, (frames, rows, columns) ohm; infinite where a cell may be open."""
+        return None if self._bars is None else self._bars.cell_resistance_upper
+
+    @property
+    def relative_change_errors(self) -> Array | None:
+        """Standard deviation of the relative change, (frames, rows, columns) percent."""
+        return None if self._bars is None else self._bars.relative_change_errors
+
+    @property
+    def relative_change_lower(self) -> Array | None:
+        """Lower end of the 95 % interval of the relative change, (frames, rows, columns) percent."""
+        return None if self._bars is None else 100 * (self._bars.ratio_lower - 1)
+
+    @property
+    def relative_change_upper(self) -> Array | None:
+        """Upper end of the 95 % interval of the relative change, (frames, rows, columns) percent."""
+        return None if self._bars is None else 100 * (self._bars.ratio_upper - 1)
+
+    @property
+    def resolution(self) -> Array | None:
+        """Diagonal of the averaging kernel, (frames, rows, columns): 1 where readings decide a cell, 0 elsewhere."""
+        return None if self._bars is None else self._bars.resolution
+
+    @property
+    def data_share(self) -> Array | None:
+        """Row sums of the averaging kernel, (frames, rows, columns): share of an estimate that comes from the data."""
+        return None if self._bars is None else self._bars.data_share
+
+    @property
+    def error_bar_time(self) -> Array | None:
+        """Wall time of every frame's error bars, (frames) s."""
+        return None if self._bars is None else np.array([step.bars_seconds for step in self.steps])
+
+    @property
+    def baseline_resistance_errors(self) -> Array | None:
+        """Standard deviation of the baseline's cells, (rows, columns) ohm."""
+        bars = None if self._bars is None else self.baseline_bars
+        return None if bars is None else self.baseline_resistance * bars.deviation
+
+    @property
+    def pressure(self) -> Array | None:
+        """Pressure of the load on every cell, (frames, rows, columns) kPa; suction is negative."""
+        return None if self._load is None else self._load.pressure
+
+    @property
+    def pressure_errors(self) -> Array | None:
+        """Standard deviation of the pressure, (frames, rows, columns) kPa."""
+        return None if self._load is None else self._load.errors
+
+    @property
+    def pressure_lower(self) -> Array | None:
+        """Lower end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
+        return None if self._load is None else self._load.lower
+
+    @property
+    def pressure_upper(self) -> Array | None:
+        """Upper end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
+        return None if self._load is None else self._load.upper
+
+    @property
+    def saturated(self) -> NDArray[np.bool_] | None:
+        """(frames, rows, columns) where the response does not tell the pressure."""
+        return None if self._load is None else self._load.saturated.astype(bool)
+
+    @cached_property
+    def _bars(self) -> ErrorBars | None:
+        """None unless an estimate has error bars, and the baseline too."""
+        if self.baseline_bars is None or not any(step.bars for step in self.steps):
+            return None
+        return ErrorBars.of(self.cell_resistance, self.baseline_resistance, self.steps)
+
+    @cached_property
+    def _load(self) -> Pressure | None:
+        """None without error bars: without them nobody can say what the response tells."""
+        if self._bars is None:
+            return None
+        ratio = self.cell_resistance / self.baseline_resistance
+        return pressure_of(ratio, self._bars.ratio_lower, self._bars.ratio_upper, self.recording.scene)

@@ -1,0 +1,77 @@
+"""What a notebook gets: estimates that can be drawn, kept, and turned into labelled arrays and tables.
+
+`Estimates` stands floors below, where neither results files nor pictures are known; what needs those is here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.recording.recording import Recording
+from lampest.runs.columns import Column
+from lampest.runs.filling import named_result
+from lampest.runs.results import CaseResult, write_results
+
+if TYPE_CHECKING:
+    from lampest.report.plots.plot import Figure, Plot
+    from lampest.runs.labelled import DataFrame, Dataset
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction(Estimates):
+    """Cell resistances of a recording's measured frames as arrays, as a file, as a table, and as pictures.
+
+    Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) ohm, `relative_change` in percent of the
+    unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`; `status` says how each frame ended.
+
+    `name` is what files and pictures call the estimator; by default its terms, `misfit + gradient`. `columns` are those
+    of your own, besides those of lampest and of installed packages.
+    """
+
+    @classmethod
+    def of(cls, recording: Recording, estimator: Estimator) -> Self:
+        """Every measured frame of a recording, solved. Raises InputError where the two do not fit."""
+        estimates = reconstruct(recording, estimator)
+        return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
+
+    def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
+        """The case that results files keep; several may go into one file with `write_results`.
+
+        Raises InputError where the name cannot stand in a file, or a column's values do not fit it.
+        """
+        return named_result(self, name, columns)
+
+    def save(self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()) -> None:
+        """Write a results file, whole or not at all; `read_results` reads it, and every command takes it.
+
+        Raises InputError as `result`, and where the place cannot be written.
+        """
+        write_results(path, [self.result(name, columns)], columns=columns)
+
+    def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
+        """An xarray.Dataset over time (s), row and column, with x and y in mm; units in every variable's `attrs`.
+
+        Raises InputError as `result`, and where xarray is not installed.
+        """
+        return self.result(columns=columns).to_xarray(columns)
+
+    def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
+        """A pandas.DataFrame of one line for every cell of every frame; units in `attrs["units"]`.
+
+        Raises InputError as `result`, and where pandas is not installed.
+        """
+        return self.result(columns=columns).to_dataframe(columns)
+
+    def plot(self, kind: "str | Plot" = "contours", frame: int | None = None) -> "Figure":
+        """A matplotlib Figure: `contours`, `certainty`, `pressure`, or a Plot of your own.
+
+        frame : index into the recording; None: the strongest one. Raises InputError where there is no such plot or
+        frame, or nothing to draw.
+        """
+        from lampest.report.plots.results import picture  # matplotlib takes longer to load than a frame to solve
+
+        return picture((self.result(),), kind, frame)

@@ -1,0 +1,94 @@
+"""A case as labelled arrays of xarray, and as a long table of pandas; both are optional."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, TIME, Column
+
+if TYPE_CHECKING:
+    from pandas import DataFrame as DataFrame
+    from xarray import Dataset as Dataset
+
+    from lampest.runs.case import CaseResult
+
+
+def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
+    """Every column and figure of a case over time, row and column, with units and long names as in results files.
+
+    Coordinates: time (s) and frame, row and column with y and x (mm). A cost, a weight or a number of a disc goes by
+    its folder and its name: cost_misfit. Raises InputError where xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError as error:
+        raise _missing("xarray") from error
+    variables: dict[str, Any] = {
+        column.name: (column.axes, np.asarray(values), _said(column.units, column.long_name))
+        for column, values in _held(case, columns)
+        if column not in (TIME, FRAME)
+    }
+    for folder in FIGURES:
+        for name, values in getattr(case, folder.name).items():
+            variables[f"{folder.folder}_{name}"] = FRAMES, values, _said(folder.units(name), folder.long_name(name))
+    return Dataset(variables, _coordinates(case), _about(case))
+
+
+def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
+    """One line for every cell of every frame: time, frame, row, column, then all columns of the case.
+
+    What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column. Raises
+    InputError where pandas is not installed.
+    """
+    try:
+        from pandas import DataFrame
+    except ImportError as error:
+        raise _missing("pandas") from error
+    held = dict(_held(case, columns))
+    sizes = dict(zip(MAPS, case.measured.shape, strict=True))
+    lines = {axis: _lines(np.arange(sizes[axis]), (axis,), sizes) for axis in CELLS}
+    first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
+    table = DataFrame(first | {column.name: _lines(values, column.axes, sizes) for column, values in held.items()})
+    table.attrs = _about(case) | {"units": {column.name: column.units for column in (TIME, FRAME, *held)}}
+    return table
+
+
+def _held(case: CaseResult, columns: Sequence[Column]) -> list[tuple[Column, Any]]:
+    """The columns that the case holds, in its readout's unit, with their values."""
+    fitting = (column.of(case.scene.circuit) for column in columns)
+    return [(column, values) for column in fitting if (values := case.column(column.name)) is not None]
+
+
+def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:
+    """Values over some of the axes, one for every cell of every frame, in that order."""
+    shape = [sizes[axis] if axis in axes else 1 for axis in MAPS]
+    return np.broadcast_to(np.reshape(values, shape), list(sizes.values())).ravel()
+
+
+def _coordinates(case: CaseResult) -> dict[str, Any]:
+    x, y = case.scene.panel.centres_mm()
+    return {
+        "time": (FRAMES, case.time, _said(TIME.units, TIME.long_name)),
+        "frame": (FRAMES, case.frame, _said(FRAME.units, FRAME.long_name)),
+        "row": ("row", np.arange(len(y)), _said("1", "row line")),
+        "column": ("column", np.arange(len(x)), _said("1", "column line")),
+        "y": ("row", y, _said("mm", "position of the row")),
+        "x": ("column", x, _said("mm", "position of the column")),
+    }
+
+
+def _said(units: str, long_name: str) -> dict[str, str]:
+    return {"units": units, "long_name": long_name}
+
+
+def _about(case: CaseResult) -> dict[str, Any]:
+    return {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id, "case": case.case_yaml}
+
+
+def _missing(library: str) -> InputError:
+    return InputError(f"{library} is not installed; pip install lampest[xarray] brings it")
