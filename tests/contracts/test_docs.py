@@ -1,0 +1,222 @@
+"""The pages are true: examples run as a stranger would run them, and what is named is there.
+
+Of docs/adding.md every section is played in a copy of the house: a block that begins with a path is written to it, a
+diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
+"""
+
+import doctest
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from support import read_run
+
+REPOSITORY = Path(__file__).parents[2]
+README = REPOSITORY / "README.md"
+ADDING = REPOSITORY / "docs" / "adding.md"
+ARCHITECTURE = REPOSITORY / "docs" / "architecture.md"
+GLOSSARY = REPOSITORY / "docs" / "glossary.md"
+PAGES = (
+    README,
+    REPOSITORY / "CONTRIBUTING.md",
+    REPOSITORY / "firmware" / "README.md",
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+)
+COPIED = ("lampest", "tests", "pyproject.toml", "README.md", "LICENSE")
+SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+TOOLS = {
+    "lampest": f"{sys.executable} -c 'from lampest.cli import main; main()'",
+    "python": sys.executable,
+    "ruff": f"{sys.executable} -m ruff",
+    "mypy": f"{sys.executable} -m mypy",
+}
+
+
+@dataclass(frozen=True)
+class Fence:
+    """A fenced block of a page."""
+
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str:
+        """The path in its first line, or nothing."""
+        named = re.match(r"# ([\w./]+\.(?:py|yaml))\n", self.text)
+        return named[1] if named else ""
+
+    def commands(self) -> Iterator[tuple[str, str]]:
+        """What is typed, and what is answered."""
+        for part in re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:]:
+            typed, _, answer = part.partition("\n")
+            yield typed, answer
+
+
+def sections(page: Path) -> dict[str, tuple[Fence, ...]]:
+    """Heading of the second level → its blocks."""
+    chapters = re.split(r"^## (.+)\n", page.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    fences = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+    return {
+        heading: tuple(Fence(*found.groups()) for found in fences.finditer(text))
+        for heading, text in zip(chapters[::2], chapters[1::2], strict=True)
+    }
+
+
+EXAMPLES = {heading: fences for heading, fences in sections(ADDING).items() if fences}
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the house with its tests, and the tools as one would type them."""
+    for name in COPIED:
+        source, target = REPOSITORY / name, tmp_path / name
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, target)
+    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    (tmp_path / "bin").mkdir()
+    for name, command in TOOLS.items():
+        tool = tmp_path / "bin" / name
+        tool.write_text(f'#!/bin/sh\nexec {command} "$@"\n')
+        tool.chmod(0o755)
+    return tmp_path
+
+
+def typed(folder: Path, command: str) -> str:
+    """What a command answers in a copy of the house; it must succeed."""
+    paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
+    environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
+    ended = subprocess.run(
+        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert ended.returncode == 0, f"$ {command}\n{ended.stdout}{ended.stderr}"
+    return ended.stdout
+
+
+def applied(folder: Path, fence: Fence) -> None:
+    """A block without its commands: written where its first line says, or changed as the diff says."""
+    if fence.file:
+        (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
+    if fence.language == "diff":
+        change(folder, fence.text)
+
+
+def change(folder: Path, diff: str) -> None:
+    """Apply a diff without line numbers; what it takes away, with what stands around, must stand there once."""
+    first, *lines = diff.splitlines(keepends=True)
+    path = folder / first.removeprefix("--- ").strip()
+    text = path.read_text(encoding="utf-8")
+    for hunk in "".join(lines).split("@@\n"):
+        parts = [(line[0], line[1:]) for line in hunk.splitlines(keepends=True)]
+        old, new = ("".join(rest for mark, rest in parts if mark in (" ", side)) for side in "-+")
+        assert text.count(old) == 1, f"{first}{old}stands there {text.count(old)} times"
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("heading", EXAMPLES)
+def test_example_says_what_the_page_says(heading: str, copy: Path) -> None:
+    checker = doctest.OutputChecker()
+    for fence in EXAMPLES[heading]:
+        applied(copy, fence)
+        for command, answer in fence.commands() if fence.language == "console" else ():
+            found = typed(copy, command)
+            assert checker.check_output(answer, found, SAME), f"$ {command}\n{found}"
+
+
+def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
+    new = []
+    for fence in (fence for fences in EXAMPLES.values() for fence in fences):
+        applied(copy, fence)
+        for command, _ in fence.commands() if fence.language == "console" else ():
+            if command.startswith("mv "):
+                typed(copy, command)
+                new.append(command.split()[-1])
+    assert all((copy / path).suffix == ".py" for path in new) and len(new) == len(EXAMPLES)
+    typed(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
+    typed(copy, "ruff check lampest && ruff format --check lampest")
+    typed(copy, "mypy")
+
+
+@pytest.mark.parametrize("heading", EXAMPLES)
+def test_example_ends_in_a_checklist(heading: str) -> None:
+    _, _, chapter = ADDING.read_text(encoding="utf-8").partition(f"\n## {heading}\n")
+    chapter = chapter.split("\n## ")[0].strip()
+    assert chapter.splitlines()[-1].startswith(("- [ ] ", "      "))
+
+
+def indented(page: Path) -> list[str]:
+    """The blocks of a page that are set in by four blanks, without these."""
+    blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return [textwrap.dedent(block).strip() + "\n" for block in blocks]
+
+
+def test_python_of_the_readme_runs(copy: Path) -> None:
+    blocks = [block for block in indented(README) if re.match(r"import lampest|scene, frames", block)]
+    assert len(blocks) == 2
+    (copy / "readme.py").write_text("\n".join(blocks), encoding="utf-8")
+    typed(copy, "python readme.py")
+
+
+def test_estimators_of_the_readme_are_read(tmp_path: Path) -> None:
+    blocks = [block for block in indented(README) if block.startswith("estimators:")]
+    assert len(blocks) == 2
+    for block in blocks:
+        run = tmp_path / "run.yaml"
+        run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{block}", encoding="utf-8")
+        assert read_run(run).cases
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        path, _, anchor = target.partition("#")
+        if not re.match(r"[a-z]+:", target):
+            there = page if not path else page.parent / path
+            assert there.exists(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
+
+
+def anchors(page: Path) -> set[str]:
+    """What headings of a page are called in links."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_paths_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    made = set(re.findall(r"^\$ mv \S+ (\S+)$", ADDING.read_text(encoding="utf-8"), flags=re.MULTILINE))
+    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
+        assert path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
+
+
+def test_architecture_names_every_module_once_in_its_room() -> None:
+    text = ARCHITECTURE.read_text(encoding="utf-8")
+    house = REPOSITORY / "lampest"
+    for room in sorted(path.parent for path in house.glob("*/__init__.py")):
+        _, found, chapter = text.partition(f"\n### {room.name}\n")
+        assert found, f"the room {room.name}"
+        rows = re.findall(r"^\| `([^`]+)` \|", chapter.split("\n##")[0], flags=re.MULTILINE)
+        parts = [f"{path.name}/" if path.is_dir() else path.name for path in room.iterdir()]
+        there = {part for part in parts if not part.startswith("__")}
+        assert sorted(rows) == sorted(there), room.name
+
+
+def test_glossary_says_truly_where_things_are_defined() -> None:
+    rows = re.findall(
+        r"^\|.*\| `(lampest/[\w./]+)`(?:: (.+?))? \|$", GLOSSARY.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(rows) > 40
+    for path, names in rows:
+        text = (REPOSITORY / path).read_text(encoding="utf-8")
+        for name in re.findall(r"`([^`]+)`", names):
+            assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
