@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.given import Given
-from lampest.cost.losses import Absolute, Huber
+from lampest.cost.losses import Loss
+from lampest.cost.summands import grouped, stacked, summands
 from lampest.cost.terms.term import State, Term
 from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array, Panel
@@ -25,7 +26,7 @@ class Cost:
 
     With two frames the first is the baseline and the previous frame of the second; terms that need those skip it.
     Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or say nothing.
-    An absolute loss enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
+    A loss without a derivative at 0 enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
     """
 
     panel: Panel
@@ -91,7 +92,7 @@ class Cost:
 
     @cached_property
     def slope(self) -> Array:
-        """The weight of every residual with an absolute loss."""
+        """The weight of every residual that enters through a dual."""
         return self.weights[self.functions.rough_terms]
 
 
@@ -130,8 +131,8 @@ class CostFunctions:
     """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
 
     costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
-    readings). rough, rough_jacobian : residuals x with an absolute loss, whose terms are `rough_terms`.
-    huber : residuals with Huber's loss.
+    readings). rough, rough_jacobian : residuals x that enter through duals, whose terms are `rough_terms`.
+    split : the residuals that an interior-point method splits, in blocks of `split_blocks` (loss, rows).
     """
 
     costs: Compiled
@@ -139,60 +140,44 @@ class CostFunctions:
     hessian: Compiled
     rough: Compiled
     rough_jacobian: Compiled
-    huber: Compiled
+    split: Compiled
     rough_terms: NDArray[np.intp]
+    split_blocks: tuple[tuple[Loss, int], ...]
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically; sparse."""
         symbols, weights = cost.symbols, casadi.SX.sym("weights", len(cost.terms))
-        pairs = cost.residuals(symbols)
+        parts = summands(cost.terms, cost.residuals(symbols), weights)
         costs = [casadi.SX(0) for _ in cost.terms]
-        for number, residual in pairs:
-            costs[number] += weights[number] * cost.terms[number].loss.cost(residual)
-        smooth, rough, slope = smooth_and_rough(cost, pairs, weights)
+        for part in parts:
+            costs[part.term] += part.cost
+        through_duals = [part for part in parts if not part.smooth]
+        rough, slope = stacked(through_duals)
         dual = casadi.SX.sym("dual", rough.shape[0])
+        smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
         lagrangian = smooth + casadi.dot(slope * dual, rough)
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
-        corners = [residual for *_, residual in huber_residuals(cost, pairs)]
+        split = [group for group in grouped(parts) if group[0].loss.enters != "whole"]
         outputs = {
             "costs": casadi.vertcat(*costs),
             "gradient": casadi.densify(gradient),
             "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
             "rough": casadi.densify(rough),
             "rough_jacobian": casadi.jacobian(rough, unknown),
-            "huber": casadi.densify(casadi.vertcat(casadi.SX(0, 1), *corners)),
+            "split": casadi.densify(stacked([part for group in split for part in group])[0]),
         }
         compiled = {
             name: symbols.compiled(name, output, weights=weights, dual=dual) for name, output in outputs.items()
         }
-        rough_pairs = [pair for pair in pairs if isinstance(cost.terms[pair[0]].loss, Absolute)]
-        owners = [number for number, part in rough_pairs for _ in range(part.shape[0])]
-        return cls(**compiled, rough_terms=np.array(owners, dtype=np.intp))
+        return cls(
+            **compiled,
+            rough_terms=np.array([part.term for part in through_duals for _ in range(part.rows)], dtype=np.intp),
+            split_blocks=tuple((group[0].loss, sum(part.rows for part in group)) for group in split),
+        )
 
 
 @lru_cache(maxsize=128)
 def _functions(cost: Cost) -> CostFunctions:
     return CostFunctions.build(cost)
-
-
-def smooth_and_rough(
-    cost: Cost, pairs: list[tuple[int, casadi.SX]], weights: casadi.SX
-) -> tuple[casadi.SX, casadi.SX, casadi.SX]:
-    """Σ weight·loss over terms with a differentiable loss; the residuals with an absolute loss, and their weights."""
-    smooth, rough, slopes = casadi.SX(0), [casadi.SX(0, 1)], [casadi.SX(0, 1)]
-    for number, residual in pairs:
-        loss = cost.terms[number].loss
-        if isinstance(loss, Absolute):
-            rough.append(residual)
-            slopes.append(casadi.repmat(weights[number], residual.shape[0], 1))
-        else:
-            smooth += weights[number] * loss.cost(residual)
-    return smooth, casadi.vertcat(*rough), casadi.vertcat(*slopes)
-
-
-def huber_residuals(cost: Cost, pairs: list[tuple[int, casadi.SX]]) -> list[tuple[int, float, casadi.SX]]:
-    """(number of the term, corner, residual) of the terms with Huber's loss."""
-    losses = [(number, cost.terms[number].loss, residual) for number, residual in pairs]
-    return [(number, loss.corner, residual) for number, loss, residual in losses if isinstance(loss, Huber)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
@@ -38,7 +37,7 @@ def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Ar
     rule = rule_in_use(estimator, noisy)
     search = WeightSearch(estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver)
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
-    single = len(penalties) == 1 and isinstance(estimator.terms[penalties[0]].loss, Squared)
+    single = len(penalties) == 1 and estimator.terms[penalties[0]].loss.squared
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:

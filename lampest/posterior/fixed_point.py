@@ -1,33 +1,88 @@
 """The fixed point of the evidence for the weights of any penalties, within a linear model or step by step.
 
-Squared and Huber losses: λ_t = s² γ_t / η_t with γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t) and η_t = Σ x²; absolute losses, whose
-prior is Laplace's: λ_t = 2 s² rank / Σ E|x|. Source: MacKay, Neural Computation 4, 1992.
+λ_t = s² γ_t / η_t. What counts as γ and as η is the loss's to say; of the squared one γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t)
+and η_t = Σ x². Source: MacKay, Neural Computation 4, 1992.
 """
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import erf
 
-from lampest.cost.losses import Absolute
+from lampest.cost.losses import Loss, PenaltyEvidence
 from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import LinearModel, penalty_bend
 from lampest.posterior.sampled import SampledErrors
 
 MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12
+LEAST = 1e-300  # instead of a division by zero
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedEvidence:
+    """What a linear model tells of one term, in numbers; `PenaltyEvidence` says what they are.
+
+    variance : of x about x̂ (rows).
+    """
+
+    residual: Array
+    squares: float
+    variance: Array
+    count: float
+    determined: float
+
+    @property
+    def magnitude(self) -> float:
+        """Σ E|x| of normal x."""
+        return float(folded(self.residual, self.variance).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class ProbedEvidence:
+    """The same from an estimate that is taken for exact; probes for γ are drawn where that is asked for.
+
+    number : of the term. count : its share of the penalties' rank.
+    """
+
+    errors: SampledErrors
+    number: int
+    count: float
+
+    @cached_property
+    def residual(self) -> Array:
+        """x̂."""
+        model = self.errors.model
+        return np.asarray(model.penalty[model.penalty_term == self.number])
+
+    @property
+    def squares(self) -> float:
+        """Σ x̂²."""
+        return float(np.sum(self.residual**2))
+
+    @property
+    def magnitude(self) -> float:
+        """Σ |x̂|."""
+        return float(np.abs(self.residual).sum())
+
+    @property
+    def determined(self) -> float:
+        """γ."""
+        return self.count - self.errors.used(self.number)
 
 
 def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:
-    """λ_t = s² n / Σ x²: what n residuals of that size suggest, for the terms whose weights are open."""
+    """λ_t = s² n / η_t: what n residuals of that size suggest, for the terms whose weights are open."""
     chosen = list(weights)
     for number in open_terms:
         size = model.penalty[model.penalty_term == number]
-        absolute = isinstance(model.at.cost.terms[number].loss, Absolute)
-        total = 0.5 * float(np.abs(size).sum()) if absolute else float(size @ size)
+        rows = len(size)
+        evidence = ComputedEvidence(size, float(size @ size), np.zeros(rows), rows, rows)
+        total = model.at.cost.terms[number].loss.size(evidence)
         # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.
-        chosen[number] = model.scale * len(size) / (total if total > NOTHING * len(size) else len(size))
+        chosen[number] = model.scale * rows / (total if total > NOTHING * rows else rows)
     return chosen
 
 
@@ -36,13 +91,14 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     errors, weights = SampledErrors(model), list(model.at.cost.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
-        own = model.penalty_term == number
-        size = float(np.sum(model.penalty[own] ** 2))
-        if isinstance(model.at.cost.terms[number].loss, Absolute):
-            weights[number] = 2 * model.scale * share / max(float(np.abs(model.penalty[own]).sum()), 1e-300)
-        else:
-            weights[number] = model.scale * max(share - errors.used(number), 1.0) / max(size, 1e-300)
+        loss = model.at.cost.terms[number].loss
+        weights[number] = settled_weight(model.scale, loss, ProbedEvidence(errors, number, share))
     return weights
+
+
+def settled_weight(scale: float, loss: Loss, evidence: PenaltyEvidence) -> float:
+    """s² γ/η, as if at least one residual were determined."""
+    return scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), LEAST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,20 +139,22 @@ class FixedPoint:
             own = self.model.penalty_term == number
             bent = np.einsum("ij,jk,ik->i", rows[own], inverse, rows[own], optimize=True)
             free = np.einsum("ij,jk,ik->i", rows[own], alone, rows[own], optimize=True)
-            if isinstance(self.model.at.cost.terms[number].loss, Absolute):
-                expected = float(folded(size[own], self.model.scale * bent).sum())
-                count = float(np.sum(curvature[own] * free))
-                new[number] = 2 * self.model.scale * max(count, 1.0) / max(expected, 1e-300)
-            else:
-                inside = curvature[own] > 0
-                count = float(np.sum(curvature[own] * (free - bent)))
-                total = float(np.sum(size[own][inside] ** 2))
-                new[number] = self.model.scale * max(count, 1.0) / max(total, 1e-300)
+            inside = curvature[own] > 0
+            residual = size[own][inside]
+            evidence = ComputedEvidence(
+                residual,
+                float(np.sum(residual**2)),
+                self.model.scale * bent[inside],
+                float(np.sum(curvature[own] * free)),
+                float(np.sum(curvature[own] * (free - bent))),
+            )
+            loss = self.model.at.cost.terms[number].loss
+            new[number] = settled_weight(self.model.scale, loss, evidence)
         return new
 
 
 def folded(mean: Array, variance: Array) -> Array:
     """E|x| of normal x, any shape."""
-    size = np.sqrt(np.maximum(variance, 1e-300))
+    size = np.sqrt(np.maximum(variance, LEAST))
     away = mean / size
     return np.asarray(size * np.sqrt(2 / np.pi) * np.exp(-0.5 * away**2) + mean * erf(away / np.sqrt(2)))

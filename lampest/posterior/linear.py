@@ -5,6 +5,7 @@ readings are data, with noise τ, all others penalties. With s² = mean ω τ² 
 for −2·log probability, whatever the unit of the misfit.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.cost.losses import Absolute, Huber
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.posterior.residuals import Part, Residuals, residuals
 
 NEAR_BOUND = 1e-3  # in log r
-ABSOLUTE = float(np.sqrt(2 / np.pi)) / 2  # of E|x + noise|, half the second derivative at 0, in units of 1/noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +94,9 @@ class LinearModel:
     @cached_property
     def data_curvature(self) -> Array:
         """ω of the data; zero where a row says nothing."""
-        weights, losses = self.at.cost.weights, [term.loss for term in self.at.cost.terms]
-        curvature: Array = weights[self._data.term] * (self.noise > 0)
-        for number, loss in enumerate(losses):
-            own = self._data.term == number
-            if isinstance(loss, Huber) and own.any():
-                curvature[own] *= np.abs(self.residual[own]) <= loss.corner
-            elif isinstance(loss, Absolute) and own.any():
-                curvature[own] *= ABSOLUTE / np.maximum(self.noise[own], np.finfo(float).tiny)
+        curvature: Array = self.at.cost.weights[self._data.term] * (self.noise > 0)
+        for _, loss, rows in bent_rows(self.at.cost, self._data.term):
+            curvature[rows] *= loss.data_curvature(self.residual[rows], self.noise[rows])
         return curvature
 
     @cached_property
@@ -131,12 +127,10 @@ class LinearModel:
 
     @cached_property
     def steady_pull(self) -> Array:
-        """weight · corner of the penalties beyond the corner of Huber's loss, 0 of all others: half of ∂φ/∂x there."""
+        """H of the penalties: what pulls at the estimate beyond ω x̂, as half of ∂φ/∂x; see `Loss.steady_pull`."""
         pull = np.zeros(len(self.penalty_term))
-        for number, term in enumerate(self.at.cost.terms):
-            if isinstance(term.loss, Huber):
-                beyond = (self.penalty_term == number) & (np.abs(self.penalty) > term.loss.corner)
-                pull[beyond] = self.at.cost.weights[number] * term.loss.corner
+        for number, loss, rows in bent_rows(self.at.cost, self.penalty_term):
+            pull[rows] = self.at.cost.weights[number] * loss.steady_pull(self.penalty[rows])
         return pull
 
     @cached_property
@@ -179,15 +173,19 @@ class LinearModel:
 
 
 def penalty_bend(model: LinearModel, weights: Array) -> Array:
-    """ω of the penalties for any weights; for an absolute loss that of the normal distribution with the same variance.
-
-    exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
-    """
+    """ω of the penalties for any weights."""
     curvature: Array = weights[model.penalty_term]
-    for number, term in enumerate(model.at.cost.terms):
-        own = model.penalty_term == number
-        if isinstance(term.loss, Huber) and own.any():
-            curvature[own] *= np.abs(model.penalty[own]) <= term.loss.corner
-        elif isinstance(term.loss, Absolute) and own.any():
-            curvature[own] *= weights[number] / (8 * model.scale)
+    for number, loss, rows in bent_rows(model.at.cost, model.penalty_term):
+        curvature[rows] *= loss.penalty_curvature(model.penalty[rows], weights[number], model.scale)
     return curvature
+
+
+def bent_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
+    """(number of the term, loss, its rows) where ω is not the weight alone: of all losses but the squared one.
+
+    term : the number of the term that every row belongs to.
+    """
+    for number, loss in enumerate(part.loss for part in cost.terms):
+        rows = term == number
+        if not loss.squared and rows.any():
+            yield number, loss, rows

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lampest import two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.cost.losses import Absolute, Huber, Loss, Squared
+from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, term_kind, term_types
 from lampest.cost.terms.term import State, Term
@@ -33,7 +33,7 @@ CORNER = 40.0
 IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")  # of what a term is given
 LOSSES = [
     loss(**{field.name: CORNER for field in dataclasses.fields(loss) if field.default is dataclasses.MISSING})
-    for loss in members_of(Loss)
+    for loss in members_of(AnyLoss)
 ]
 
 

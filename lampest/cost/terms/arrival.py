@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import casadi
 
-from lampest.cost.losses import Huber, Loss
+from lampest.cost.losses import AnyLoss, Huber
 from lampest.cost.terms.term import State, Term
 
 
@@ -32,7 +32,7 @@ class Arrival(Term):
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "standard deviations"
     weight: float = 1.0
-    loss: Loss = Huber(corner=1.25)
+    loss: AnyLoss = Huber(corner=1.25)
     kind: Literal["arrival"] = "arrival"
     walk_percent: float = 2.0
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal
 
 import casadi
 
-from lampest.cost.losses import Absolute, Loss
+from lampest.cost.losses import Absolute, AnyLoss
 from lampest.cost.terms.term import Reference, State, Term, Weight
 
 
@@ -23,7 +23,7 @@ class LogRatio(Term):
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 10.0
-    loss: Loss = Absolute()
+    loss: AnyLoss = Absolute()
     kind: Literal["log_ratio"] = "log_ratio"
     reference: Reference = "baseline"
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import casadi
 
 from lampest.cost.given import Given
-from lampest.cost.losses import Loss, Squared
+from lampest.cost.losses import AnyLoss, Squared
 from lampest.panel.panel import Panel
 
 Reference = Literal["baseline", "previous"]
@@ -94,7 +94,7 @@ class Term(ABC):
     convex_in_log: ClassVar[bool] = False
     unit: ClassVar[str]
     weight: Weight = 1.0
-    loss: Loss = Squared()
+    loss: AnyLoss = Squared()
 
     def __post_init__(self) -> None:
         if self.weight != "auto" and not (isfinite(self.weight) and self.weight >= 0):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.cost.losses import Absolute, Loss
+from lampest.cost.losses import Absolute, AnyLoss
 from lampest.cost.terms.term import State, Term, Weight
 
 
@@ -19,7 +19,7 @@ class TotalVariation(Term):
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 0.3
-    loss: Loss = Absolute()
+    loss: AnyLoss = Absolute()
     kind: Literal["total_variation"] = "total_variation"
 
     def residual(self, state: State) -> Any:

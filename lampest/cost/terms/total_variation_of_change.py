@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from lampest.cost.losses import Absolute, Loss
+from lampest.cost.losses import Absolute, AnyLoss
 from lampest.cost.terms.term import Reference, State, Term, Weight
 
 
@@ -19,7 +19,7 @@ class TotalVariationOfChange(Term):
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     weight: Weight = 0.3
-    loss: Loss = Absolute()
+    loss: AnyLoss = Absolute()
     kind: Literal["total_variation_of_change"] = "total_variation_of_change"
     reference: Reference = "baseline"
 

@@ -7,7 +7,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lampest.cost.cost import Cost, huber_residuals
+from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -63,9 +63,8 @@ class Ipopt:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         solver = self._solver
-        scale, rough = data.resistance_scale, start.rough
-        huber = start.of_terms(self.cost.functions.huber)
-        split_scale = max(float(np.abs(np.concatenate([rough, huber])).max(initial=0)), 1e-12)
+        scale, split = data.resistance_scale, start.of_terms(self.cost.functions.split)
+        split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
         own: dict[str, Any] = {
             "ties": data.ties.ravel() * scale,
             "weights": self.cost.weights,
@@ -75,27 +74,28 @@ class Ipopt:
         }
         values = data.given.flat | own
         result = solver(
-            x0=self._start(start, scale, rough / split_scale, huber / split_scale),
+            x0=self._start(start, scale, split / split_scale),
             p=np.concatenate([np.atleast_1d(values[name]) for name in self._parameters]),
             lbg=0,
             ubg=0,
-            **self._bounds(data, scale, 2 * len(rough) + 2 * len(huber)),
+            **self._bounds(data, scale, 2 * len(split)),
         )
         with np.errstate(divide="ignore"):
             cells = scale / np.asarray(result["x"]).ravel()[: data.measured.size]
         multipliers = np.asarray(result["lam_g"]).ravel()
         weights = np.maximum(self.cost.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
-        dual = multipliers[len(multipliers) - len(rough) :] / weights
+        dual = multipliers[len(multipliers) - len(weights) :] / weights
         stats = solver.stats()
         status = STATUS.get(stats["return_status"], Status.BREAKDOWN)
         return Outcome(cells.reshape(data.measured.shape), dual, status, int(stats["iter_count"]))
 
-    def _start(self, start: Evaluation, scale: float, rough: Array, huber: Array) -> Array:
+    def _start(self, start: Evaluation, scale: float, split: Array) -> Array:
         conductance = scale / start.cell_resistance.ravel()
         potentials = [self.formulation.potentials(self.readout, network) / scale for network in start.networks]
-        parts = [rough, *np.split(huber, np.cumsum(self._huber_sizes)[:-1])]
-        split = [side for part in parts for side in (np.maximum(part, 0) + 0.01, np.maximum(-part, 0) + 0.01)]
-        return np.concatenate([conductance, *potentials, *split])
+        blocks = self.cost.functions.split_blocks
+        parts = np.split(split, np.cumsum([rows for _, rows in blocks], dtype=int)[:-1])
+        sides = [side for (loss, _), part in zip(blocks, parts, strict=False) for side in loss.split_start(part)]
+        return np.concatenate([conductance, *potentials, *sides])
 
     def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
         """Bounds of all unknowns; no network reads a cell below a thousandth of its apparent resistance."""
@@ -104,11 +104,6 @@ class Ipopt:
         lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
         upper = [scale / least, np.full(free + split, np.inf)]
         return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}
-
-    @cached_property
-    def _huber_sizes(self) -> list[int]:
-        pairs = self.cost.residuals(self.cost.symbols)
-        return [part.shape[0] for *_, part in huber_residuals(self.cost, pairs)]
 
     @property
     def _solver(self) -> casadi.Function:

@@ -1,16 +1,16 @@
 """A cost in a formulation as a nonlinear program with exact, sparse derivatives.
 
 Unknowns are conductances s/r (s: geometric mean of the measured resistances), potentials in units of s, and parts
-p, q ≥ 0 of every residual x whose loss has no second derivative: |x| = p + q with p − q = x, and Huber's loss is the
-least of (x − p + q)² + 2·corner·(p + q). The cost is divided by its size. Everything is of order one.
+p, q ≥ 0 of every residual x whose loss has no second derivative and says how it is lowered with them (`Loss.lowered`).
+The cost is divided by its size. Everything is of order one.
 """
 
 from dataclasses import dataclass
 
 import casadi
 
-from lampest.cost.cost import Cost, Symbols, huber_residuals, smooth_and_rough
-from lampest.cost.losses import Huber
+from lampest.cost.cost import Cost, Symbols
+from lampest.cost.summands import grouped, lowered, summands
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
 
@@ -19,10 +19,11 @@ from lampest.solvers.ipopt.formulations import Formulation
 class Program:
     """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
 
-    split : p and q of the absolute residuals, then of Huber's, in units of the size of the former.
+    split : p and q of what enters through duals, then of other residuals that are split, in units of their size.
+    split_balance : the equations of the former, so that their multipliers are the last.
 
     parameters : name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in
-    ohm, `cost_scale`, the size of the cost, and `split_scale`, that of the absolute residuals.
+    ohm, `cost_scale`, the size of the cost, and `split_scale`, that of the residuals that are split.
     """
 
     conductance: casadi.SX
@@ -70,24 +71,16 @@ class Program:
         reading = casadi.horzcat(*(network.reading for network in networks))
         pairs = cost.residuals(Symbols(scale / conductance, reading, given))
         weights = casadi.SX.sym("weights", len(cost.terms))
-        others = [pair for pair in pairs if not isinstance(cost.terms[pair[0]].loss, Huber)]
-        smooth, rough, slope = smooth_and_rough(cost, others, weights)
-        positive, negative = (casadi.SX.sym(name, rough.shape[0]) for name in ("positive", "negative"))
-        objective = smooth + split_scale * casadi.dot(slope, positive + negative)
-        split = [positive, negative]
-        for number, corner, residual in huber_residuals(cost, pairs):
-            above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
-            inside = residual - split_scale * (above - below)
-            outside = 2 * corner * split_scale * casadi.sum1(above + below)
-            objective += weights[number] * (casadi.sumsqr(inside) + outside)
-            split += [above, below]
+        parts = [lowered(group, split_scale) for group in grouped(summands(cost.terms, pairs, weights))]
+        objective = sum((part.objective for part in parts), casadi.SX(0))
+        nothing = casadi.SX(0, 1)
         own = {"ties": tie, "weights": weights, "scale": scale, "cost_scale": cost_scale, "split_scale": split_scale}
         return cls(
             casadi.vec(conductance),
             casadi.vertcat(*(network.potentials for network in networks)),
-            casadi.vertcat(*split),
+            casadi.vertcat(nothing, *(side for part in parts for side in part.split)),
             casadi.vertcat(*(network.balance for network in networks)),
-            rough / split_scale - positive + negative,
+            casadi.vertcat(nothing, *(part.equation for part in parts if part.equation is not None)),
             objective / cost_scale,
             dict(given.named()) | own,
         )

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
-from lampest.cost.losses import Squared
 from lampest.cost.terms.cell_resistance import CellResistance
 from lampest.cost.terms.gradient import Gradient
 from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
@@ -47,7 +46,7 @@ class SquaredMethod:
     def __post_init__(self) -> None:
         if not self.parts:
             raise ValueError("a method needs at least one term")
-        if not all(isinstance(term.loss, Squared) for term in self.parts):
+        if not all(term.loss.squared for term in self.parts):
             raise ValueError("only squared losses can be compared with a least-squares solver")
 
     @property

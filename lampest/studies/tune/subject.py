@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
@@ -116,7 +115,7 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
     misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
         return f"it has {len(terms) - misfits} penalty terms, not one"
-    if not all(isinstance(term.loss, Squared) for term in terms):
+    if not all(term.loss.squared for term in terms):
         return "a loss is not squared"
     if readings > MOST_DENSE:
         return f"one solve has {readings} readings, more than {MOST_DENSE}"
