@@ -64,7 +64,7 @@ def unions() -> tuple[tuple[type, ...], ...]:
         for kind in configurations()
         for hint in hints(kind).values()
         for part in parts(hint)
-        if get_origin(part) is Annotated and ByKind() in get_args(part)
+        if get_origin(part) is Annotated and any(isinstance(mark, ByKind) for mark in get_args(part))
     ]
     return tuple(dict.fromkeys(found))
 
