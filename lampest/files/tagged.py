@@ -40,13 +40,20 @@ def kinds_of(member: Any) -> tuple[str, ...]:
     return typing.get_args(typing.get_type_hints(member).get("kind"))
 
 
+def shipped(union: Any) -> tuple[type[Any], ...]:
+    """The classes of Annotated[A | B, ByKind(group)] without those of installed packages.
+
+    For what is made when a module is imported: packages import that module themselves, and cannot be loaded before it.
+    """
+    return typing.get_args(typing.get_args(union)[0])
+
+
 def members_of(union: Any) -> tuple[type[Any], ...]:
     """The classes of Annotated[A | B, ByKind(group)], those of installed packages included.
 
     Raises InputError where a package names something else, or a class without a word of its own as `kind`.
     """
-    inner, mark = typing.get_args(union)
-    return (*typing.get_args(inner), *_installed_members(typing.get_args(inner), mark.group))
+    return (*shipped(union), *_installed_members(shipped(union), typing.get_args(union)[1].group))
 
 
 def members_by_kind(union: Any) -> dict[str, type[Any]]:

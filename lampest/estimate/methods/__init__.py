@@ -38,7 +38,9 @@ def named_method(method: "Method | str") -> Method:
     if isinstance(method, Method):
         return method
     kinds = members_by_kind(AnyMethod)
-    if not isinstance(method, str) or method not in kinds:
-        raise InputError(f"formulation: there is no {in_words(method)}; there are {', '.join(kinds)}")
+    if not isinstance(method, str):
+        raise InputError(f"formulation must be a word or a method such as RegionMethod(), not {in_words(method)}")
+    if method not in kinds:
+        raise InputError(f"formulation: there is no {method!r}; there are {', '.join(kinds)}")
     chosen: Method = kinds[method](kind=method)
     return chosen

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from lampest.files.tagged import ByKind, members_of
+from lampest.files.tagged import ByKind, shipped
 from lampest.loads.shapes.block import Block as Block
 from lampest.loads.shapes.oral_disc import OralDisc as OralDisc
 from lampest.loads.shapes.ring import Ring as Ring
@@ -17,5 +17,5 @@ else:
 
 
 def shape_types() -> tuple[type[Shape], ...]:
-    """Every member of the union, in its order; then those of installed packages."""
-    return members_of(AnyShape)
+    """Every member of the union, in its order; those of installed packages are simulated, and not recognised."""
+    return shipped(AnyShape)

@@ -1,0 +1,170 @@
+"""What a user derives works through Python as it is, and through YAML once a package names it."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from contracts.extensions import CONTRAST, Divider, Ellipse, Even, Histogram, Leash
+from numpy.testing import assert_allclose, assert_array_equal
+
+import lampest
+from lampest import Misfit, Panel, Recording, Scene, Simulation
+
+COMMAND = Path(sys.executable).with_name("lampest")
+EXTENSIONS = Path(__file__).with_name("extensions.py")
+ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
+GROUPS = {
+    "terms": "Leash",
+    "readouts": "Divider",
+    "methods": "Even",
+    "shapes": "Ellipse",
+    "columns": "CONTRAST",
+    "plots": "HISTOGRAM",
+}
+SIMULATION = """\
+schema: 1
+seed: 3
+scene: {panel: {rows: 5, columns: 6}, readout: {kind: divider, load_ohm: 5000, readings: 100}}
+frames: 2
+loads: [{kind: ellipse, centre_mm: [25, 20], long_mm: 40, short_mm: 20, pressure_kpa: 15}]
+output: ellipse.h5
+"""
+RUN = """\
+schema: 1
+recordings: [ellipse.h5]
+formulation: reduced
+estimators:
+  leashed: {terms: {misfit: {weighting: noise}, leash: {weight: 1e3, length_ohm: 1234}}}
+  even: {terms: {misfit: {}}, formulation: {kind: even, factor: 2}}
+"""
+
+
+def simulated(readout: lampest.Readout) -> Recording:
+    scene = Scene(Panel(5, 6), readout)
+    return lampest.simulate(Simulation(schema=1, seed=3, scene=scene, frames=2, loads=(ELLIPSE,)), "ellipse")
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulated(lampest.TwoPointReadout())
+
+
+def test_a_term(recording: Recording) -> None:
+    terms = [Misfit(weighting="noise"), Leash(weight=1e6, length_ohm=1234.0)]
+    for formulation in ("nodal", "reduced"):
+        found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
+        assert found.status == ("optimum verified",) * 2
+        assert_allclose(found.cell_resistance, 1234, rtol=1e-3)
+    weak = lampest.reconstruct(recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced")
+    assert weak.solved.all() and "misfit + leash" in repr(weak)
+
+
+def test_a_readout() -> None:
+    readout = Divider(load_ohm=5000.0, readings=100)
+    recording = simulated(readout)
+    truth = recording.truth_cell_resistance
+    assert truth is not None
+    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
+    assert np.median(np.abs(found.cell_resistance / truth[3:] - 1)) < 0.05
+    given = lampest.LoadedColumnsReadout(load_ohm=5000.0, drive_ohm=100.0, readings=100)
+    assert_allclose(simulated(given).recorded, recording.recorded, rtol=1e-12)
+    nodal = lampest.reconstruct(recording, [Misfit(weighting="noise")])
+    assert_allclose(nodal.cell_resistance, found.cell_resistance, rtol=1e-4)
+
+
+def test_a_method(recording: Recording) -> None:
+    free = lampest.Bounds("none", "none")
+    once, twice = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
+    assert_allclose(twice.cell_resistance, 2 * once.cell_resistance)
+    assert np.ptp(once.cell_resistance[0]) == 0 and once.cell_resistance_errors is None
+    assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
+
+
+def test_a_shape(recording: Recording) -> None:
+    contact, _ = ELLIPSE.mean_pressure(recording.scene.panel, 6.0)
+    assert recording.truth_pressure is not None and contact.max() == pytest.approx(15)
+    assert_allclose(recording.truth_pressure[-1], contact)
+
+
+def test_a_column(recording: Recording, tmp_path: Path) -> None:
+    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    found.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
+    wanted = found.cell_resistance.max(axis=(1, 2)) / found.cell_resistance.min(axis=(1, 2))
+    (case,) = lampest.read_results(tmp_path / "r.h5", [CONTRAST]).cases
+    assert_array_equal(case.extra["contrast"], wanted)
+    for dataset in (found.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
+        assert_array_equal(dataset["contrast"], wanted)
+        assert dataset["contrast"].attrs["units"] == "1"
+    assert_array_equal(found.to_dataframe([CONTRAST])["contrast"], np.repeat(wanted, 30))
+    with pytest.raises(lampest.InputError, match="no column says what the extra 'contrast' is"):
+        case.to_xarray()
+
+
+def test_a_plot(recording: Recording, tmp_path: Path) -> None:
+    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    for figure in (found.plot(Histogram()), found.plot(Histogram(), frame=3)):
+        assert len(figure.axes[0].patches) == 10
+    found.save(tmp_path / "r.h5")
+    (file,) = lampest.plot_results(tmp_path / "r.h5", show=Histogram())
+    assert file.name == "histogram_ellipse.png"
+
+
+def installed(folder: Path, groups: dict[str, str]) -> dict[str, str]:
+    """The environment of a process for which a package of the extensions is installed."""
+    about = folder / "site" / "addon-1.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: addon\nVersion: 1\n")
+    points = (f"[lampest.{group}]\nextra = addon:{name}\n" for group, name in groups.items())
+    (about / "entry_points.txt").write_text("\n".join(points))
+    shutil.copy(EXTENSIONS, folder / "site" / "addon.py")
+    paths = (str(folder / "site"), os.environ.get("PYTHONPATH", ""))
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
+    environment = installed(tmp_path, GROUPS)
+
+    def command(*arguments: str) -> str:
+        ended = subprocess.run(
+            [COMMAND, *arguments], capture_output=True, text=True, timeout=120, cwd=tmp_path, env=environment
+        )
+        assert (ended.returncode, ended.stderr) == (0, ""), arguments
+        return ended.stdout
+
+    (tmp_path / "simulation.yaml").write_text(SIMULATION)
+    (tmp_path / "run.yaml").write_text(RUN)
+    command("simulate", "simulation.yaml")
+    command("run", "run.yaml", "--out", "out", "--jobs", "1")
+    command("plot", "out/results.h5", "--show", "histogram")
+    assert (tmp_path / "out" / "histogram_ellipse.png").is_file()
+    assert "leash" in command("terms")
+    schema = command("schema")
+    assert '"leash"' in schema and '"even"' in schema
+    with h5py.File(tmp_path / "out" / "results.h5") as file:
+        case = file["entry/ellipse/leashed"]
+        free = ~case["at_lower_bound"][()].astype(bool)
+        assert_allclose(case["cell_resistance"][()][free], 1234, rtol=0.05)
+        assert_allclose(file["entry/ellipse/even/contrast"], 1)
+
+
+@pytest.mark.parametrize(
+    ("groups", "sentence"),
+    [
+        ({"terms": "Even"}, "lampest.terms: Even of an installed package is no Term"),
+        ({"methods": "Leash"}, "lampest.methods: Leash of an installed package is no Method"),
+        ({"terms": "contrast"}, "lampest.terms: extra = addon:contrast of an installed package is no type"),
+        ({"terms": "lampest.Misfit"}, "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
+    ],
+)
+def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, groups: dict[str, str], sentence: str) -> None:
+    environment = installed(tmp_path, groups)
+    (tmp_path / "run.yaml").write_text(RUN)
+    arguments = [COMMAND, "run", "run.yaml"]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=60, cwd=tmp_path, env=environment)
+    assert ended.returncode == 2 and ended.stderr.startswith(f"lampest: {sentence}"), ended.stderr
+    assert ended.stderr.count("\n") == 1

@@ -1,0 +1,345 @@
+"""The public face: every name is there, typed, and cheap until it is used; wrong use is one sentence."""
+
+import doctest
+import inspect
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose, assert_array_equal
+
+import lampest
+from lampest import Gradient, InputError, Misfit, Reconstruction, Recording
+
+ROOT = Path(__file__).parents[2]
+# fmt: off
+NAMES = (
+    "Recording", "Readings", "Scene", "Panel", "Faults", "Water", "Temperature", "Systematic", "Readout",
+    "TwoPointReadout", "LoadedColumnsReadout", "Estimator", "Method", "Bounds", "Settings", "AutoWeight", "Stream",
+    "Step", "Reconstruction", "Estimates", "Term", "State", "Loss", "Squared", "Huber", "Absolute", "Misfit",
+    "CellResistance", "RelativeChange", "Gradient", "GradientOfRelativeChange", "LogRatio", "TotalVariation",
+    "TotalVariationOfChange", "Arrival", "Shape", "Rod", "Ring", "SuctionCup", "OralDisc", "Block", "Column", "Plot",
+    "simulate", "Simulation", "read_results", "Results", "CaseResult", "PublishedFigures", "StepFigures",
+    "write_results", "import_file", "read_scene", "read_run", "read_simulations", "two_point_resistance",
+    "InputError", "UNLOADED", "MEASURED", "reconstruct",
+)
+# fmt: on
+
+
+@pytest.fixture(scope="module")
+def lamprey() -> Recording:
+    """The first seven frames, three of them unloaded."""
+    recording = Recording.load(ROOT / "data" / "lamprey_35mm.h5")
+    parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
+    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[:7] for part in parts})
+
+
+@pytest.fixture(scope="module")
+def found(lamprey: Recording) -> Reconstruction:
+    return lampest.reconstruct(lamprey, [Misfit(), Gradient(weight=np.float64(1e-3))], formulation="reduced")
+
+
+def test_every_name_is_there_and_listed() -> None:
+    assert set(NAMES) <= set(lampest.__all__) <= set(dir(lampest))
+    assert len(set(lampest.__all__)) == len(lampest.__all__)
+    for name in (*lampest.__all__, "__version__"):
+        assert getattr(lampest, name) is not None, name
+    for kind in lampest.term_types().values():
+        assert getattr(lampest, kind.__name__) is kind
+
+
+def test_importing_the_package_loads_nothing() -> None:
+    program = (
+        "import sys, lampest\nassert len(dir(lampest)) > 50\n"
+        "heavy = {'casadi', 'numpy', 'scipy', 'h5py', 'pydantic', 'ruamel', 'matplotlib', 'xarray', 'pandas'}\n"
+        "print(sorted(heavy & set(sys.modules)), [name for name in sys.modules if name.startswith('lampest.')])\n"
+        "lampest.reconstruct; lampest.Recording; lampest.Misfit; lampest.Reconstruction\n"
+        "print(sorted({'matplotlib', 'xarray', 'pandas', 'typer'} & set(sys.modules)))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stdout.splitlines() == ["[] []", "[]"]
+
+
+def test_a_function_says_what_it_takes() -> None:
+    signature = inspect.signature(lampest.reconstruct)
+    kinds = {name: parameter.kind.name for name, parameter in signature.parameters.items()}
+    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight")
+    expected = dict.fromkeys(("recording", "terms"), "POSITIONAL_OR_KEYWORD") | dict.fromkeys(named, "KEYWORD_ONLY")
+    assert kinds == expected
+    assert "Any" not in str(signature)
+
+
+SCRIPT = """\
+import numpy as np
+
+import lampest
+from contracts.extensions import CONTRAST, Ellipse, Even, Histogram, Leash
+
+scene = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+load = Ellipse(centre_mm=(20.0, 15.0), long_mm=30.0, short_mm=20.0, pressure_kpa=10.0)
+recording = lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=scene, loads=(load, lampest.Rod(
+    centre_mm=(10.0, 10.0), diameter_mm=20.0, mass_g=100.0))))
+found = lampest.reconstruct(
+    recording,
+    [lampest.Misfit(), lampest.Gradient(weight="auto"), Leash(loss=lampest.Huber(corner=3.0))],
+    formulation=Even(),
+    solver=lampest.Settings(max_iterations=50),
+    bounds=lampest.Bounds(upper="none"),
+)
+found.save("out.h5", columns=[CONTRAST])
+found.plot(Histogram(), frame=4)
+for case in lampest.read_results("out.h5").cases:
+    reveal_type(case.cell_resistance)
+reveal_type(found.cell_resistance_errors)
+reveal_type(found.status)
+reveal_type(found.to_xarray())
+stream = lampest.Stream.begin(found.estimator, scene, 1.0, recording.readings()[0])
+reveal_type(stream.push(recording.readings()[3]))
+"""
+REVEALED = (
+    "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.floating[Any]]]",
+    "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.floating[Any]]] | None",
+    "tuple[str, ...]",
+    "xarray.core.dataset.Dataset",
+    "tuple[lampest.estimate.stream.Stream, lampest.estimate.step.Step]",
+)
+MISTAKES = (
+    ("lampest.Recordign", 'has no attribute "Recordign"'),
+    ("lampest.reconstruct(recording, lampest.Misfit())", 'incompatible type "Misfit"'),
+    ('lampest.reconstruct(recording, [lampest.Misfit()], formulation="fast")', 'incompatible type "Literal['),
+    ("lampest.reconstruct(recording, [lampest.Misfit()], solver={})", "incompatible type"),
+    ("lampest.reconstruct(recording, [lampest.Misfit()], tolerance=1)", 'Unexpected keyword argument "tolerance"'),
+)
+
+
+def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
+    script, wrong = tmp_path / "script.py", tmp_path / "wrong.py"
+    script.write_text(SCRIPT)
+    wrong.write_text("\n".join(["import lampest", "recording = lampest.Recording.load('x.h5')", *dict(MISTAKES)]))
+    options = ("--strict", "--no-error-summary", "--hide-error-context", "--follow-imports=silent", "--no-pretty")
+    ended = subprocess.run(
+        [sys.executable, "-m", "mypy", *options, script.name, wrong.name],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=tmp_path,
+        env=os.environ | {"MYPYPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests")))},
+    )
+    assert ended.stderr == ""
+    said = [line.split(": ", 2) for line in ended.stdout.splitlines()]
+    revealed = [text for place, kind, text in said if place.startswith("script") and kind == "note"]
+    assert [text.removeprefix('Revealed type is "').removesuffix('"') for text in revealed] == list(REVEALED)
+    assert not [line for line in said if line[0].startswith("script") and line[1] == "error"]
+    errors = {int(place.split(":")[1]) - 3: text for place, kind, text in said if kind == "error"}
+    assert [number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")] == []
+
+
+MISFIT = [Misfit()]
+WRONG: dict[str, tuple[Callable[[Recording], object], str]] = {
+    "formulation": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, formulation="fast"),
+        "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, scaled, linearised, ",
+    ),
+    "a method's class": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, formulation=lampest.RegionMethod),
+        "formulation must be a word or a method such as RegionMethod(), not the class RegionMethod",
+    ),
+    "solver": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, solver={"tolerance": 1e-3}),
+        "solver must be Settings(...), not a dict",
+    ),
+    "bounds": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, bounds={}),
+        "bounds must be Bounds(...), not a dict",
+    ),
+    "auto_weight": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, auto_weight="risk"),
+        "auto_weight must be AutoWeight(...), not 'risk'",
+    ),
+    "error_bars": (
+        lambda recording: lampest.reconstruct(recording, MISFIT, error_bars="yes"),
+        "error_bars must be 'auto', True or False, not 'yes'",
+    ),
+    "words for terms": (
+        lambda recording: lampest.reconstruct(recording, ["misfit"]),
+        "terms must hold objects such as Misfit(), not 'misfit'",
+    ),
+    "classes for terms": (
+        lambda recording: lampest.reconstruct(recording, [Misfit]),
+        "terms must hold objects such as Misfit(), not the class Misfit",
+    ),
+    "one term": (
+        lambda recording: lampest.reconstruct(recording, Misfit()),
+        "terms must be a list such as [Misfit(), Gradient()], not a Misfit",
+    ),
+    "no term": (
+        lambda recording: lampest.reconstruct(recording, []),
+        "an estimator needs at least one term",
+    ),
+    "no data term": (
+        lambda recording: lampest.reconstruct(recording, [Gradient()]),
+        "gradient needs the term misfit: without it nothing reads what was measured",
+    ),
+    "auto without a data term": (
+        lambda recording: lampest.reconstruct(recording, [Gradient(weight="auto")]),
+        "gradient needs the term misfit: without it nothing reads what was measured",
+    ),
+    "a path": (
+        lambda recording: lampest.reconstruct("data/ring.h5", MISFIT),
+        "recording must be a Recording, such as Recording.load('mine.h5'), not 'data/ring.h5'",
+    ),
+    "an array": (
+        lambda recording: lampest.reconstruct(recording.resistance, MISFIT),
+        "recording must be a Recording, such as Recording.load('mine.h5'), not a ndarray",
+    ),
+    "a stream's frame": (
+        lambda recording: streaming(recording).push(recording.resistance[3]),
+        "a stream takes Readings.of(scene, values), not a ndarray",
+    ),
+    "a stream's frames": (
+        lambda recording: streaming(recording).push(recording.readings()[3:5]),
+        "a stream takes one frame of 10 × 10 readings, not 2 × 10 × 10; of several, take one or their mean()",
+    ),
+}
+
+
+def streaming(recording: Recording) -> lampest.Stream:
+    estimator = lampest.Estimator((Misfit(),), "reduced")
+    return lampest.Stream.begin(estimator, recording.scene, 1.0, recording.readings()[:3].mean())
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_use_is_one_sentence(lamprey: Recording, name: str) -> None:
+    use, sentence = WRONG[name]
+    with pytest.raises(InputError) as raised:
+        use(lamprey)
+    assert isinstance(raised.value, ValueError) and str(raised.value).startswith(sentence)
+
+
+def test_yaml_says_the_same(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]) -> None:
+    run = disk.folder / "run.yaml"
+    run.write_text(run.read_text().replace("{misfit: {}}", "{gradient: {}}"))
+    ended = lampest("run", run)
+    assert ended.code == 2 and ended.err.strip().endswith(
+        "gradient needs the term misfit: without it nothing reads what was measured"
+    )
+
+
+def test_a_list_of_terms_is_as_good_as_a_tuple() -> None:
+    assert lampest.Estimator([Misfit()]) == lampest.Estimator((Misfit(),))
+
+
+def test_a_reconstruction_in_one_line(found: Reconstruction) -> None:
+    assert repr(found) == (
+        "Reconstruction(lamprey_35mm: misfit + gradient, reduced, 4 of 4 frames solved, the first: optimum verified)"
+    )
+
+
+def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
+    found.save(tmp_path / "r.h5", name="mine")
+    (case,) = lampest.read_results(tmp_path / "r.h5").cases
+    assert (case.recording, case.estimator) == ("lamprey_35mm", "mine")
+    assert "weight: 0.001" in case.case_yaml and len(case.case_id) == 24
+    arrays = ["time", "status", "solved", "cell_resistance", "relative_change", "open_cell", "at_lower_bound"]
+    for name in ("cell_resistance", "relative_change", "pressure"):
+        arrays += [f"{name}_errors", f"{name}_lower", f"{name}_upper"]
+    for name in (*arrays, "pressure", "saturated", "resolution", "data_share", "baseline_resistance_errors"):
+        assert_array_equal(getattr(found, name), getattr(case, name), name)
+    shape = (4, 10, 10)
+    assert found.pressure is not None and found.cell_resistance.shape == found.pressure.shape == shape
+    again = found.result("mine")
+    assert (again.case_id, again.case_yaml) == (case.case_id, case.case_yaml)
+
+
+def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
+    silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
+    bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
+    for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
+        assert getattr(bare, name) is None
+    assert "pressure" not in bare.to_xarray()
+    with pytest.raises(InputError, match="lamprey_35mm: holds no pressure to draw, which needs pressure"):
+        bare.plot("pressure")
+
+
+def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_path: Path) -> None:
+    found.save(tmp_path / "r.h5")
+    dataset = found.to_xarray()
+    assert dict(dataset.sizes) == {"time": 4, "row": 10, "column": 10}
+    assert_array_equal(dataset.time, found.time)
+    assert_array_equal(dataset.x, 10.0 * np.arange(10))
+    assert dataset.x.dims == ("column",) and dataset.y.dims == ("row",) and dataset.x.attrs["units"] == "mm"
+    with h5py.File(tmp_path / "r.h5") as file:
+        group = file["entry/lamprey_35mm/misfit + gradient"]
+        for name in ("cell_resistance", "relative_change", "pressure", "status", "solved", "baseline_resistance"):
+            stored, variable = group[name], dataset[name]
+            for attribute in ("units", "long_name"):
+                assert variable.attrs[attribute] == stored.attrs[attribute].decode()
+            if name != "status":
+                assert_array_equal(variable, stored)
+        assert_array_equal(dataset.cost_gradient, group["cost/gradient"])
+    read = lampest.read_results(tmp_path / "r.h5").cases[0].to_xarray()
+    assert read.identical(dataset)
+    dataset.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
+    assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == found.cell_resistance[2, 3, 4]
+
+
+def test_a_table_has_a_line_for_every_cell_of_every_frame(found: Reconstruction) -> None:
+    table = found.to_dataframe()
+    assert list(table.columns[:4]) == ["time", "frame", "row", "column"] and len(table) == 400
+    line = table[(table.frame == 5) & (table.row == 3) & (table.column == 4)]
+    assert line.cell_resistance.item() == found.cell_resistance[2, 3, 4]
+    assert line.time.item() == found.time[2] and line.status.item() == "optimum verified"
+    assert line.baseline_resistance.item() == found.baseline_resistance[3, 4]
+    units = table.attrs["units"]
+    assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
+    assert set(units) == set(table.columns) - {"row", "column"}
+
+
+@pytest.mark.parametrize(("library", "method"), [("xarray", "to_xarray"), ("pandas", "to_dataframe")])
+def test_what_is_not_installed_is_named(
+    found: Reconstruction, library: str, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install lampest\[xarray\] brings it$"):
+        getattr(found, method)()
+
+
+def test_pictures(found: Reconstruction) -> None:
+    for kind in ("contours", "certainty", "pressure"):
+        assert isinstance(found.plot(kind, frame=4), Figure)
+    assert "frame 5 at 5 s" in found.plot(frame=5).get_suptitle()
+    for wrong, sentence in (("contour", "there is no plot 'contour'"), (3, "a plot is a word such as 'contours'")):
+        with pytest.raises(InputError, match=sentence):
+            found.plot(wrong)
+    with pytest.raises(InputError, match="frame 99 has no results; there are frames 3 to 6"):
+        found.plot(frame=99)
+
+
+def test_frames_one_by_one_are_a_recording(lamprey: Recording) -> None:
+    """With a term that looks back, and the step of a frame gives what the reconstruction does."""
+    terms = (Misfit(weighting="noise"), lampest.Arrival())
+    whole = lampest.reconstruct(lamprey, terms, formulation="reduced")
+    frames = lamprey.resistance
+    resting = lampest.Readings.of(lamprey.scene, frames[:3]).mean()
+    stream = lampest.Stream.begin(lampest.Estimator(terms, "reduced"), lamprey.scene, 1.0, resting)
+    for number, frame in enumerate(frames[3:]):
+        stream, step = stream.push(lampest.Readings.of(lamprey.scene, frame))
+        assert step.status == whole.status[number]
+        assert_allclose(step.cell_resistance, whole.cell_resistance[number], rtol=1e-9)
+    assert_allclose(stream.baseline_resistance, whole.baseline_resistance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name[0].isupper()])
+def test_examples_in_docstrings_run(name: str) -> None:
+    found = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name)
+    assert name != "Stream" or found[0].examples
+    for example in found:
+        assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
