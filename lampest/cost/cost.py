@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Loss
-from lampest.cost.summands import grouped, stacked, summands
+from lampest.cost.summands import program_groups, stacked, summands
 from lampest.cost.terms.term import State, Term
 from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array, Panel
@@ -159,7 +159,7 @@ class CostFunctions:
         lagrangian = smooth + casadi.dot(slope * dual, rough)
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
-        split = [group for group in grouped(parts) if group[0].loss.enters != "whole"]
+        split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
         outputs = {
             "costs": casadi.vertcat(*costs),
             "gradient": casadi.densify(gradient),

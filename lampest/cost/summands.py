@@ -9,6 +9,7 @@ import casadi
 from lampest.cost.losses import Loss
 from lampest.cost.losses.lowered import Lowered
 from lampest.cost.terms.term import Term
+from lampest.files.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,12 @@ class Summand:
 
     @property
     def cost(self) -> Any:
-        """Its value."""
-        return self.weight * self.loss.cost(self.residual)
+        """Its value. Raises InputError where a loss forgets to sum over its residuals."""
+        cost = self.loss.cost(self.residual)
+        if cost.shape != (1, 1):
+            name, shape = type(self.loss).__name__, "×".join(map(str, cost.shape))
+            raise InputError(f"loss {name}: cost gives {shape} numbers; it must give one, the sum over all residuals")
+        return self.weight * cost
 
     @property
     def smooth(self) -> bool:
@@ -52,7 +57,7 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
     )
 
 
-def grouped(parts: Sequence[Summand]) -> list[list[Summand]]:
+def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
     """What a program lowers together, in its order: each that it takes whole, all with duals, each that it splits."""
     whole, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
     return [*([part] for part in whole), *([dual] if dual else []), *([part] for part in split)]

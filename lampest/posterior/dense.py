@@ -11,8 +11,8 @@ error where a term's weight allows for that (an arrival cost), so that it counts
 filter's covariance, right also for a gain that reads only the diagonal of S₀. A penalty that does not suit the data
 must not leave narrow bars: C of a penalised residual x̂ is the largest of 1, of ω x̂²/s², how much larger it is than
 its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals;
-c = 1 where the weight maximises the evidence. Beyond the corner of Huber's loss a residual has no curvature and still
-pulls, with H = weight · corner.
+c = 1 where the weight maximises the evidence. Where a loss pulls more than its curvature accounts for, H is the rest:
+beyond the corner of Huber's loss a residual has no curvature and still pulls, with H = weight · corner.
 Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
 """
 
@@ -117,7 +117,7 @@ class DenseErrors:
 
     @cached_property
     def _held(self) -> Array:
-        """A⁻¹ Zᵀ H (free, rows beyond the corner of Huber's loss)."""
+        """A⁻¹ Zᵀ H (free, rows where H is not zero)."""
         beyond = np.flatnonzero(self.model.steady_pull)
         if not len(beyond):
             return np.zeros((len(self.inverse), 0))

@@ -302,6 +302,28 @@ def test_losses_are_what_they_say() -> None:
     assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=1e-12)
 
 
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+def test_lowered_is_the_loss(loss: Loss) -> None:
+    """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
+    weight, unit, x = 0.7, 25.0, np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER
+    lowered = loss.lowered(casadi.SX(x), casadi.SX(np.full(5 if loss.enters == "dual" else 1, weight)), casadi.SX(unit))
+    cost = weight * float(loss.cost(casadi.DM(x)))
+    if loss.enters == "whole":
+        assert not lowered.split and lowered.equation is None and float(casadi.DM(lowered.objective)) == cost
+        return
+    start = np.concatenate(loss.split_start(x / unit))
+    assert np.all(start > 0)
+    assert_allclose(np.subtract(*np.split(start, 2)), x / unit)
+    assert (lowered.equation is None) == (loss.enters == "split")
+    equation = casadi.SX(0, 1) if lowered.equation is None else lowered.equation
+    program = {"x": casadi.vertcat(*lowered.split), "f": lowered.objective, "g": equation}
+    quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
+    found = casadi.nlpsol("least", "ipopt", program, quiet)(x0=start, lbx=0, lbg=0, ubg=0)
+    assert float(found["f"]) == pytest.approx(cost, rel=1e-6)
+    if loss.enters == "dual":
+        assert_allclose(np.asarray(found["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
+
+
 def test_huber_is_once_differentiable_at_its_corners() -> None:
     huber = Huber(corner=CORNER)
     for corner in (-CORNER, CORNER):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import casadi
 
 from lampest.cost.cost import Cost, Symbols
-from lampest.cost.summands import grouped, lowered, summands
+from lampest.cost.summands import lowered, program_groups, summands
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
 
@@ -71,7 +71,7 @@ class Program:
         reading = casadi.horzcat(*(network.reading for network in networks))
         pairs = cost.residuals(Symbols(scale / conductance, reading, given))
         weights = casadi.SX.sym("weights", len(cost.terms))
-        parts = [lowered(group, split_scale) for group in grouped(summands(cost.terms, pairs, weights))]
+        parts = [lowered(group, split_scale) for group in program_groups(summands(cost.terms, pairs, weights))]
         objective = sum((part.objective for part in parts), casadi.SX(0))
         nothing = casadi.SX(0, 1)
         own = {"ties": tie, "weights": weights, "scale": scale, "cost_scale": cost_scale, "split_scale": split_scale}
