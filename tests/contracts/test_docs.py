@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support import read_run
+
+from lampest import read_run
 
 REPOSITORY = Path(__file__).parents[2]
 README = REPOSITORY / "README.md"
