@@ -10,7 +10,7 @@ import numpy as np
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
-from lampest.report.live.engine import Engine, Scan, Source
+from lampest.report.live.engine import Engine, FrameSource, Scan
 from lampest.report.live.view import Picture
 from lampest.runs.results import CaseResult
 
@@ -89,7 +89,7 @@ class Patient(Engine):
         super().__init__("test", "test", estimator, baseline)
         self.pictures: list[Picture] = []
 
-    def take(self, source: Source, scan: Scan) -> None:
+    def take(self, source: FrameSource, scan: Scan) -> None:
         super().take(source, scan)
         while self._solving is not None and self._arrivals._news.number > len(self.pictures):
             picture = self.shown.thing.picture

@@ -122,7 +122,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
 
 
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """What an effort short of an optimum found, with its cost and its KKT residual."""
+    """What a method short of an optimum found, with its cost and its KKT residual."""
     if not np.all(np.isfinite(outcome.cell_resistance)):
         return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
     evaluation = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))

@@ -11,10 +11,20 @@ import pytest
 from laws.samples import members_of
 from numpy.testing import assert_allclose
 
-from lampest import Absolute, Gradient, Huber, InputError, Misfit, Recording, Squared, reconstruct, two_point_resistance
+from lampest import (
+    Absolute,
+    Gradient,
+    Huber,
+    InputError,
+    Misfit,
+    Reconstruction,
+    Recording,
+    Squared,
+    reconstruct,
+    two_point_resistance,
+)
 from lampest.cost.losses import AnyLoss, Loss
 from lampest.cost.terms import Term
-from lampest.estimate.sequence import Reconstruction
 from lampest.files.document import adapter
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene

@@ -269,3 +269,11 @@ def test_region_sees_that_all_cells_changed_alike() -> None:
     data = recording(resting(), 0.8 * resting(), noise=1e-5)
     region, full = (found_by(method, data) for method in (RegionMethod(), REDUCED))
     assert_allclose(region.cell_resistance, full.cell_resistance, rtol=1e-6)
+
+
+@pytest.mark.parametrize("formulation", ["naive", "scaled"])
+def test_readings_as_they_are_have_a_cost_of_any_loss(formulation: str) -> None:
+    """Absolute values have slopes of their own, which nothing optimised."""
+    recording = Recording.load(Path("data/lamprey_35mm.h5"))
+    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))  # type: ignore[arg-type]
+    assert np.all(np.isfinite(done.cell_resistance))

@@ -28,7 +28,7 @@ from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.recording import MEASURED, Recording
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.engine import Engine, Scan, Source, total_pressure, with_picture
+from lampest.report.live.engine import Engine, FrameSource, Scan, total_pressure, with_picture
 from lampest.report.live.feed import from_recording
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
@@ -85,7 +85,7 @@ def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Rec
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved
+    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved_picture
 
     def slowly(*arguments: Any) -> Any:
         begun.release()
@@ -94,8 +94,8 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
         shown.append(picture)
         return stream, picture
 
-    monkeypatch.setattr(engine_module, "solved", slowly)
-    source = Source(lamprey.scene, 1.0, "receiving")
+    monkeypatch.setattr(engine_module, "solved_picture", slowly)
+    source = FrameSource(lamprey.scene, 1.0, "receiving")
     scan = Scan(lamprey.recorded[5], None, 1.0, time.time())
     with Engine("test", "test", LSM, 1) as engine:
         for _ in range(2):

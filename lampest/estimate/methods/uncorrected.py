@@ -27,4 +27,4 @@ class UncorrectedMethod(Method):
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The cells that are read off, put within the bounds."""
         cells = np.clip(self.guess(data.readout, data.measured), data.lower, data.upper)
-        return approximation(solver.cost, data, Outcome(cells, np.zeros(0), Status.APPROXIMATE, 0))
+        return approximation(solver.cost, data, Outcome(cells, np.zeros(len(solver.cost.slope)), Status.APPROXIMATE, 0))

@@ -51,7 +51,7 @@ def detect(
     total = len(results.recordings()) + len(results.cases)
     for recording in results.recordings():
         cases = results.of(recording)
-        scene = Given.of(cases[0], settings)
+        scene = GivenRecording.of(cases[0], settings)
         for source in (None, *cases):
             found.append(detected(scene, source))
             on_case(len(found), total)
@@ -59,7 +59,7 @@ def detect(
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class GivenRecording:
     """A recording as the recognition is given it.
 
     case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa.
@@ -73,7 +73,7 @@ class Given:
     baseline: Baseline
 
     @classmethod
-    def of(cls, case: CaseResult, settings: RecognitionSettings) -> "Given":
+    def of(cls, case: CaseResult, settings: RecognitionSettings) -> "GivenRecording":
         """From one case of the recording. Raises InputError where the noise is unknown."""
         scene, depth = case.scene, settings.top_row_depth_mm
         water = water_pressure(scene.panel, scene.water if depth is None else Water(depth))
@@ -95,7 +95,7 @@ class Given:
             yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds)
 
 
-def detected(given: Given, source: CaseResult | None) -> Detection:
+def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
     """What an estimate shows, or the readings themselves for None; frames that failed are left out."""
     detector: Detector | None = None
     verdicts: list[Verdict | None] = []

@@ -39,7 +39,7 @@ class Scan:
 
 
 @dataclass(frozen=True)
-class Source:
+class FrameSource:
     """Where frames come from.
 
     scene : what they are taken in, and how. period : s between them when they were taken, however fast they are
@@ -84,7 +84,7 @@ class Engine:
         """Show a state of the port or the recording."""
         self.shown.change(lambda view: replace(view, state=sentence))
 
-    def begin(self, source: Source, unloaded: Sequence[Scan]) -> None:
+    def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Start solving against the mean of unloaded frames. Raises InputError where one of them makes no readings."""
         try:
             first, *others = (scan.readings(source.scene) for scan in unloaded)
@@ -94,7 +94,7 @@ class Engine:
         self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
         self._solving = self._pool.submit(self._solve, source, resting)
 
-    def take(self, source: Source, scan: Scan) -> None:
+    def take(self, source: FrameSource, scan: Scan) -> None:
         """A frame has come. Never waits for the solver; raises what stopped it."""
         if self._solving is not None and self._solving.done():
             self._solving.result()
@@ -109,7 +109,7 @@ class Engine:
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)
 
-    def _solve(self, source: Source, resting: Readings) -> None:
+    def _solve(self, source: FrameSource, resting: Readings) -> None:
         """Solve the newest frame again and again until nothing more will come."""
         # Nobody sees error bars here, but terms may need them.
         estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)

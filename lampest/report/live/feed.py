@@ -12,7 +12,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.record import Progress, Recorded, record
 from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.report.live.engine import Engine, Scan, Source
+from lampest.report.live.engine import Engine, FrameSource, Scan
 
 
 def from_board(engine: Engine, url: str, scene: Scene | None, period: float | None, frames: int | None) -> None:
@@ -56,7 +56,7 @@ def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
     """Hand a board's frame on, as a recording would hold it."""
     agreed, recorded = agreed_and_recorded(sample, scene)
     engine.take(
-        Source(agreed, sample.hello.period_us * 1e-6, "receiving"),
+        FrameSource(agreed, sample.hello.period_us * 1e-6, "receiving"),
         Scan(recorded, None, sample.time, sample.host_time, sample.lost),
     )
 
@@ -65,7 +65,7 @@ def from_recording(
     engine: Engine, recording: Recording, speed: float, frames: int | None, wait: Callable[[float], None] = time.sleep
 ) -> None:
     """A recording's measured frames, `speed` times as fast as they were taken; its unloaded frames are the baseline."""
-    source = Source(recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed")
+    source = FrameSource(recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed")
     unloaded = [scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)]
     if unloaded:
         engine.begin(source, unloaded)

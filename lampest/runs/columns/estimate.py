@@ -41,7 +41,7 @@ ESTIMATE = (
         of_steps(lambda step: step.solution.reading[-1]),
         (numbers_if_solved, not_negative),
         dataset="two_point_model",
-        as_volt=("reading_model", "voltage across the load, of the estimated cells"),
+        as_volt=("reading_model", "what is read of the estimated cells"),
     ),
     Column(
         "open_cell",

@@ -53,7 +53,7 @@ MEASURED = Column(
     (positive,),
     dataset="resistance",
     shared=True,
-    as_volt=("volt", "measured voltage across the load"),
+    as_volt=("volt", "measured voltage, as the network is read"),
 )
 GIVEN = (
     TIME,
@@ -68,7 +68,7 @@ GIVEN = (
         (positive,),
         dataset="baseline",
         shared=True,
-        as_volt=("baseline", "mean voltage across the load in the unloaded frames"),
+        as_volt=("baseline", "mean of the unloaded frames"),
     ),
     Column(
         "sigma",
