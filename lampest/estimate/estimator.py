@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import Any, ClassVar, Literal
 
@@ -140,7 +141,7 @@ class Estimator:
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
             raise InputError("auto_weight.per: frame needs a formulation that ends at an optimum")
 
-    @property
+    @cached_property
     def method(self) -> Method:
         """What the formulation's word stands for."""
         return named_method(self.formulation)
