@@ -12,7 +12,6 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column, all_columns
 from lampest.runs.labelled import dataset_of, table_of
-from lampest.runs.published import PublishedFigures
 
 if TYPE_CHECKING:
     from lampest.runs.labelled import DataFrame, Dataset
@@ -181,27 +180,6 @@ class CaseResult:
 # Columns that have an attribute of their own, and those of them that a case cannot be without.
 TYPED = {item.name: item.default for item in fields(CaseResult) if item.name in {column.name for column in COLUMNS}}
 REQUIRED = frozenset(name for name, default in TYPED.items() if default is MISSING)
-
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """The cases of one file in the order they were given, and published figures by estimator."""
-
-    cases: tuple[CaseResult, ...]
-    published: Mapping[str, PublishedFigures] = field(default_factory=dict)
-
-    def recordings(self) -> tuple[str, ...]:
-        """The recordings' names in order, each once."""
-        return tuple(dict.fromkeys(case.recording for case in self.cases))
-
-    def of(self, recording: str) -> tuple[CaseResult, ...]:
-        """The cases of one recording. Raises InputError where there is none."""
-        cases = tuple(case for case in self.cases if case.recording == recording)
-        if not cases:
-            raise InputError(
-                f"no results of a recording '{recording}'; there are {', '.join(self.recordings()) or 'none'}"
-            )
-        return cases
 
 
 def check_name(name: str, what: str) -> None:

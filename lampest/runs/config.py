@@ -2,61 +2,23 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.cost.given import Background
-from lampest.cost.terms import AnyTerm, term_types
-from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, parse_scalar, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.files.tagged import kinds_of, shipped
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor, Executor
 from lampest.runs.results import PublishedFigures, check_name
+from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
-
-FORBID: dict[str, Any] = {"extra": "forbid"}
-
-
-def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
-    """A dataclass with a field for every kind of term, None by default."""
-    return make_dataclass(
-        "Terms",
-        [(kind, term | None, field(default=None)) for kind, term in kinds.items()],
-        bases=bases,
-        frozen=True,
-        namespace={
-            "__pydantic_config__": FORBID,
-            "__module__": __name__,
-            "__doc__": "The cost terms of an estimator, by kind.",
-        },
-    )
-
-
-class _WithInstalled:
-    """What is validated as these terms may name those of installed packages, too."""
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """The schema of a class with fields for them; called by the validating library."""
-        further = {kind: term for kind, term in term_types().items() if kind not in source.__dataclass_fields__}
-        return handler.generate_schema(terms_class(further, source)) if further else handler(source)
-
-
-Terms = terms_class({kind: term for term in shipped(AnyTerm) for kind in kinds_of(term)}, _WithInstalled)
-
-
-def terms_of(terms: Any) -> tuple[Term, ...]:
-    """The terms that an object of `Terms` names, in order."""
-    return tuple(term for kind in term_types() if (term := getattr(terms, kind, None)) is not None)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A user's own term, readout, method, shape, column and plot, as a notebook or a package writes them.
+"""A user's own term, loss, readout, method, shape, column and plot, as a notebook or a package writes them.
 
 Nothing but public names; `test_extending` uses these classes through Python, and installs this file as a package.
 """
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import casadi
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -25,6 +26,18 @@ class Leash(lampest.Term):
     def residual(self, state: lampest.State) -> Any:
         """(cells, 1)."""
         return state.cell_resistance - self.length_ohm
+
+
+@dataclass(frozen=True)
+class Cushion(lampest.Loss):
+    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual."""
+
+    softness: float = 1.0
+    kind: Literal["cushion"] = "cushion"
+
+    def cost(self, residual: Any) -> Any:
+        """The sum, symbolic or numeric."""
+        return 2 * self.softness**2 * casadi.sum1((1 + (residual / self.softness) ** 2) ** 0.5 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)

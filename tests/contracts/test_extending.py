@@ -9,17 +9,18 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from contracts.extensions import CONTRAST, Divider, Ellipse, Even, Histogram, Leash
+from contracts.extensions import CONTRAST, Cushion, Divider, Ellipse, Even, Histogram, Leash
 from numpy.testing import assert_allclose, assert_array_equal
 
 import lampest
-from lampest import Misfit, Panel, Recording, Scene, Simulation
+from lampest import Gradient, Misfit, Panel, Recording, Scene, Simulation
 
 COMMAND = Path(sys.executable).with_name("lampest")
 EXTENSIONS = Path(__file__).with_name("extensions.py")
 ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
 GROUPS = {
     "terms": "Leash",
+    "losses": "Cushion",
     "readouts": "Divider",
     "methods": "Even",
     "shapes": "Ellipse",
@@ -40,6 +41,8 @@ recordings: [ellipse.h5]
 formulation: reduced
 estimators:
   leashed: {terms: {misfit: {weighting: noise}, leash: {weight: 1e3, length_ohm: 1234}}}
+  soft: {terms: {misfit: {weighting: noise, loss: {kind: cushion, softness: 1e6}}}}
+  plain: {terms: {misfit: {weighting: noise}}}
   even: {terms: {misfit: {}}, formulation: {kind: even, factor: 2}}
 """
 
@@ -62,6 +65,20 @@ def test_a_term(recording: Recording) -> None:
         assert_allclose(found.cell_resistance, 1234, rtol=1e-3)
     weak = lampest.reconstruct(recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced")
     assert weak.solved.all() and "misfit + leash" in repr(weak)
+
+
+def test_a_loss(recording: Recording) -> None:
+    """So soft a cushion is a square; a hard one costs what it says."""
+    plain, soft, hard = (
+        lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), Gradient()], formulation="reduced")
+        for loss in (lampest.Squared(), Cushion(softness=1e6), Cushion(softness=0.5))
+    )
+    assert soft.status == hard.status == ("optimum verified",) * 2
+    assert_allclose(soft.cell_resistance, plain.cell_resistance, rtol=1e-5)
+    model = np.stack([lampest.two_point_resistance(cells) for cells in hard.cell_resistance])
+    residual = (model - hard.measured) / hard.sigma
+    costs = 0.5 * (np.sqrt(1 + 4 * residual**2) - 1).sum(axis=(1, 2))
+    assert_allclose(hard.result().costs["misfit"], costs, rtol=1e-6)
 
 
 def test_a_readout() -> None:
@@ -150,6 +167,8 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
         free = ~case["at_lower_bound"][()].astype(bool)
         assert_allclose(case["cell_resistance"][()][free], 1234, rtol=0.05)
         assert_allclose(file["entry/ellipse/even/contrast"], 1)
+        soft, plain = (file[f"entry/ellipse/{name}/cell_resistance"] for name in ("soft", "plain"))
+        assert_allclose(soft, plain, rtol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """Results files: what estimators made of recordings, case by case; their one reader and writer."""
 
-from lampest.runs.case import CaseResult, Results, check_name
+from lampest.runs.case import CaseResult, check_name
 from lampest.runs.published import PublishedFigures, StepFigures
-from lampest.runs.results.reader import read_results
+from lampest.runs.results.reader import Results, read_results
 from lampest.runs.results.writer import FORMAT, write_results
 
 __all__ = [

@@ -1,6 +1,7 @@
 """A results file → its cases."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,32 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.runs.case import REQUIRED, SHARED, CaseResult, Results
+from lampest.runs.case import REQUIRED, SHARED, CaseResult
 from lampest.runs.columns import FIGURES, MAPS, MEASURED, Column, all_columns
 from lampest.runs.published import PublishedFigures, published_from
 from lampest.runs.results.scene import stored_scene
 from lampest.runs.results.writer import FORMAT
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The cases of one file in the order they were given, and published figures by estimator."""
+
+    cases: tuple[CaseResult, ...]
+    published: Mapping[str, PublishedFigures] = field(default_factory=dict)
+
+    def recordings(self) -> tuple[str, ...]:
+        """The recordings' names in order, each once."""
+        return tuple(dict.fromkeys(case.recording for case in self.cases))
+
+    def of(self, recording: str) -> tuple[CaseResult, ...]:
+        """The cases of one recording. Raises InputError where there is none."""
+        cases = tuple(case for case in self.cases if case.recording == recording)
+        if not cases:
+            raise InputError(
+                f"no results of a recording '{recording}'; there are {', '.join(self.recordings()) or 'none'}"
+            )
+        return cases
 
 
 def read_results(path: str | Path, columns: Sequence[Column] = ()) -> Results:

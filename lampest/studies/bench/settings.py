@@ -21,7 +21,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.runs.config import FORBID, Terms, terms_of
+from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
 
 LARGEST_SIDE = 1000

@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Literal, cast
 
 from lampest.estimate.methods import MethodName
 from lampest.files.document import read_document, validated
-from lampest.runs.config import FORBID
 from lampest.runs.executors import AnyExecutor
+from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
 from lampest.studies.bench.settings import SquaredMethod, paper_methods
 from lampest.studies.extremes.scenes import CASES, AtlasSample

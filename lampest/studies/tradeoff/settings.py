@@ -21,7 +21,8 @@ from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.runs.case import check_name
-from lampest.runs.config import FORBID, Terms, recording_paths, terms_of
+from lampest.runs.config import recording_paths
+from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
 from lampest.studies.bench.settings import BREATHING, LARGEST_SIDE, PAPER
 
