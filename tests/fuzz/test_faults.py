@@ -82,7 +82,7 @@ def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
 def test_recording_that_is_replaced_under_way(tmp_path: Path) -> None:
     """No result under the old recording's hash holds the new one's numbers."""
     made = batch(tmp_path, 12)
-    before = Recording.load(tmp_path / "two.h5").readings().resistance[1:]
+    before = Recording.load(tmp_path / "two.h5").readings().value[1:]
     run = started(made, tmp_path / "out", 1)
     write_recording(tmp_path / "new.h5", 12, 99)
     (tmp_path / "new.h5").replace(tmp_path / "two.h5")

@@ -20,7 +20,7 @@ from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
-from lampest.report.detect.run import Given, detect, detect_file
+from lampest.report.detect.run import GivenRecording, detect, detect_file
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
 
@@ -136,16 +136,17 @@ def test_readings_that_faults_blind_do_not_count() -> None:
 
 def test_recognition_is_given_the_scene_of_the_results() -> None:
     case = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0))
-    given = Given.of(case, RecognitionSettings())
+    given = GivenRecording.of(case, RecognitionSettings())
     np.testing.assert_allclose(given.water[:, 0], 9.81e-3 * (70 + 10 * np.arange(8)))
     errors = given.baseline.model_errors
     assert (errors.channel_ohm, errors.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
     assert given.baseline.series_ohm == 140.0
     stated = RecognitionSettings(top_row_depth_mm=0.0, model_errors=ModelErrors(channel_ohm=1.0))
     assert (
-        Given.of(case, stated).water[0, 0] == 0 and Given.of(case, stated).baseline.model_errors == stated.model_errors
+        GivenRecording.of(case, stated).water[0, 0] == 0
+        and GivenRecording.of(case, stated).baseline.model_errors == stated.model_errors
     )
-    assert Given.of(solved_case(), RecognitionSettings()).baseline.model_errors == ModelErrors()
+    assert GivenRecording.of(solved_case(), RecognitionSettings()).baseline.model_errors == ModelErrors()
 
 
 def test_settings_out_of_range_are_refused() -> None:
