@@ -185,7 +185,6 @@ def bent_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, N
 
     term : the number of the term that every row belongs to.
     """
-    for number, loss in enumerate(part.loss for part in cost.terms):
-        rows = term == number
-        if not loss.squared and rows.any():
-            yield number, loss, rows
+    for number, part in enumerate(cost.terms):
+        if not part.loss.squared and (rows := term == number).any():
+            yield number, part.loss, rows

@@ -1,7 +1,7 @@
 """Losses of a user's own, in no union, which say what they cost and nothing else."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -69,7 +69,9 @@ class OnlyCost(Loss):
 
 
 SMOOTH = [
-    loss(**({"corner": CORNER} if loss is Huber else {})) for loss in members_of(AnyLoss) if loss.enters != "dual"
+    loss(**{field.name: CORNER for field in fields(loss) if field.default is MISSING})
+    for loss in members_of(AnyLoss)
+    if loss.enters != "dual"
 ]
 
 
