@@ -3,7 +3,7 @@
 #   make run       set-up, then two lampreys with five methods: table on screen; table, results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then all tests
-#   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, below 20 s; Python alone
+#   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, about 40 s; Python alone
 #   make lint      style and types
 #   make clean     remove .venv, builds and caches; results/ stays
 
