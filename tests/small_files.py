@@ -22,6 +22,20 @@ estimators:
       cell_resistance: {weight: 1e-3}
   LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
 """
+TRADEOFF = """\
+schema: 1
+simulated:
+  sizes: [8, [8, 9]]
+  noise: {10bit: {}}
+  scenes: {clean: {}, realistic: {channel_spread_ohm: 3, drift_per_minute: 0.01}}
+estimators:
+  LSM: {terms: {misfit: {}}}
+  LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
+formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
+frames: 3
+repeats: 2
+limits: {nodal: 8}
+"""
 
 
 def exact(cells: Any) -> Any:

@@ -8,20 +8,7 @@ from types import SimpleNamespace
 import h5py
 import pytest
 
-TINY = """\
-schema: 1
-simulated:
-  sizes: [8, [8, 9]]
-  noise: {10bit: {}}
-  scenes: {clean: {}, realistic: {channel_spread_ohm: 3, drift_per_minute: 0.01}}
-estimators:
-  LSM: {terms: {misfit: {}}}
-  LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
-formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
-frames: 3
-repeats: 2
-limits: {nodal: 8}
-"""
+from tests.small_files import TRADEOFF
 
 
 def test_command_writes_table_samples_and_figure(
@@ -68,8 +55,8 @@ def test_faults_of_the_file_are_one_sentence(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace], old: str, new: str, place: str, words: str
 ) -> None:
     config = tmp_path / "wrong.yaml"
-    assert old in TINY
-    config.write_text(TINY.replace(old, new, 1))
+    assert old in TRADEOFF
+    config.write_text(TRADEOFF.replace(old, new, 1))
     done = lampest("tradeoff", config, "--out", tmp_path / "out")
     assert done.code == 2
     assert place in done.err and words in done.err

@@ -14,6 +14,8 @@ from lampest.cost.terms import LogRatio, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout
 from lampest.panel.scene import Faults, Scene, Systematic
@@ -199,3 +201,10 @@ def test_volt_and_code_are_imported(tmp_path: Path) -> None:
 def test_what_the_circuit_has_no_model_of_is_refused(broken: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="belongs to readout"):
         Scene(Panel(5, 6), READOUT, **broken)
+
+
+def test_recognition_refuses_what_its_physics_is_not_of() -> None:
+    readings = panel_of(READOUT, 1.0).readings()[:3].mean()
+    assert readings.sigma is not None
+    with pytest.raises(ValueError, match="two_point only"):
+        Baseline.of(readings.value, readings.sigma, Scene(Panel(5, 6), READOUT), ModelErrors())

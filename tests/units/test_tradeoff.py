@@ -8,28 +8,15 @@ import pytest
 from lampest.studies.tradeoff.report import front, on_front, summary_rows
 from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
 from lampest.studies.tradeoff.settings import label, read_plan
+from tests.small_files import TRADEOFF
 
-TINY = """\
-schema: 1
-simulated:
-  sizes: [8, [8, 9]]
-  noise: {10bit: {}}
-  scenes: {clean: {}, realistic: {channel_spread_ohm: 3, drift_per_minute: 0.01}}
-estimators:
-  LSM: {terms: {misfit: {}}}
-  LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
-formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
-frames: 3
-repeats: 2
-limits: {nodal: 8}
-"""
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Tradeoff:
     path = tmp_path_factory.mktemp("tradeoff") / "tiny.yaml"
-    path.write_text(TINY)
+    path.write_text(TRADEOFF)
     return run_tradeoff(read_plan(path))
 
 

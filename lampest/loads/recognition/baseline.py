@@ -42,7 +42,7 @@ class Baseline:
         measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
         scene : what they were taken in. Raises ValueError unless its readout is a two-point one.
         """
-        if scene.circuit.unit != "ohm":
+        if not isinstance(scene.circuit, TwoPointReadout):
             raise ValueError("recognition knows readout.kind: two_point only")
         series_ohm = scene.series_resistance_ohm
         rows, columns = measured.shape
