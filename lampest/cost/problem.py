@@ -23,13 +23,14 @@ class Data:
 
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
-    readout : how readings follow from cells.
+    readout : how readings follow from cells. noise_known : whether σ is.
     """
 
     given: Given
     lower: Array
     upper: Array
     readout: Readout = TwoPointReadout()
+    noise_known: bool = False
 
     @property
     def measured(self) -> Array:
@@ -140,8 +141,8 @@ class Evaluation:
         return direct.reshape(shape), through.reshape(shape)
 
     def log_gradient(self, dual: Array) -> Array:
-        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form."""
-        direct, through = self.partials(dual)
+        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form; duals held to |z| ≤ 1."""
+        direct, through = self.partials(np.clip(dual, -1, 1))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             gradient[frame] += network.adjoint(through[frame])
@@ -162,15 +163,15 @@ class Evaluation:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
         return float(np.sum(self.cost.slope * (np.abs(self.rough) - dual * self.rough)))
 
-    def kkt_residual(self, dual: Array) -> float:
+    def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.
 
         Zero exactly at a point that satisfies the first-order optimality conditions. The duals of absolute losses
-        come from the solver and are held to |z| ≤ 1 here.
+        come from the solver and are held to |z| ≤ 1 here. log_gradient : for these duals, where it is known already.
         """
         dual = np.clip(dual, -1, 1)
         gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
-        return self.projected_gradient(self.log_gradient(dual)) + gap
+        return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
 
     def projected_gradient(self, log_gradient: Array) -> float:
         """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""

@@ -210,7 +210,7 @@ class Estimator:
             )
             for broken, factor in faults:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        return Data(Given.of(readings, background), lower, upper, scene.circuit)
+        return Data(Given.of(readings, background), lower, upper, scene.circuit, sigma is not None)
 
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""

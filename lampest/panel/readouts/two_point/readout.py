@@ -88,7 +88,7 @@ class TwoPointReadout(Readout):
 
     def exact_start(self, measured: Array, upper: Array) -> Array:
         """The same to a millionth of every reading."""
-        return convex_start(measured, upper, tolerance=1e-6)
+        return convex_start(measured, upper)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
