@@ -5,14 +5,14 @@ from collections.abc import Callable, Iterable
 import h5py
 
 from lampest.files import hdf5
-from lampest.files.document import parse_document, to_yaml, validated
+from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, Water
+from lampest.panel.scene import Scene, SeriesPerLine, Water, scene_text
 
 ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
     "pitch_mm": lambda scene: scene.panel.pitch_mm,
-    "series_resistance_ohm": lambda scene: scene.series_resistance_ohm,
+    "series_resistance_ohm": lambda scene: _one_series(scene),
     "top_row_depth_mm": lambda scene: None if scene.water is None else scene.water.top_row_depth_mm,
 }
 
@@ -21,7 +21,7 @@ def write_scene(group: h5py.Group, scene: Scene) -> None:
     """Write the scene and its attributes into a recording's group."""
     numbers = {name: number(scene) for name, number in ATTRIBUTES.items()}
     hdf5.set_attributes(group, **{name: float(number) for name, number in numbers.items() if number is not None})
-    hdf5.write_dataset(group, "scene", hdf5.ascii_array(to_yaml(scene)), "1", "what was measured, YAML")
+    hdf5.write_dataset(group, "scene", hdf5.ascii_array(scene_text(scene)), "1", "what was measured, YAML")
 
 
 def stored_scene(file: h5py.File, base: str, measured: str) -> Scene:
@@ -56,4 +56,10 @@ def fullest(scenes: Iterable[Scene]) -> Scene:
 
 def _in_attributes(scene: Scene) -> Scene:
     """What is left of a scene in a file without it."""
-    return Scene(scene.panel, series_resistance_ohm=scene.series_resistance_ohm, water=scene.water)
+    return Scene(scene.panel, series_resistance_ohm=_one_series(scene) or 0.0, water=scene.water)
+
+
+def _one_series(scene: Scene) -> float | None:
+    """The series resistance where one number says it."""
+    series = scene.series_resistance_ohm
+    return None if isinstance(series, SeriesPerLine) else series
