@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
+    from lampest.panel.wiring import Lines as Lines
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene
     from lampest.recording.readings import Readings as Readings

@@ -15,6 +15,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.wiring import Wiring
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +24,14 @@ class Data:
 
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
-    readout : how readings follow from cells.
+    readout : how readings follow from cells. wiring : what lies between these and the terminals, or None.
     """
 
     given: Given
     lower: Array
     upper: Array
     readout: Readout = TwoPointReadout()
+    wiring: Wiring | None = None
 
     @property
     def measured(self) -> Array:
@@ -82,7 +84,7 @@ class Data:
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        return self.readout.network(cell_resistance, self.ties[frame])
+        return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
+from lampest.panel.wiring import Wiring
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
 from lampest.solvers.solution import Settings, Solver
@@ -47,14 +48,21 @@ class Bounds:
             if not isinstance(value, str) and not (isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be a word or a positive, finite number of ohm")
 
-    def limits(self, readout: Readout, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
+    def limits(
+        self, readout: Readout, measured: Array, sigma: Array | None, wiring: Wiring | None = None
+    ) -> tuple[Array, Array]:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
+
+        What a reading says of the least cell it says of the cell with its wire: of the one path that leads through no
+        other cell, which all others only bypass (Rayleigh).
 
         Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
             lower = readout.least_cells(measured, sigma) if self.lower == "measured" else apparent * NEAREST
+            if wiring is not None:
+                lower = np.maximum(lower - wiring.path_ohm(measured.shape[-2:]), apparent * NEAREST)
         else:
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution":
@@ -191,13 +199,17 @@ class Estimator:
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
     def data(self, readings: Readings, background: Background) -> Data:
-        """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
+        """What one solve is given, from readings (frames, rows, columns).
+
+        Raises InputError as `Bounds.limits`, and where the formulation does not know what the scene names.
+        """
         measured, sigma, scene = readings.value, readings.sigma, background.scene
+        self.method.check_scene(scene)
         if sigma is None and self.needs_sigma():
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
+        lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
             lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), apparent * NEAREST, lower)
@@ -210,11 +222,11 @@ class Estimator:
             )
             for broken, factor in faults:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        return Data(Given.of(readings, background), lower, upper, scene.circuit)
+        return Data(Given.of(readings, background), lower, upper, scene.circuit, scene.wiring)
 
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""
-        return self.method.solver(self.cost(scene, frames, partial), scene.circuit, self.solver, period)
+        return self.method.solver(self.cost(scene, frames, partial), scene, self.solver, period)
 
     def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
         """The terms over one frame, or over two jointly; broken cells are left out.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
+from lampest.panel.wiring import Lines, Wiring
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,8 @@ class Faults:
     ----------
     open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
     dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
+    joined_rows, joined_columns : groups of lines that touch each other at their terminals: they are one node, either is
+        read alike, and of their cells on one crossing only the sum of conductances is ever seen.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -26,6 +29,8 @@ class Faults:
     shorted: tuple[tuple[int, int], ...] = ()
     dead_rows: tuple[int, ...] = ()
     dead_columns: tuple[int, ...] = ()
+    joined_rows: tuple[tuple[int, ...], ...] = ()
+    joined_columns: tuple[tuple[int, ...], ...] = ()
 
     def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
         """(rows, columns) where a cell carries nothing."""
@@ -54,13 +59,27 @@ class Faults:
         readings[:, list(self.dead_columns)] = True
         return readings
 
+    def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
+        """Groups of lines that are one node, by the numbers of lines, rows first."""
+        columns = tuple(tuple(panel.rows + line for line in group) for group in self.joined_columns)
+        return self.joined_rows + columns
+
     def check(self, panel: Panel) -> None:
         """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
         for row, column in (*self.open, *self.shorted):
             if not (0 <= row < panel.rows and 0 <= column < panel.columns):
                 raise ValueError(f"faults: there is no cell [{row}, {column}]")
-        for lines, count, name in ((self.dead_rows, panel.rows, "row"), (self.dead_columns, panel.columns, "column")):
-            for line in lines:
+        sides = (
+            (self.dead_rows, self.joined_rows, panel.rows, "row"),
+            (self.dead_columns, self.joined_columns, panel.columns, "column"),
+        )
+        for dead, joined, count, name in sides:
+            touching = [line for group in joined for line in group]
+            if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
+                raise ValueError(f"faults: joined_{name}s lists groups of two or more, each {name} once")
+            if set(touching) & set(dead):
+                raise ValueError(f"faults: a {name} cannot be dead and joined to another")
+            for line in (*dead, *touching):
                 if not 0 <= line < count:
                     raise ValueError(f"faults: there is no {name} {line}")
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
@@ -161,6 +180,7 @@ class Scene:
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
     systematic : how far off all readings may be together; None: not at all, or not known.
+    lines : the resistance of rows and columns themselves; None: none.
 
     Raises ValueError where a number is out of range.
     """
@@ -173,6 +193,7 @@ class Scene:
     water: Water | None = None
     temperature: Temperature | None = None
     systematic: Systematic | None = None
+    lines: Lines | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
@@ -185,3 +206,11 @@ class Scene:
     def circuit(self) -> Readout:
         """How readings follow from cells: the readout's circuit, or two-point resistances where it names none."""
         return TwoPointReadout() if self.readout is None else self.readout
+
+    @property
+    def wiring(self) -> Wiring | None:
+        """What lies between terminals and cells; None where there is nothing."""
+        joined = () if self.faults is None else self.faults.joined(self.panel)
+        if self.lines is None and not joined:
+            return None
+        return Wiring(self.lines or Lines(), joined)

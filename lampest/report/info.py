@@ -61,6 +61,12 @@ def _scene_lines(scene: Scene) -> list[str]:
         lines.append(f"readout   {readout.description()}")
     if scene.circuit.unit == "ohm":
         lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
+    if scene.lines is not None:
+        wire = scene.lines
+        lines.append(
+            f"lines     rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}; "
+            f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
+        )
     if scene.systematic is not None:
         off = scene.systematic
         lines.append(

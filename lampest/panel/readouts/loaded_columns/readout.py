@@ -131,7 +131,7 @@ class LoadedColumnsReadout(Readout):
         if np.any(drive < 0):
             raise ValueError("the spread of the channels makes a drive resistance negative; give a larger drive_ohm")
         actual = replace(self, drive_ohm=tuple(float(ohm) for ohm in drive))
-        return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
+        return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""
