@@ -181,6 +181,8 @@ class Scene:
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
     systematic : how far off all readings may be together; None: not at all, or not known.
     lines : the resistance of rows and columns themselves; None: none.
+    converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
+        see `lampest.panel.memory`. None: nothing.
 
     Raises ValueError where a number is out of range.
     """
@@ -194,10 +196,13 @@ class Scene:
     temperature: Temperature | None = None
     systematic: Systematic | None = None
     lines: Lines | None = None
+    converter_memory: float | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
             raise ValueError("series_resistance_ohm must be zero or positive, and finite")
+        if self.converter_memory is not None and not 0 <= self.converter_memory < 1:
+            raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.faults is not None:
             self.faults.check(self.panel)
         self.circuit.check(self)
@@ -211,6 +216,5 @@ class Scene:
     def wiring(self) -> Wiring | None:
         """What lies between terminals and cells; None where there is nothing."""
         joined = () if self.faults is None else self.faults.joined(self.panel)
-        if self.lines is None and not joined:
-            return None
-        return Wiring(self.lines or Lines(), joined)
+        lines = self.lines or Lines()
+        return Wiring(lines, joined) if joined or lines.resist else None

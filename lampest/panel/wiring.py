@@ -50,6 +50,11 @@ class Lines:
             if not (isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive, and finite")
 
+    @property
+    def resist(self) -> bool:
+        """Whether there is any resistance."""
+        return self.row_ohm_per_cell > 0 or self.column_ohm_per_cell > 0
+
 
 @dataclass(frozen=True)
 class Wiring:
@@ -113,7 +118,7 @@ class Ladder:
             along, segment = segment, along
         count, size = turned.shape
         steps, every = np.arange(1, size + 1), np.arange(size)
-        matrix = np.tile(along * np.minimum.outer(steps, steps), (count, 1, 1))
+        matrix = np.tile(along * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
         matrix[:, every, every] += turned
         rung = np.linalg.inv(matrix)
         passed, shown = np.empty_like(rung), np.empty_like(rung)

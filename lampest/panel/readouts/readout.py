@@ -158,6 +158,11 @@ class Readout(ABC):
 
     # Between what is recorded and what the network is read by.
 
+    @property
+    def by_columns(self) -> bool:
+        """Whether a scan goes column by column: kinds that drive the lines of one side say which, others go by rows."""
+        return bool(getattr(self, "driven", "rows") == "columns")
+
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
         return recorded

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -26,6 +27,9 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
         return total, None
+    if scene.converter_memory is not None:
+        volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
+        total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
