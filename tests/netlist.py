@@ -14,7 +14,8 @@ Resistor = tuple[int, int, float]
 def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
     """(node, node, ohm) of cells (rows, columns) ohm and all wire; nodes 0 … M + N − 1 are the terminals, rows first.
 
-    Of every crossing the row's node is M + N + 2·number, the column's the next one.
+    Of every crossing the row's node is M + N + 2·number, the column's the next one; behind the contacts, the lines' own
+    nodes come last.
     """
     rows, columns = cells.shape
     lines, faults = scene.lines, scene.faults
@@ -23,17 +24,20 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
     def crossing(row: int, column: int) -> int:
         return rows + columns + 2 * (row * columns + column)
 
+    behind = rows + columns + 2 * rows * columns
+    contacts = np.zeros(rows + columns) if scene.contacts is None else scene.contacts.mean((rows, columns))
+    yield from ((line, behind + line, float(ohm)) for line, ohm in enumerate(contacts))
     for row in range(rows):
         order = list(range(columns))
         if lines is not None and lines.rows_enter == "right":
             order.reverse()
-        chain = [row, *(crossing(row, column) for column in order)]
+        chain = [behind + row, *(crossing(row, column) for column in order)]
         yield from ((one, other, row_ohm) for one, other in pairwise(chain))
     for column in range(columns):
         order = list(range(rows))
         if lines is None or lines.columns_leave == "bottom":
             order.reverse()
-        chain = [rows + column, *(crossing(row, column) + 1 for row in order)]
+        chain = [behind + rows + column, *(crossing(row, column) + 1 for row in order)]
         yield from ((one, other, column_ohm) for one, other in pairwise(chain))
     for row in range(rows):
         for column in range(columns):

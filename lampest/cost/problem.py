@@ -15,7 +15,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.wiring import Wiring
+from lampest.panel.readouts.wiring import Wiring
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from lampest.estimate.methods import Method, MethodName, named_method
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.panel.wiring import Wiring
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
 from lampest.solvers.solution import Settings, Solver

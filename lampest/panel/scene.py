@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.wiring import Lines, Wiring
+from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,7 @@ class Scene:
     lines : the resistance of rows and columns themselves; None: none.
     converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
         see `lampest.panel.memory`. None: nothing.
+    contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
 
     Raises ValueError where a number is out of range.
     """
@@ -197,6 +198,7 @@ class Scene:
     systematic: Systematic | None = None
     lines: Lines | None = None
     converter_memory: float | None = None
+    contacts: Contacts | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
@@ -205,6 +207,8 @@ class Scene:
             raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.faults is not None:
             self.faults.check(self.panel)
+        if self.contacts is not None:
+            self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
         self.circuit.check(self)
 
     @property
@@ -217,4 +221,5 @@ class Scene:
         """What lies between terminals and cells; None where there is nothing."""
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
-        return Wiring(lines, joined) if joined or lines.resist else None
+        wired = joined or lines.resist or self.contacts is not None
+        return Wiring(lines, joined, self.contacts) if wired else None

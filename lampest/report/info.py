@@ -7,6 +7,7 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import lines_text
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.touching import touching_columns, touching_rows
@@ -89,6 +90,10 @@ def _scene_lines(scene: Scene) -> list[str]:
             f"lines     rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}; "
             f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
         )
+    if scene.contacts is not None:
+        sides = (("rows", scene.contacts.rows), ("columns", scene.contacts.columns))
+        known = "; ".join(f"{name} {lines_text(side.mean_ohm)} ± {lines_text(side.sd_ohm)}" for name, side in sides)
+        lines.append(f"contacts  {known}")
     if scene.converter_memory is not None:
         lines.append(f"memory    {100 * scene.converter_memory:g} % of the channel converted before")
     if scene.systematic is not None:

@@ -4,6 +4,7 @@ A kind that joins the union, or that an installed package names, is seen here wi
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import casadi
@@ -16,8 +17,9 @@ from lampest.files.tagged import members_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout
+from lampest.panel.readouts.wired import contact_responses
+from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Faults, Scene
-from lampest.panel.wiring import Lines
 from tests.laws.samples import examples
 from tests.netlist import impedance_of
 
@@ -57,8 +59,11 @@ def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
     for rows, columns in PANELS:
         panel = Panel(rows, columns)
         readout = next(one for one in examples(kind) if fits((panel, one)) is not None)
+        contacts = Contacts.of(np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows)
         for name, (lines, faults) in WIRES.items():
             yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
+        yield f"contacts-{rows}x{columns}", Scene(panel, readout, contacts=contacts)
+        yield f"contacts and wire-{rows}x{columns}", Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts)
 
 
 every_scene = pytest.mark.parametrize("scene", tuple(scenes()))
@@ -147,6 +152,20 @@ def test_a_changed_block_is_the_network_of_the_changed_cells(scene: Scene) -> No
     moved[block] -= 1.5
     expected = network_of(scene, moved, ties).reading()
     assert_allclose(network.changed(block, np.exp(-moved[block])).reading(), expected, atol=1e-9 * size(expected))
+
+
+@pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
+def test_what_contacts_do_is_the_derivative(scene: Scene) -> None:
+    """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
+    assert scene.contacts is not None
+    readout, logarithm, shape = scene.circuit, cells_of(scene), scene.panel.shape
+    ties, ohm = readout.ties(np.exp(logarithm)), scene.contacts.mean(shape)
+    response = contact_responses([network_of(scene, logarithm, ties)]).reshape(*shape, -1)
+    for line in range(sum(shape)):
+        step = 0.1 * np.eye(sum(shape))[line]
+        ends = [replace(scene, contacts=Contacts.of(ohm + sign * step, ohm, shape[0])) for sign in (1, -1)]
+        high, low = (network_of(end, logarithm, ties).reading() for end in ends)
+        assert_allclose(response[..., line], (high - low) / 0.2, atol=1e-5 * size(response))
 
 
 @every_scene

@@ -18,8 +18,8 @@ from lampest.files.errors import InputError
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.wiring import Lines, Wiring
 from lampest.panel.scene import Faults, Scene
-from lampest.panel.wiring import Lines, Wiring
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Simulation, simulate
 from lampest.recording.touching import touching_columns, touching_rows
@@ -128,7 +128,7 @@ def test_node_voltages_as_unknowns_say_that_they_know_no_wire(keys: Any, formula
         f"schema: 1\nrecordings: [panel.h5]\nformulation: {formulation}\n"
         "estimators: {LSM: {terms: {misfit: {}}}}\n"
     )
-    with pytest.raises(InputError, match=f"formulation: {formulation} knows neither lines nor faults.joined_rows"):
+    with pytest.raises(InputError, match=f"formulation: {formulation} knows neither lines, contacts nor faults"):
         read_run(tmp_path / "run.yaml")
 
 

@@ -32,7 +32,8 @@ class OptimalMethod(Method):
         """Raise InputError where node voltages would be unknowns inside a wired panel."""
         if self.kind in FORMULATIONS and scene.wiring is not None:
             raise InputError(
-                f"formulation: {self.kind} knows neither lines nor faults.joined_rows and joined_columns; take reduced"
+                f"formulation: {self.kind} knows neither lines, contacts nor faults.joined_rows and joined_columns; "
+                "take reduced"
             )
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:

@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wired import WiredNetwork
-from lampest.panel.wiring import Wiring
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene

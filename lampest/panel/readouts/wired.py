@@ -1,11 +1,12 @@
 """The network of a panel with wire, seen from its terminals.
 
-With C = K⁻¹Bᵀ (`lampest.panel.wiring`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines that touch taken as
-one, and D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal. Then
-∂Z_ab/∂g_c = −D_ac D_bc as without wire, and with X = diag(r) − r K⁻¹ r + DᵀCᵀ r, the potential differences for a unit
-current through every cell, ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
+With C = K⁻¹Bᵀ (`lampest.panel.readouts.wiring`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines that touch
+taken as one, and D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal.
+Then ∂Z_ab/∂g_c = −D_ac D_bc as without wire, and with X = diag(r) − r K⁻¹ r + DᵀCᵀ r, the potential differences for a
+unit current through every cell, ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, ResponseInverse, SecondOrder
+from lampest.panel.network import Block, Network, ResponseInverse, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
-from lampest.panel.wiring import Ladder, Wiring
+from lampest.panel.readouts.wiring import Ladder, Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.readouts.readout import Readout
@@ -88,6 +89,14 @@ class WiredNetwork(TiedNetwork):
         held = self.ladder.solve(pushed.reshape(*shape, -1)).reshape(pushed.shape)
         return np.asarray(pushed - resistance * held + self.potential_differences.T @ (self.currents.T @ pushed))
 
+    def contact_response(self) -> Array:
+        """∂y/∂c of the lines' contacts c, (rows, columns, lines): ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z.
+
+        X_la is the current that enters line l while a unit current enters terminal a.
+        """
+        entering = np.eye(len(self.ties)) - self.ties[:, None] * self._impedance
+        return np.stack([self.read_change(np.outer(line, line)) for line in entering], axis=-1)
+
     def second_order(self, weights: Array) -> SecondOrder:
         """Through D twice, and through the bends of h."""
         return WiredSecondOrder(self, TiedSecondOrder(self, weights), self.loading(weights))
@@ -127,6 +136,12 @@ class WiredSecondOrder:
         matrix = 2 * between * (across.T @ self.loading @ across)
         matrix *= conductance[:, None] * conductance
         return self.bends.bent(matrix)
+
+
+def contact_responses(networks: Sequence[Network]) -> Array:
+    """∂y/∂c (networks · cells, lines) of wired networks, one after the other."""
+    wired = [network for network in networks if isinstance(network, WiredNetwork)]
+    return np.concatenate([network.contact_response().reshape(network.conductance.size, -1) for network in wired])
 
 
 def incidence(rows: int, columns: int) -> Array:

@@ -16,8 +16,8 @@ from lampest.files.document import read_document, validated
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
-from lampest.panel.wiring import Lines
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate

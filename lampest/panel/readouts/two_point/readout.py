@@ -12,7 +12,7 @@ from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
-from lampest.panel.wiring import Wiring
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
