@@ -15,6 +15,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.wiring import Wiring
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +24,15 @@ class Data:
 
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
-    readout : how readings follow from cells. noise_known : whether σ is.
+    readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
+    whether σ is.
     """
 
     given: Given
     lower: Array
     upper: Array
     readout: Readout = TwoPointReadout()
+    wiring: Wiring | None = None
     noise_known: bool = False
 
     @property
@@ -83,7 +86,7 @@ class Data:
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        return self.readout.network(cell_resistance, self.ties[frame])
+        return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
 
 
 @dataclass(frozen=True, eq=False)
