@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.readout import Readout
 
 LEAST_DRIVE = 1e-6  # ohm
-LEAST_REST = 1e-4  # the load's share of a sensed line's current, and it is small only where noise can make it nothing
+LEAST_REST = 1e-3  # the load's share of a sensed line's current; noise of 12 bits over 16 lines is as much
 LEAST_VOLTAGE = 1e-9  # of the frame's largest
 MOST_ROUNDS = 40
 SETTLED = 1e-3  # of log g: a start need not be better
@@ -35,9 +35,11 @@ def at_ideal_drives(driven: Side, share: Array, load: Array) -> Array:
     a sensed line and ground, to be broadcast to (rows, columns). Then no sensed line knows of another, and with its
     load or without, all others stay as they are.
     """
+    along = -2 if driven == "rows" else -1
     voltage = np.maximum(share, LEAST_VOLTAGE * share.max(axis=(-2, -1), keepdims=True))
-    rest = 1 - voltage.sum(axis=-2 if driven == "rows" else -1, keepdims=True)
-    return np.asarray(load * np.maximum(rest, LEAST_REST) / voltage)
+    rest = 1 - voltage.sum(axis=along, keepdims=True)
+    # No circuit leaves less than nothing: it is noise, or what stands in for a dead line. Then the load is like a cell.
+    return np.asarray(load * np.where(rest > LEAST_REST, rest, 1 / (1 + share.shape[along])) / voltage)
 
 
 def held_start(
