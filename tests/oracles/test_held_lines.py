@@ -14,7 +14,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, VirtualGroundReadout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Faults, Scene
 from lampest.recording.foreign.importing import import_file
 from lampest.recording.recording import Recording
 from lampest.report.info import describe
@@ -160,3 +160,21 @@ def test_volt_and_code_are_imported_and_named(readout: Any, tmp_path: Path) -> N
         assert np.max(np.abs(loaded.recorded - recording.recorded)) <= 0.5 * readout.lsb_volt * (1 + 1e-9)
     loaded.save(tmp_path / "panel.h5")
     assert any(readout.description() in line for line in describe(tmp_path / "panel.h5"))
+
+
+@pytest.mark.parametrize("load", [1000.0, 10_000.0])
+@pytest.mark.parametrize("readout", [ALL, ONE, VIRTUAL], ids=["all", "one", "virtual"])
+def test_a_dead_driven_line_leaves_the_model(readout: Any, load: float) -> None:
+    """Its cells are open, and what the converter shows of it says nothing, not even to bounds and starts of others."""
+    heavy = readout if readout is VIRTUAL else replace(readout, load_ohm=load)
+    sound = panel_of(heavy, 0.0, shape=(8, COLUMNS))
+    truth = truth_of(sound)
+    broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
+    assert sound.truth_cell_resistance is not None
+    volt = np.stack([measured(frame * broken, heavy) for frame in sound.truth_cell_resistance])
+    volt[:, 4] = 0.7
+    recording = replace(sound, scene=replace(sound.scene, faults=Faults(dead_rows=(4,))), recorded=volt)
+    done = reconstruct(recording, Estimator(LSM, "reduced"))
+    assert all(step.solution.solved for step in done.steps)
+    left = np.arange(8) != 4
+    assert_allclose(done.cell_resistance[:, left], truth[:, left], rtol=1e-3)

@@ -1,4 +1,4 @@
-"""Every circuit through its own converter: how often 95 % intervals hold the truth, and how far off cells are.
+"""Every circuit through its own converter: what noise does to cells, how far off they are, whether bars hold them.
 
 Run it with: python -m tests.studies.readouts --draws 200 --seed 101
 """
@@ -45,7 +45,7 @@ METHODS = {
 }
 
 
-def recorded(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
+def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
     """Frames (frames, rows, columns) of cells as the converter gives them, the first one unloaded."""
     readout = scene.circuit
     volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
@@ -64,7 +64,7 @@ def coverage(name: str, draws: int, seed: int) -> None:
             side = int(rng.integers(6, 17))
             cells = mouth_cells(rng, side)
             found = reconstruct(
-                recorded(Scene(Panel(side, side), readout, series), cells, rng), Estimator(terms, "reduced")
+                measured(Scene(Panel(side, side), readout, series), cells, rng), Estimator(terms, "reduced")
             )
             step = found.steps[0]
             if not step.solution.solved or step.bars is None:
@@ -83,6 +83,20 @@ def coverage(name: str, draws: int, seed: int) -> None:
         )
 
 
+def conditioning(seed: int) -> None:
+    """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes: what the converter alone does to cells of 1 to 10 kohm."""
+    for name, (readout, series) in CIRCUITS.items():
+        rng, deviations = np.random.default_rng(seed), []
+        for side in (10, 16, 32):
+            cells = 3162 * np.exp(rng.uniform(-0.5, 0.5, (side, side)) * np.log(10))
+            scene, network = Scene(Panel(side, side), readout, series), readout.network(cells, readout.ties(cells))
+            recorded = readout.to_recorded(network.reading(), scene)
+            sigma = readout.sigma_of_reading(recorded, readout.sigma(recorded))
+            factor = np.linalg.inv(network.sensitivity() / sigma.reshape(-1, 1))
+            deviations.append(100 * np.sqrt(np.mean(np.sum(factor**2, axis=1))))
+        print(f"{name}: {' / '.join(f'{one:.1f}' for one in deviations)} % rms at 10, 16 and 32 lines a side")
+
+
 def contrast(draws: int, seed: int) -> None:
     """Print the cell error of plain least squares and of the naive divider on 16 × 16 cells with a contrast of 77."""
     rng = np.random.default_rng(seed)
@@ -91,7 +105,7 @@ def contrast(draws: int, seed: int) -> None:
         off: dict[str, list[float]] = {"reduced": [], "naive": []}
         for _ in range(draws):
             cells = middle * np.exp(rng.uniform(-0.5, 0.5, (2, 16, 16)) * np.log(77))
-            recording = recorded(Scene(Panel(16, 16), readout, series), cells, rng)
+            recording = measured(Scene(Panel(16, 16), readout, series), cells, rng)
             for formulation, found in off.items():
                 done = reconstruct(recording, Estimator(METHODS["LSM"], formulation, error_bars=False))  # type: ignore[arg-type]
                 found.append(float(np.median(np.abs(done.cell_resistance[0] / cells[1] - 1))))
@@ -105,6 +119,7 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=101)
     parser.add_argument("--circuit", choices=tuple(CIRCUITS), action="append")
     arguments = parser.parse_args()
+    conditioning(arguments.seed)
     contrast(min(arguments.draws, 20), arguments.seed)
     for circuit in arguments.circuit or CIRCUITS:
         coverage(circuit, arguments.draws, arguments.seed)

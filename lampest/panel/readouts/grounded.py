@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.held import at_ideal_drives, drives_of
+from lampest.panel.readouts.held import at_ideal_drives, drives_of, held_start
 from lampest.panel.readouts.lines import (
     PerLine,
     Side,
@@ -140,8 +140,13 @@ class GroundedReadout(Readout):
         return at_ideal_drives(self.driven, measured / (self.supply_volt * share), total)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """The same within the upper bounds."""
-        return np.asarray(np.minimum(self.uniform_start(measured), upper)) if near is None else near
+        """See `held_start`."""
+        driven, sensed = of_side(self.driven, *measured.shape)
+        total, share = self._behind(sensed)
+        voltage = measured / (self.supply_volt * along(opposite(self.driven), share))
+        drive = drives_of(self.drive_ohm, driven)
+        cells = held_start(self, self.driven, voltage, drive, total, near, one=self.sense == "one")
+        return np.asarray(np.minimum(cells, upper))
 
     def nearly_shorted(self, measured: Array) -> Array:
         """A share of the start, too: idle lines at ground make a lone cell of each reading many times too large."""

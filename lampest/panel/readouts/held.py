@@ -4,14 +4,23 @@ A resistance of zero has no tie, but its limit is plain: readings depart from it
 which LEAST_DRIVE makes some 1e-8 of ordinary cells, below what any converter sees.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, Side, per_line
+from lampest.panel.readouts.lines import PerLine, Side, of_side, per_line
+
+if TYPE_CHECKING:
+    from lampest.panel.readouts.readout import Readout
 
 LEAST_DRIVE = 1e-6  # ohm
-LEAST_REST = 1e-4  # the load's share of a sensed line's current, and it is small only where noise can make it nothing
+LEAST_REST = 1e-3  # the load's share of a sensed line's current; noise of 12 bits over 16 lines is as much
 LEAST_VOLTAGE = 1e-9  # of the frame's largest
+MOST_ROUNDS = 40
+SETTLED = 1e-3  # of log g: a start need not be better
+# Of the closed form's conductance, which is off by up to five where drives are large beside a driven line's cells.
+LEAST, LARGEST = 0.02, 1e3
 
 
 def drives_of(drive_ohm: PerLine, lines: int) -> Array:
@@ -26,6 +35,44 @@ def at_ideal_drives(driven: Side, share: Array, load: Array) -> Array:
     a sensed line and ground, to be broadcast to (rows, columns). Then no sensed line knows of another, and with its
     load or without, all others stay as they are.
     """
+    along = -2 if driven == "rows" else -1
     voltage = np.maximum(share, LEAST_VOLTAGE * share.max(axis=(-2, -1), keepdims=True))
-    rest = 1 - voltage.sum(axis=-2 if driven == "rows" else -1, keepdims=True)
-    return np.asarray(load * np.maximum(rest, LEAST_REST) / voltage)
+    rest = 1 - voltage.sum(axis=along, keepdims=True)
+    # No circuit leaves less than nothing: it is noise, or what stands in for a dead line. Then the load is like a cell.
+    return np.asarray(load * np.where(rest > LEAST_REST, rest, 1 / (1 + share.shape[along])) / voltage)
+
+
+def held_start(
+    readout: "Readout", driven: Side, share: Array, drive: Array, load: Array, near: Array | None, one: bool
+) -> Array:
+    """Cells (rows, columns) ohm that give v (rows, columns), in units of the supply, at the sensed lines.
+
+    Given cells, the network says where all driven lines p stand while i is driven and j is read, u_p. Given those,
+    Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. Both in turn, from `at_ideal_drives`
+    on or from an earlier estimate, converge to the cells that reproduce the readings: some six rounds, up to 40 where
+    drives are large. A start, not an estimate.
+
+    drive, load : Rd of the driven and Rs of the sensed lines. near : an earlier estimate (rows, columns) ohm. one :
+    whether idle sensed lines have no load; the line that is read is then drawn down by its own, which the ties of the
+    readout leave out (Sherman and Morrison).
+    """
+    rows, columns = share.shape
+    lines = np.split(np.arange(rows + columns), [rows])
+    driven_lines, sensed_lines = of_side(driven, *lines)
+    by_driven = driven == "rows"
+    voltage = (share if by_driven else share.T).T  # (sensed, driven)
+    ideal = 1 / at_ideal_drives(driven, share, load[None, :] if by_driven else load[:, None])
+    conductance = ideal if near is None else np.clip(1 / near, LEAST * ideal, LARGEST * ideal)
+    ties = readout.ties(share)
+    for _ in range(MOST_ROUNDS):
+        potential = readout.network(1 / conductance, ties).potentials()
+        at_supply = potential[:, driven_lines] / drive  # (line, driven): while the driven one is at 1 volt
+        own = np.broadcast_to(at_supply[driven_lines].T, (len(load), len(drive), len(drive)))
+        if one:
+            sinking = at_supply[sensed_lines] / (load + np.diag(potential)[sensed_lines])[:, None]
+            own = own - sinking[:, :, None] * potential[np.ix_(sensed_lines, driven_lines)][:, None, :]
+        cells = np.linalg.solve(own - voltage[:, :, None], (voltage / load[:, None])[:, :, None])[:, :, 0]
+        before, conductance = conductance, np.clip(cells.T if by_driven else cells, LEAST * ideal, LARGEST * ideal)
+        if np.abs(np.log(conductance / before)).max() < SETTLED:
+            break
+    return np.asarray(1 / conductance)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of
+from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of, held_start
 from lampest.panel.readouts.lines import (
     PerLine,
     Side,
@@ -113,8 +113,12 @@ class VirtualGroundReadout(Readout):
         return at_ideal_drives(self.driven, measured * sense / (feedback * self.supply_volt), sense)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """The same within the upper bounds."""
-        return np.asarray(np.minimum(self.uniform_start(measured), upper)) if near is None else near
+        """See `held_start`."""
+        driven, sensed = of_side(self.driven, *measured.shape)
+        _, sense, feedback = self._of_lines(measured.shape)
+        voltage, drive = measured * sense / (feedback * self.supply_volt), drives_of(self.drive_ohm, driven)
+        cells = held_start(self, self.driven, voltage, drive, self._senses(sensed), near, one=False)
+        return np.asarray(np.minimum(cells, upper))
 
     def nearly_shorted(self, measured: Array) -> Array:
         """A share of the start, too."""

@@ -134,15 +134,14 @@ class LoadedColumnsReadout(Readout):
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells that satisfy Kirchhoff's law at the voltages that were read; see `kirchhoff_start`."""
-        if near is not None:
-            return near
-        shape = measured.shape
+        shape, begin = measured.shape, None if near is None else 1 / near
         volt = np.clip(measured, END * self.supply_volt, (1 - END) * self.supply_volt)
         load, drive = np.broadcast_to(self._loads(shape), shape), np.broadcast_to(self._drives(shape), shape)
         if self.driven == "columns":
             volt, load, drive = volt.T, load.T, drive.T
+            begin = None if begin is None else begin.T
         potential = self._driven_volt((volt / load).sum(axis=1), drive[:, 0])
-        conductance = kirchhoff_start(volt, load, potential)
+        conductance = kirchhoff_start(volt, load, potential, begin)
         if self.driven == "columns":
             conductance = conductance.T
         return np.asarray(np.minimum(1 / conductance, upper))

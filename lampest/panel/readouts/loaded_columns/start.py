@@ -16,15 +16,16 @@ SETTLED = 1e-3  # of log g: a start need not be better
 LEAST, LARGEST = 0.02, 1e3
 
 
-def kirchhoff_start(voltage: Array, load: Array, potential: Array) -> Array:
+def kirchhoff_start(voltage: Array, load: Array, potential: Array, near: Array | None) -> Array:
     """g (driven, sensed) siemens from v (driven, sensed), Rs (sensed) ohm and the driven lines' potentials (driven).
 
+    near : conductances of an earlier estimate, to begin at instead of the naive divider's.
     A start, not an estimate: it stops after MOST_ROUNDS, and cells are held to LEAST and LARGEST of the naive ones.
     """
     current: Array = voltage / load
     driven = np.maximum(potential, voltage.max(axis=1) * (1 + 1e-6))
     naive = current / (driven[:, None] - voltage)
-    conductance: Array = naive
+    conductance: Array = naive if near is None else np.clip(near, LEAST * naive, LARGEST * naive)
     for _ in range(MOST_ROUNDS):
         before, conductance = conductance, _round(conductance, voltage, current, driven)
         conductance = np.clip(conductance, LEAST * naive, LARGEST * naive)
