@@ -5,9 +5,10 @@ the cells are solved as ever; a Gauss-Newton step in c then knows that they woul
 
     S = Eᵀ Ω (E − J K E) + s²/sd²,   step = −S⁻¹ (½ ∂φ/∂c + s² (c − mean)/sd²),   cov c = s² S⁻¹,
 
-because ∂φ/∂u = 0 where the cells are solved (envelope theorem); S is the Schur complement of the cells. Frames that
-follow take c as known but for cov c, an error that all readings share (`lampest.panel.systematic`). Plain least squares
-fits any contacts, so they stay at their prior there. Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
+written as the squares of what is left of E, of what the penalties then charge, and of the prior, none of which cancels:
+∂φ/∂u = 0 where the cells are solved (envelope theorem), S is the Schur complement of the cells. Frames that follow take
+c as known but for cov c, an error that all readings share (`lampest.panel.systematic`). Plain least squares fits any
+contacts, so they stay at their prior there. Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.systematic import Shared
+from lampest.posterior.dense import IGNORANCE
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings
@@ -28,7 +30,8 @@ if TYPE_CHECKING:
     from lampest.estimate.stream import Stream
 
 MOST_ROUNDS, MOST_HALVINGS = 10, 5  # a step or two suffice: readings are nearly linear in contacts
-SETTLED = 1e-4  # of a contact's standard deviation
+SETTLED = 1e-3  # of a contact's standard deviation
+ROUNDING = 1e-9  # of what is minimised: cells are solved no better
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +48,25 @@ class ContactStep:
         at = model.at
         response = contact_responses(at.networks)
         rows = model.through @ response
-        left = rows - model.through @ _followed(model, rows)
+        follow = errors_of(model, None).answer(rows, *np.zeros((2, at.cell_resistance[0].size, len(ohm))))
+        left = rows - model.through @ _forward(model, follow)
+        charged = model.penalty_jacobian[:, model.free] @ follow
         sought = deviation > 0
         precision = model.scale / np.where(sought, deviation, 1.0) ** 2
         slope = response.T @ at.partials(np.clip(model.dual, -1, 1))[1].ravel() / 2 + precision * (ohm - mean)
-        schur = rows.T @ (model.data_curvature[:, None] * left) + np.diag(precision)
+        schur = left.T @ (model.data_curvature[:, None] * left) + np.diag(precision)
+        schur += charged.T @ (model.penalty_curvature[:, None] * charged) + IGNORANCE * model.scale * follow.T @ follow
         inverse = np.zeros(schur.shape)
         inverse[np.ix_(sought, sought)] = np.linalg.inv(schur[np.ix_(sought, sought)])
         return cls(-inverse @ slope, model.scale * inverse, model.scale)
 
 
-def _followed(model: LinearModel, rows: Array) -> Array:
-    """J K E (frames · cells, lines): what readings do when the cells follow a change E of the data (rows, lines)."""
-    shape, count = model.at.cell_resistance.shape, rows.shape[1]
-    nothing, follow = np.zeros((model.at.cell_resistance[0].size, count)), np.zeros((count, np.prod(shape)))
-    follow[:, model.free] = errors_of(model, None).answer(rows, nothing, nothing).T
-    steps = follow.reshape(count, *shape)
+def _forward(model: LinearModel, follow: Array) -> Array:
+    """J·p (frames · cells, n) of steps p (free cells, n)."""
+    shape, count = model.at.cell_resistance.shape, follow.shape[1]
+    whole = np.zeros((count, model.at.cell_resistance.size))
+    whole[:, model.free] = follow.T
+    steps = whole.reshape(count, *shape)
     networks = enumerate(model.at.networks)
     forward = [np.stack([network.forward(step) for step in steps[:, frame]]) for frame, network in networks]
     return np.stack(forward, axis=1).reshape(count, -1).T
@@ -94,7 +100,8 @@ def with_contacts(stream: "Stream", readings: Readings, solved: Step) -> tuple["
         for halving in range(MOST_HALVINGS):
             there = np.maximum(ohm + step.move * 0.5**halving, 0.0)
             trial = _solved(stream, readings, Contacts.of(there, deviation, shape[0]), found)
-            if trial.solution.solved and excess(trial, there, step.scale) <= excess(found, ohm, step.scale):
+            before = excess(found, ohm, step.scale)
+            if trial.solution.solved and excess(trial, there, step.scale) <= before + ROUNDING * (1 + before):
                 break
         else:
             break

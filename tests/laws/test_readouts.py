@@ -185,6 +185,16 @@ def test_the_equation_says_what_the_network_reads(scene: Scene) -> None:
 
 
 @every_scene
+def test_simulates_what_its_network_reads(scene: Scene) -> None:
+    """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand them on."""
+    rows, columns = scene.panel.shape
+    cells = np.exp(cells_of(scene))
+    made = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
+    expected = scene.circuit.to_recorded(network_of(scene, np.log(cells)).reading(), scene)
+    assert_allclose(made, expected, atol=1e-9 * size(expected))
+
+
+@every_scene
 def test_there_and_back(scene: Scene) -> None:
     """network ↔ recorded ↔ volt; what is recorded moves as `direction` says; σ is positive; bounds hold the cells."""
     readout, cells = scene.circuit, np.exp(cells_of(scene))

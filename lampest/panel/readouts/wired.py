@@ -1,6 +1,6 @@
 """The network of a panel with wire, seen from its terminals.
 
-With C = K⁻¹Bᵀ (`lampest.panel.readouts.wiring`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines that touch
+With C = K⁻¹Bᵀ (`lampest.panel.readouts.ladder`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines that touch
 taken as one, and D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal.
 Then ∂Z_ab/∂g_c = −D_ac D_bc as without wire, and with X = diag(r) − r K⁻¹ r + DᵀCᵀ r, the potential differences for a
 unit current through every cell, ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, ResponseInverse, SecondOrder
 from lampest.panel.panel import Array
+from lampest.panel.readouts.ladder import Ladder
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
-from lampest.panel.readouts.wiring import Ladder, Wiring
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.readouts.readout import Readout
