@@ -13,6 +13,7 @@ from lampest.estimate.step import Step
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.posterior.certainty import Certainty
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
 
@@ -28,9 +29,7 @@ class Estimates:
     ----------
     recording, estimator : what was estimated, and how; weights that were chosen for the whole recording are numbers.
     frame : (frames) index into the recording.
-    measured : (frames, rows, columns) in the readout's unit, series resistance taken off.
-    measured_baseline : (rows, columns) the same unit, mean of the unloaded frames, or the first where there is none.
-    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
+    readings, resting : (frames, rows, columns) and (rows, columns) what it was given: numbers, bounds, or nothing.
     baseline_resistance : (rows, columns) ohm, cells of the unloaded panel.
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     baseline_bars : the baseline's error bars, or None.
@@ -40,10 +39,8 @@ class Estimates:
     recording: Recording
     estimator: Estimator
     frame: NDArray[np.intp]
-    measured: Array
-    measured_baseline: Array
-    sigma: Array | None
-    sigma_baseline: Array | None
+    readings: Readings
+    resting: Readings
     baseline_resistance: Array
     baseline: Step
     baseline_bars: Certainty | None
@@ -61,6 +58,26 @@ class Estimates:
     def method(self) -> str:
         """What was minimised, and how, in words: `misfit + gradient, nodal`."""
         return f"{' + '.join(map(term_kind, self.estimator.terms))}, {self.estimator.method.kind}"
+
+    @property
+    def measured(self) -> Array:
+        """(frames, rows, columns) in the readout's unit, series resistance taken off; NaN where nothing was read."""
+        return self.readings.shown
+
+    @property
+    def measured_baseline(self) -> Array:
+        """(rows, columns) the same unit, of the unloaded frames, or of the first that can be read where none can."""
+        return self.resting.shown
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviation of `measured`, infinite where it is a bound or nothing; None where unknown."""
+        return self.readings.sigma_of_values
+
+    @property
+    def sigma_baseline(self) -> Array | None:
+        """The same of `measured_baseline`."""
+        return self.resting.sigma_of_values
 
     @property
     def time(self) -> Array:

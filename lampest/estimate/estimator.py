@@ -20,9 +20,12 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
+from lampest.recording.stand_in import StandIn
 from lampest.solvers.solution import Settings, Solver
 
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
+UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
+MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
@@ -162,6 +165,11 @@ class Estimator:
         return any(term.needs_previous for term in self.terms)
 
     @property
+    def penalised(self) -> bool:
+        """Whether a term says what is expected of cells that no reading sees."""
+        return not all(term.reads_measurement for term in self.terms)
+
+    @property
     def weighs_previous(self) -> bool:
         """Whether a term reads how well the previous frame is known."""
         return any(term.weighs_previous for term in self.terms)
@@ -197,11 +205,12 @@ class Estimator:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
+        readings = readings if self.penalised else with_stand_ins(readings, scene)
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
-            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), apparent * NEAREST, lower)
-            upper = np.where((readings.side != 0) | (readings.seen == 0), apparent * FARTHEST, upper)
+            lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), apparent * NEAREST, lower)
+            upper = np.where(readings.side != 0, apparent * FARTHEST, upper)
         if scene.faults is not None:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
             faults = (
@@ -223,3 +232,21 @@ class Estimator:
         """
         faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
         return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
+
+
+def with_stand_ins(readings: Readings, scene: Scene) -> Readings:
+    """The readings with a weight σ/(y·spread) where nothing is seen: what row and column let expect, and how well.
+
+    Readings alone cannot decide a cell whose own is missing: there are fewer of them than cells, and whatever the
+    others gain by moving it would be taken for its value. A penalty says what is expected of it; without one, this
+    does. What the scene's faults make blind keeps no weight.
+    """
+    missing = readings.seen == 0
+    if scene.faults is not None:
+        missing &= ~scene.faults.blind(scene.panel)
+    if not np.any(missing):
+        return readings
+    frames = zip(readings.value, readings.plain, strict=True)
+    spread = np.stack([StandIn.of(value, plain).spread for value, plain in frames])
+    noise = UNKNOWN_NOISE if readings.sigma is None else readings.sigma / readings.value
+    return replace(readings, seen=np.where(missing, np.minimum(noise / spread, MOST_WEIGHT), readings.seen))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.recording.stand_in import StandIn
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR_ZERO = 3.0  # σ: a resistance that is no larger says only that it is small
@@ -19,8 +20,8 @@ TAIL = 3.0  # σ: a bound so near to the mean of the values beside it is their n
 class Readings:
     """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
 
-    value : positive; where nothing is seen the frame's geometric mean stands in, 1 in a frame that shows nothing.
-    sigma : the same unit, filled likewise, or None.
+    value : positive; where nothing is seen, what its row and column let expect stands in (see `StandIn`), 1 in a frame
+    that shows nothing. sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
     side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where a reading says nothing.
     """
 
@@ -63,7 +64,7 @@ class Readings:
                 network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * noise, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
-        return cls(_filled(network, seen), None if noise is None else _filled(noise, seen), side, seen)
+        return cls(_standing_in(network, side, seen), None if noise is None else _filled(noise, seen), side, seen)
 
     def __getitem__(self, frames: Any) -> "Readings":
         """The readings of some frames."""
@@ -71,14 +72,39 @@ class Readings:
         return Readings(self.value[frames], sigma, self.side[frames], self.seen[frames])
 
     @property
+    def plain(self) -> NDArray[np.bool_]:
+        """Whether a reading is a value, neither a bound nor nothing."""
+        plain: NDArray[np.bool_] = (self.seen > 0) & (self.side == VALUE)
+        return plain
+
+    @property
+    def shown(self) -> Array:
+        """The values and bounds, NaN where a reading says nothing."""
+        return np.where(self.seen > 0, self.value, np.nan)
+
+    def enough(self, scene: Scene) -> NDArray[np.bool_]:
+        """Whether a frame can be estimated, of the leading shape: half of its readings are values, or M + N − 1 are.
+
+        So many numbers describe a panel whose lines alone differ, which is the least that every other cell can be told
+        apart from. Bounds do not count: cells that only obey bounds are any of many. Lines and readings that the
+        scene's faults make blind are not asked for.
+        """
+        asked = np.ones(scene.panel.shape, dtype=bool)
+        if scene.faults is not None:
+            asked = ~scene.faults.blind(scene.panel)
+        lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
+        least = min(-(-int(asked.sum()) // 2), lines - 1)
+        return np.asarray((self.plain & asked).sum(axis=(-2, -1)) >= least)
+
+    @property
     def partial(self) -> bool:
         """Whether any reading is not a plain value."""
-        return bool(np.any(self.side) or not np.all(self.seen))
+        return bool(np.any(self.side) or np.any(self.seen < 1))
 
     @property
     def sigma_of_values(self) -> Array | None:
         """σ, infinite where a reading is a bound or says nothing."""
-        return None if self.sigma is None else np.where((self.side == 0) & (self.seen > 0), self.sigma, np.inf)
+        return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
 
     def mean(self) -> "Readings":
         """The mean over frames (frames, rows, columns), cell by cell over those that say something.
@@ -87,7 +113,7 @@ class Readings:
         off at the bound, values alone would lean away from it, and the mean of all of them is a bound again. Bounds of
         both sides alone say nothing.
         """
-        value, bound = (self.seen > 0) & (self.side == 0), (self.seen > 0) & (self.side != 0)
+        value, bound = self.plain, (self.seen > 0) & (self.side != VALUE)
         of_values, deviation = _averaged(self.value, self.sigma, value)
         among = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
@@ -96,7 +122,7 @@ class Readings:
         of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
         side = np.where(among, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
         seen = np.where((value | bound).any(axis=0) & ~(among & (side == VALUE)), 1.0, 0.0)
-        mean = _filled(np.where(among, of_all, of_values), seen)
+        mean = _standing_in(np.where(among, of_all, of_values), side, seen)
         if deviation is None or deviation_of_all is None:
             return Readings(mean, None, side, seen)
         return Readings(mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen)
@@ -120,10 +146,12 @@ class Readings:
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp], within: float = 0.0) -> int:
     """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones.
 
-    value (frames, rows, columns) and resting (rows, columns) of the network. The last that comes within a share of the
-    largest, because a load settles after it has set in.
+    value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count. The last that comes
+    within a share of the largest, because a load settles after it has set in.
     """
-    change = np.abs(np.log(value[frames] / resting)).mean(axis=(1, 2))
+    change = np.abs(np.log(value[frames] / resting))
+    known = np.isfinite(change)
+    change = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
     return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
 
 
@@ -187,6 +215,18 @@ def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> 
     if sigma is None:
         return mean, None
     return mean, np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+
+
+def _standing_in(value: Array, side: Array, seen: Array) -> Array:
+    """Each frame with what stands in where nothing is seen; bounds say nothing of other readings."""
+    if np.all(seen):
+        return value
+    frames = [part.reshape(-1, *value.shape[-2:]) for part in (value, (seen > 0) & (side == VALUE), seen > 0)]
+    filled = [
+        frame if whole.all() else np.where(whole, frame, StandIn.of(frame, plain).value)
+        for frame, plain, whole in zip(*frames, strict=True)
+    ]
+    return np.stack(filled).reshape(value.shape)
 
 
 def _filled(values: Array, seen: Array) -> Array:

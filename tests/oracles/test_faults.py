@@ -107,15 +107,16 @@ def test_unknown_short_is_flagged() -> None:
 
 
 def test_saturated_codes_are_bounds() -> None:
-    """One cell far above what 4 bits can tell: its readings bound it from below and do not pull it down to the rail."""
+    """One row far above what 4 bits can tell: its readings bound it from below and do not pull it down to the rail."""
     readout = TwoPointReadout(adc_bits=4, noise_lsb=0.0, readings=1, reference_ohm=100.0)
-    truth = np.full((2, *SHAPE), 1e4)
+    truth = np.full((2, *SHAPE), 500.0)
+    truth[:, 0] = 1e5
     made = recording(truth, readout=readout)
     least, largest = readout.rails()
     made = replace(made, recorded=np.where(made.resistance > largest, 10 * largest, made.resistance))
     readings = made.readings()
     beyond = made.resistance > largest
-    assert np.any(beyond)
+    assert np.array_equal(beyond, truth == 1e5)
     assert np.all(readings.side[beyond] == AT_LEAST)
     assert np.all(readings.value[beyond] == largest)
     low = replace(made, recorded=np.full_like(made.resistance, least / 2))

@@ -39,6 +39,10 @@ class Method(ABC):
     def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
         """Raise InputError where the method cannot minimise these terms."""
 
+    def compares(self, terms: "tuple[Term, ...]") -> bool:
+        """Whether an estimate with these terms needs the unloaded panel."""
+        return any(term.needs_previous for term in terms)
+
     def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return Newton(cost, settings)

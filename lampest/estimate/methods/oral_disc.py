@@ -85,6 +85,10 @@ class OralDiscMethod(Method):
         if not all(term.reads_measurement for term in terms):
             raise InputError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
 
+    def compares(self, terms: tuple[Term, ...]) -> bool:
+        """Always: a disc is what has changed."""
+        return True
+
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
