@@ -80,6 +80,16 @@ class Estimates:
         return self.resting.sigma_of_values
 
     @property
+    def missing_readings(self) -> NDArray[np.int64]:
+        """(frames) how many readings say nothing, besides those that the scene's faults make blind."""
+        return np.asarray(self.readings.missing(self.recording.scene).sum(axis=(1, 2)))
+
+    @property
+    def bound_readings(self) -> NDArray[np.int64]:
+        """(frames) how many readings are at a rail of the converter, zero, or below the series resistance."""
+        return np.asarray(self.readings.bounds.sum(axis=(1, 2)))
+
+    @property
     def time(self) -> Array:
         """(frames) s."""
         return self.recording.time[self.frame]

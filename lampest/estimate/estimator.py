@@ -241,9 +241,7 @@ def with_stand_ins(readings: Readings, scene: Scene) -> Readings:
     others gain by moving it would be taken for its value. A penalty says what is expected of it; without one, this
     does. What the scene's faults make blind keeps no weight.
     """
-    missing = readings.seen == 0
-    if scene.faults is not None:
-        missing &= ~scene.faults.blind(scene.panel)
+    missing = readings.missing(scene)
     if not np.any(missing):
         return readings
     frames = zip(readings.value, readings.plain, strict=True)

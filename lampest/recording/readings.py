@@ -78,6 +78,17 @@ class Readings:
         return plain
 
     @property
+    def bounds(self) -> NDArray[np.bool_]:
+        """Whether a reading only bounds the truth."""
+        bounds: NDArray[np.bool_] = (self.seen > 0) & (self.side != VALUE)
+        return bounds
+
+    def missing(self, scene: Scene) -> NDArray[np.bool_]:
+        """Whether a reading says nothing, though the scene's faults do not make it blind."""
+        missing: NDArray[np.bool_] = self.seen == 0
+        return missing if scene.faults is None else missing & ~scene.faults.blind(scene.panel)
+
+    @property
     def shown(self) -> Array:
         """The values and bounds, NaN where a reading says nothing."""
         return np.where(self.seen > 0, self.value, np.nan)
@@ -113,7 +124,7 @@ class Readings:
         off at the bound, values alone would lean away from it, and the mean of all of them is a bound again. Bounds of
         both sides alone say nothing.
         """
-        value, bound = self.plain, (self.seen > 0) & (self.side != VALUE)
+        value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
         among = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:

@@ -22,6 +22,12 @@ def positive(values: Array, solved: Solved) -> str | None:
     return None if np.all(np.isfinite(values) & (values > 0)) else "must be positive and finite everywhere"
 
 
+def positive_or_missing(values: Array, solved: Solved) -> str | None:
+    """Every value is a number above zero, or NaN."""
+    fine = np.isnan(values) | (np.isfinite(values) & (values > 0))
+    return None if np.all(fine) else "must be positive and finite, or NaN"
+
+
 def positive_or_infinite(values: Array, solved: Solved) -> str | None:
     """Every value is above zero."""
     return None if np.all(values > 0) else "must be positive everywhere"
