@@ -24,6 +24,7 @@ from lampest.recording.stand_in import StandIn
 from lampest.solvers.solution import Settings, Solver
 
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
+MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
 UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
 MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
@@ -53,7 +54,8 @@ class Bounds:
     def limits(self, readout: Readout, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
 
-        Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
+        A single reading beyond the upper bound is wrong, and bounds nothing from below. Raises InputError where
+        'resolution' is asked for and σ is unknown, or where readings leave no room for most of the cells.
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
@@ -71,13 +73,14 @@ class Bounds:
             upper = apparent * FARTHEST
         else:
             upper = np.full_like(measured, self.upper)
-        if np.any(upper <= lower):
-            index = tuple(int(part) for part in np.argwhere(upper <= lower)[0])
+        contradicted = upper <= lower
+        if np.mean(contradicted) > MOST_CONTRADICTED:
+            index = tuple(int(part) for part in np.argwhere(contradicted)[0])
             raise InputError(
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        return lower, upper
+        return np.where(contradicted, upper * NEAREST, lower), upper
 
 
 @dataclass(frozen=True)

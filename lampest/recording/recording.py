@@ -66,7 +66,7 @@ class Recording:
         try:
             check_sigma(self.scene, self.recorded, self.sigma)
         except InputError as error:
-            raise InputError(f"{self.name}: {self._group}: {error}") from error
+            raise InputError(f"{self.name}: {self._group}/{error}") from error
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):

@@ -169,7 +169,7 @@ def test_what_does_not_fit_is_named() -> None:
         Readings.of(WHOLE, good, np.ones(2))
     with pytest.raises(InputError, match=r"^sigma\[0, 0\] is 0 ohm; it must be positive$"):
         Readings.of(WHOLE, good, np.zeros(SHAPE))
-    with pytest.raises(InputError, match=r"^mine: /entry/two_point: sigma\[0, 0\] is -1 ohm; it must be positive$"):
+    with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
         Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
