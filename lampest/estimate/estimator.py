@@ -208,7 +208,7 @@ class Estimator:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        readings = readings if self.penalised else with_stand_ins(readings, scene)
+        readings = weighed(readings, scene, not self.penalised)
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
@@ -237,17 +237,29 @@ class Estimator:
         return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
 
 
-def with_stand_ins(readings: Readings, scene: Scene) -> Readings:
-    """The readings with a weight σ/(y·spread) where nothing is seen: what row and column let expect, and how well.
+def weighed(readings: Readings, scene: Scene, stand_ins: bool) -> Readings:
+    """The readings with weights (`seen`) for what is no value: as for one whose noise is that of the frame's values.
 
-    Readings alone cannot decide a cell whose own is missing: there are fewer of them than cells, and whatever the
-    others gain by moving it would be taken for its value. A penalty says what is expected of it; without one, this
-    does. What the scene's faults make blind keeps no weight.
+    A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
+    outweigh all else. A missing reading counts for nothing, or, with `stand_ins`, as what its row and column let
+    expect, by the spread of that. Readings alone cannot decide a cell whose own is missing: there are fewer of them
+    than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
+    of it; without one, this does. What the scene's faults make blind keeps no weight.
+
+    readings : (frames, rows, columns).
     """
-    missing = readings.missing(scene)
-    if not np.any(missing):
+    missing = readings.missing(scene) if stand_ins else np.zeros(readings.seen.shape, dtype=bool)
+    told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
+    if not np.any(missing | told):
         return readings
-    frames = zip(readings.value, readings.plain, strict=True)
-    spread = np.stack([StandIn.of(value, plain).spread for value, plain in frames])
-    noise = UNKNOWN_NOISE if readings.sigma is None else readings.sigma / readings.value
-    return replace(readings, seen=np.where(missing, np.minimum(noise / spread, MOST_WEIGHT), readings.seen))
+    noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
+    own, usual = noise.copy(), np.ones((len(noise), 1, 1))
+    for frame, plain in enumerate(readings.plain):
+        if plain.any():
+            usual[frame] = np.exp(np.log(noise[frame][plain]).mean())
+        if missing[frame].any():
+            spread = StandIn.of(readings.value[frame], plain).spread
+            own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
+    share = np.where(missing, np.minimum(usual / own, MOST_WEIGHT), np.where(told, np.minimum(usual / own, 1.0), 1.0))
+    sigma = None if readings.sigma is None else np.where(missing | told, own * share, readings.sigma)
+    return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

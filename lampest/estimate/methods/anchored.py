@@ -1,6 +1,7 @@
 """Methods that prepare something from a solved baseline, which then serves the whole recording."""
 
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -9,7 +10,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.panel.panel import Array
-from lampest.solvers.search import evaluated
+from lampest.solvers.search import BROKEN, evaluated
 from lampest.solvers.solution import Settings, Solution, Solver
 
 if TYPE_CHECKING:
@@ -46,8 +47,9 @@ class AnchoredMethod(Method):
         """What serves the recording; baseline : the cost at the solved baseline, given its readings."""
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """What the anchor makes of a frame; a full solve where there is none."""
-        if prepared is None or previous is None:
-            return OptimalMethod("reduced").solution(solver, data, previous, None)
-        solution: Solution = prepared.solve(solver.cost, data, previous[0])
-        return solution
+        """What the anchor makes of a frame; a full solve where there is none, or a baseline with holes gives none."""
+        if prepared is not None and previous is not None:
+            with suppress(*BROKEN):
+                solution: Solution = prepared.solve(solver.cost, data, previous[0])
+                return solution
+        return OptimalMethod("reduced").solution(solver, data, previous, None)

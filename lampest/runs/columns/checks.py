@@ -40,6 +40,14 @@ def numbers_if_solved(values: Array, solved: Solved) -> str | None:
     return None if np.all(right) else "must be numbers where solved is 1, and NaN elsewhere"
 
 
+def whole_frames_if_solved(values: Array, solved: Solved) -> str | None:
+    """(frames, ...): NaN where a frame failed; else all of it numbers, or none where there is no baseline."""
+    frames = np.asarray(values).reshape(len(solved), -1)
+    missing = np.isnan(frames).all(axis=1)
+    right = missing | (solved & np.isfinite(frames).all(axis=1))
+    return None if np.all(right) else "must be numbers or NaN throughout where solved is 1, and NaN elsewhere"
+
+
 def told_if_solved(values: Array, solved: Solved) -> str | None:
     """(frames, ...): numbers or infinite where a frame was solved, NaN where it failed."""
     missing = np.isnan(np.asarray(values).reshape(len(solved), -1))
