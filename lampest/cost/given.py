@@ -94,7 +94,8 @@ class Given:
     measured : the network's readings, in the readout's unit (ohm or volt).
     sigma : their standard deviation; ones where it is unknown.
     side, seen : of each reading: 0 a value, 1 or -1 where the truth is at least or at most this; 1, or 0 where it says
-        nothing. None where all readings are values.
+        nothing, or between them the weight of what stands in for it, a reading of σ/seen. None where all readings are
+        values.
     previous : r0, the previous frame's (or the baseline's) cell resistance, ohm.
     baseline : the unloaded panel's cell resistance, ohm.
     previous_deviation : standard deviation of log r0; 0 where r0 is an unknown of the same solve.

@@ -49,10 +49,15 @@ class Data:
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) whether a reading is a value, neither a bound nor nothing."""
+        """(frames, rows, columns) whether a reading is a value: no bound, not nothing, no stand-in."""
         if not self.partial:
             return np.ones(self.measured.shape, dtype=bool)
-        return np.asarray((self.given.side == 0) & (self.given.seen > 0))
+        return np.asarray((self.given.side == 0) & (self.given.seen == 1))
+
+    @property
+    def deviation(self) -> Array:
+        """σ, and σ/seen of what stands in for a reading; that of a reading without any weight does not matter."""
+        return self.sigma if not self.partial else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
 
     @property
     def partial(self) -> bool:

@@ -14,6 +14,7 @@ from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
 
@@ -29,9 +30,7 @@ class Estimates:
     ----------
     recording, estimator : what was estimated, and how; weights that were chosen for the whole recording are numbers.
     frame : (frames) index into the recording.
-    measured : (frames, rows, columns) in the readout's unit, series resistance taken off.
-    measured_baseline : (rows, columns) the same unit, mean of the unloaded frames, or the first where there is none.
-    sigma, sigma_baseline : standard deviations of the two, infinite where they are no values; None where unknown.
+    readings, resting : (frames, rows, columns) and (rows, columns) what it was given: numbers, bounds, or nothing.
     baseline_resistance : (rows, columns) ohm, cells of the unloaded panel.
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     baseline_bars : the baseline's error bars, or None.
@@ -42,10 +41,8 @@ class Estimates:
     recording: Recording
     estimator: Estimator
     frame: NDArray[np.intp]
-    measured: Array
-    measured_baseline: Array
-    sigma: Array | None
-    sigma_baseline: Array | None
+    readings: Readings
+    resting: Readings
     baseline_resistance: Array
     baseline: Step
     baseline_bars: Certainty | None
@@ -64,6 +61,36 @@ class Estimates:
     def method(self) -> str:
         """What was minimised, and how, in words: `misfit + gradient, nodal`."""
         return f"{' + '.join(map(term_kind, self.estimator.terms))}, {self.estimator.method.kind}"
+
+    @property
+    def measured(self) -> Array:
+        """(frames, rows, columns) in the readout's unit, series resistance taken off; NaN where nothing was read."""
+        return self.readings.shown
+
+    @property
+    def measured_baseline(self) -> Array:
+        """(rows, columns) the same unit, of the unloaded frames, or of the first that can be read where none can."""
+        return self.resting.shown
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviation of `measured`, infinite where it is a bound or nothing; None where unknown."""
+        return self.readings.sigma_of_values
+
+    @property
+    def sigma_baseline(self) -> Array | None:
+        """The same of `measured_baseline`."""
+        return self.resting.sigma_of_values
+
+    @property
+    def missing_readings(self) -> NDArray[np.int64]:
+        """(frames) how many readings say nothing, besides those that the scene's faults make blind."""
+        return np.asarray(self.readings.missing(self.recording.scene).sum(axis=(1, 2)))
+
+    @property
+    def bound_readings(self) -> NDArray[np.int64]:
+        """(frames) how many readings are at a rail of the converter, zero, or below the series resistance."""
+        return np.asarray(self.readings.bounds.sum(axis=(1, 2)))
 
     @property
     def time(self) -> Array:

@@ -21,9 +21,13 @@ from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
+from lampest.recording.stand_in import StandIn
 from lampest.solvers.solution import Settings, Solver
 
-FARTHEST, SHORTED = 1e9, 1e-6
+FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
+MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
+UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
+MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
@@ -54,9 +58,11 @@ class Bounds:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
 
         What a reading says of the least cell it says of the cell with its wire: of the one path that leads through no
-        other cell, which all others only bypass (Rayleigh).
+        other cell, which all others only bypass (Rayleigh). A single reading beyond the upper bound is wrong, and
+        bounds nothing from below.
 
-        Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
+        Raises InputError where 'resolution' is asked for and σ is unknown, or where readings leave no room for most of
+        the cells.
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
@@ -78,13 +84,14 @@ class Bounds:
             upper = apparent * FARTHEST
         else:
             upper = np.full_like(measured, self.upper)
-        if np.any(upper <= lower):
-            index = tuple(int(part) for part in np.argwhere(upper <= lower)[0])
+        contradicted = upper <= lower
+        if np.mean(contradicted) > MOST_CONTRADICTED:
+            index = tuple(int(part) for part in np.argwhere(contradicted)[0])
             raise InputError(
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        return lower, upper
+        return np.where(contradicted, upper * NEAREST, lower), upper
 
 
 @dataclass(frozen=True)
@@ -172,6 +179,11 @@ class Estimator:
         return any(term.needs_previous for term in self.terms)
 
     @property
+    def penalised(self) -> bool:
+        """Whether a term says what is expected of cells that no reading sees."""
+        return not all(term.reads_measurement for term in self.terms)
+
+    @property
     def weighs_previous(self) -> bool:
         """Whether a term reads how well the previous frame is known."""
         return any(term.weighs_previous for term in self.terms)
@@ -211,12 +223,13 @@ class Estimator:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
+        readings = weighed(readings, scene, not self.penalised)
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
             nearly_shorted = scene.circuit.nearly_shorted(measured)
-            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), nearly_shorted, lower)
-            upper = np.where((readings.side != 0) | (readings.seen == 0), apparent * FARTHEST, upper)
+            lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
+            upper = np.where(readings.side != 0, apparent * FARTHEST, upper)
         if scene.faults is not None:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
             faults = (
@@ -238,3 +251,31 @@ class Estimator:
         """
         faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
         return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
+
+
+def weighed(readings: Readings, scene: Scene, stand_ins: bool) -> Readings:
+    """The readings with weights (`seen`) for what is no value: as for one whose noise is that of the frame's values.
+
+    A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
+    outweigh all else. A missing reading counts for nothing, or, with `stand_ins`, as what its row and column let
+    expect, by the spread of that. Readings alone cannot decide a cell whose own is missing: there are fewer of them
+    than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
+    of it; without one, this does. What the scene's faults make blind keeps no weight.
+
+    readings : (frames, rows, columns).
+    """
+    missing = readings.missing(scene) if stand_ins else np.zeros(readings.seen.shape, dtype=bool)
+    told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
+    if not np.any(missing | told):
+        return readings
+    noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
+    own, usual = noise.copy(), np.ones((len(noise), 1, 1))
+    for frame, plain in enumerate(readings.plain):
+        if plain.any():
+            usual[frame] = np.exp(np.log(noise[frame][plain]).mean())
+        if missing[frame].any():
+            spread = StandIn.of(readings.value[frame], plain).spread
+            own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
+    share = np.where(missing, np.minimum(usual / own, MOST_WEIGHT), np.where(told, np.minimum(usual / own, 1.0), 1.0))
+    sigma = None if readings.sigma is None else np.where(missing | told, own * share, readings.sigma)
+    return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

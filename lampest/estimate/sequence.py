@@ -20,9 +20,8 @@ from lampest.recording.recording import UNLOADED, Recording
 def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[], None] = lambda: None) -> Estimates:
     """Solve every measured frame of a recording.
 
-    A frame that fails holds NaN and a status; the frames after it continue from the last one that was solved. Raises
-    InputError where readings do not exceed the series resistance, the noise is needed and unknown, or what is given is
-    no Recording.
+    A frame that fails, or of which too little was read, holds NaN and a status; the frames after it continue from the
+    last one that was solved. Raises InputError where the noise is needed and unknown, or what is given is no Recording.
     """
     if not isinstance(recording, Recording):
         raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
@@ -38,10 +37,8 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
         recording,
         stream.estimator,
         frames,
-        readings.value[frames],
-        stream.resting.value,
-        readings[frames].sigma_of_values,
-        stream.resting.sigma_of_values,
+        readings[frames],
+        stream.resting,
         stream.baseline_resistance,
         stream.baseline or steps[0],
         None if stream.track is None else stream.track.baseline,
@@ -52,18 +49,30 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
 
 
 def first_stream(recording: Recording, readings: Readings, estimator: Estimator) -> "Stream":
-    """The stream before a recording's first measured frame; the baseline is the mean of the unloaded frames."""
+    """The stream before a recording's first measured frame; see `resting_readings`."""
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
-        frame = strongest_frame(readings.value, resting.value, recording.measured_frames())
-        estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
+        frame = deciding_frame(recording, readings, resting)
+        if frame is not None:
+            estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
     return Stream.begin(estimator, scene, frame_period(recording), resting)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:
-    """The mean of the unloaded frames, or the first frame where there is none."""
+    """The mean of the unloaded frames; the first frame of which enough was read where there is none, or too little."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
-    return readings[unloaded if len(unloaded) else [0]].mean()
+    mean = readings[unloaded if len(unloaded) else [0]].mean()
+    enough = np.flatnonzero(readings.enough(recording.scene))
+    return mean if mean.enough(recording.scene) or not len(enough) else readings[enough[:1]].mean()
+
+
+def deciding_frame(recording: Recording, readings: Readings, resting: Readings) -> int | None:
+    """Of the measured frames of which enough was read the one that differs most from rest; None where there is none."""
+    frames = recording.measured_frames()
+    frames = frames[readings.enough(recording.scene)[frames]]
+    if not len(frames):
+        return None
+    return strongest_frame(np.where(readings.plain, readings.value, np.nan), resting.value, frames)
 
 
 def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Estimator:

@@ -21,6 +21,7 @@ from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 from lampest.solvers.search import BROKEN
+from lampest.solvers.solution import Status, blank
 
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 
@@ -78,15 +79,27 @@ class Stream:
         _check_frame(resting, scene)
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene, period, resting, track=track)
+        if not resting.enough(scene):
+            return replace(stream, baseline=stream._unsolved(Status.UNRESTED))
         return stream if estimator.joint_start else estimator.method.begin(stream)
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 
-        Raises InputError as `begin`.
+        So does one of which too little was read (see `Readings.enough`). Raises InputError as `begin`.
         """
         _check_frame(readings, self.scene)
+        if not readings.enough(self.scene):
+            return self, self._unsolved(Status.UNREAD)
+        if self.estimator.method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
+            return self, self._unsolved(Status.UNRESTED)
         return self.estimator.method.push(self, readings)
+
+    def _unsolved(self, status: Status) -> Step:
+        """A step that was not even tried."""
+        terms = self.estimator.terms
+        weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
+        return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
 
     def after_baseline(self) -> "Stream":
         """The stream after a baseline that is solved alone; for methods."""

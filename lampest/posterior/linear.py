@@ -88,7 +88,7 @@ class LinearModel:
         squares = sparse.csc_array(
             (self.through.data**2, self.through.indices, self.through.indptr), shape=self.through.shape
         )
-        noise: Array = np.sqrt(squares @ self.at.data.sigma.ravel() ** 2)
+        noise: Array = np.sqrt(squares @ self.at.data.deviation.ravel() ** 2)
         return noise
 
     @cached_property

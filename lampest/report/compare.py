@@ -38,10 +38,11 @@ class Row:
     steps : 'all'; or 'initial' and 'following' where the first frame was solved together with the baseline.
     frames, solved : number of frames, and how many of them were solved.
     solve_time : of the solved frames, in s.
-    data_error : |two-point model − measured|/measured over all cells and solved frames, in percent.
+    data_error : |model − measured|/measured over all readings that are values, of the solved frames, in percent.
     cell_error : |cell resistance − truth|/truth over all cells and solved frames, in percent; None without a truth.
     open_cells : cells that cannot be told from open ones, summed over the solved frames.
     worst_kkt_residual : the largest violation of the optimality conditions.
+    missing_readings, bound_readings : of all frames, solved or not: say nothing; are at a rail, zero or below.
     published : what a publication says of the same steps.
     """
 
@@ -56,6 +57,8 @@ class Row:
     cell_error: Spread | None
     open_cells: int
     worst_kkt_residual: float | None
+    missing_readings: int
+    bound_readings: int
     published: StepFigures | None
 
 
@@ -73,6 +76,11 @@ def relative_error(values: Array, reference: Array) -> Array:
     """100·|values − reference|/reference, any shape, in percent."""
     with np.errstate(over="ignore", invalid="ignore"):
         return 100 * np.abs(values - reference) / reference
+
+
+def data_error(case: CaseResult) -> Array:
+    """100·|model − measured|/measured, (frames, rows, columns) percent; NaN where a reading is no value."""
+    return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
 def compare_files(paths: Sequence[str | Path]) -> list[Row]:
@@ -104,12 +112,18 @@ def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFig
         frames=int(np.sum(chosen)),
         solved=int(np.sum(good)),
         solve_time=spread(case.solve_time[good]),
-        data_error=spread(relative_error(case.reading_model[good], case.measured[good])),
+        data_error=spread(data_error(case)[good]),
         cell_error=None if case.truth is None else spread(relative_error(case.cell_resistance[good], case.truth[good])),
         open_cells=int(np.sum(case.open_cell[good] != 0)),
         worst_kkt_residual=None if residual is None else float(np.nanmax(case.kkt_residual[good])),
+        missing_readings=_total(case.missing_readings, chosen),
+        bound_readings=_total(case.bound_readings, chosen),
         published=_figures(published, steps),
     )
+
+
+def _total(counts: NDArray[np.int64] | None, chosen: Chosen) -> int:
+    return 0 if counts is None else int(counts[chosen].sum())
 
 
 def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures | None:
@@ -142,6 +156,8 @@ def screen_table(rows: Sequence[Row]) -> Table:
         ("data error [%]", lambda row: _plus_minus(row.data_error)),
         ("cell error [%] median / mean / 95th", lambda row: _three(row.cell_error)),
         ("open cells", lambda row: str(row.open_cells)),
+        ("missing readings", lambda row: str(row.missing_readings or "")),
+        ("bounds", lambda row: str(row.bound_readings or "")),
         ("worst KKT", lambda row: "" if row.worst_kkt_residual is None else f"{row.worst_kkt_residual:.0e}"),
         ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
         ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
@@ -188,6 +204,7 @@ def csv_text(rows: Sequence[Row]) -> str:
         + ["cell error median [%]", "cell error mean [%]", "cell error 95th percentile [%]"]
         + ["open cells", "worst KKT residual"]
         + [f"published {name}" for name in ("time [s]", "time sd [s]", "data error [%]", "data error sd [%]")]
+        + ["missing readings", "bound readings"]
     )
     for row in rows:
         time, data, cell, figures = row.solve_time, row.data_error, row.cell_error, row.published
@@ -202,6 +219,7 @@ def csv_text(rows: Sequence[Row]) -> str:
                 if figures
                 else [None] * 4
             )
+            + [row.missing_readings, row.bound_readings]
         )
     return stream.getvalue()
 

@@ -11,6 +11,7 @@ from lampest.panel.readouts.lines import lines_text
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.touching import touching_columns, touching_rows
+from lampest.report.holes import Holes
 from lampest.runs.results import FORMAT, Results, read_results
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
@@ -48,7 +49,8 @@ def _recording_lines(recording: Recording) -> list[str]:
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
         *_scene_lines(recording.scene),
         *_touching_lines(recording),
-        f"readings  {recorded.min():.4g} to {recorded.max():.4g} {circuit.unit} ({circuit.signal_name})",
+        f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",
+        *(f"{'':9} {sentence}" for sentence in _holes(recording)),
         f"besides   {held or 'nothing'}",
         f"readings of frame 0 ({first}) in {circuit.unit}:",
         *text_map(recorded[0]),
@@ -127,14 +129,15 @@ def _results_lines(results: Results) -> list[str]:
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            f"readings  {first.measured.min():.4g} to {first.measured.max():.4g} {first.scene.circuit.unit} "
+            f"readings  {_range(first.measured, first.scene.circuit.unit)} "
             "(as the network is read, series resistance taken off)",
+            *(f"{'':9} {sentence}" for sentence in (Holes.of_case(first).sentence(),) if sentence),
         ]
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(
                 f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}  "
-                f"r {_range(case.cell_resistance)}  case {case.case_id}"
+                f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
             )
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
@@ -145,9 +148,22 @@ def _results_lines(results: Results) -> list[str]:
     return lines
 
 
-def _range(values: Array) -> str:
+def _holes(recording: Recording) -> list[str]:
+    """What is missing or only a bound, and what follows from it."""
+    sentences = [Holes.of_recording(recording).sentence()]
+    readings = recording.readings()
+    enough = readings.enough(recording.scene)
+    if not np.all(enough):
+        sentences.append(f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated")
+    unloaded = recording.role == UNLOADED
+    if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(recording.scene):
+        sentences.append("the unloaded frames have too few values: the first frame with enough stands for them")
+    return [sentence for sentence in sentences if sentence]
+
+
+def _range(values: Array, unit: str) -> str:
     known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g} ohm" if known.size else "unknown"
+    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"
 
 
 def text_map(values: Array) -> list[str]:

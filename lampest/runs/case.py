@@ -32,7 +32,7 @@ class CaseResult:
     scene : the recording's, as the estimator was told it.
     frame : (frames) index into the recording; time : (frames) s.
     measured, measured_baseline : (frames, rows, columns) and (rows, columns), what the network reads: ohm with the
-        series resistance taken off, or volt across the load.
+        series resistance taken off, or volt across the load; NaN where a reading says nothing.
     cell_resistance : (frames, rows, columns) ohm; reading_model : what it reads; NaN where a frame failed.
     relative_change : (frames, rows, columns) percent of the baseline; NaN where a frame failed.
     open_cell, at_lower_bound : (frames, rows, columns) 0 or 1.
@@ -47,6 +47,8 @@ class CaseResult:
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
     sigma, sigma_baseline : standard deviations of what was measured, same shapes and unit; None where unknown, infinite
     where a reading is a bound or says nothing.
+    reading_side : (frames, rows, columns) 0 a value, 1 or -1 a bound. missing_readings, bound_readings : (frames) how
+    many; None in results that do not say.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
@@ -86,6 +88,9 @@ class CaseResult:
     contacts: dict[str, Array] = field(default_factory=dict)
     sigma: Array | None = None
     sigma_baseline: Array | None = None
+    reading_side: NDArray[np.int8] | None = None
+    missing_readings: NDArray[np.int64] | None = None
+    bound_readings: NDArray[np.int64] | None = None
     cell_resistance_errors: Array | None = None
     cell_resistance_lower: Array | None = None
     cell_resistance_upper: Array | None = None
@@ -118,6 +123,14 @@ class CaseResult:
                 check_name(name, folder.folder)
                 self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
+
+    @property
+    def valued(self) -> NDArray[np.bool_]:
+        """(frames, rows, columns) whether a reading is a value, neither a bound nor missing."""
+        valued = np.isfinite(self.measured)
+        valued &= True if self.sigma is None else np.isfinite(self.sigma)
+        valued &= True if self.reading_side is None else self.reading_side == 0
+        return np.asarray(valued)
 
     @classmethod
     def of(cls, values: Mapping[str, Any], **rest: Any) -> "CaseResult":

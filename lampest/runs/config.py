@@ -85,7 +85,11 @@ class Run:
 
 
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
-    """Cases of a run's file with `PATH=VALUE` settings applied. Raises InputError for any fault, before any solve."""
+    """Cases of a run's file with `PATH=VALUE` settings applied.
+
+    Raises InputError for any fault, before any solve. One of several recordings that is there and cannot be read is
+    none: its cases fail when their turn comes, so that it costs no other.
+    """
     document = read_document(path)
     for setting in settings:
         key, separator, value = setting.partition("=")
@@ -105,29 +109,50 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
             for method in methods:
-                _check_readout(document, source, method)
-                method.estimator.data(source.readings, Background(source.scene))
+                source.check(document, method)
                 cases.append(_case(source, method))
+    faults = [source.fault for source in recordings.values()]
+    if faults[0] is not None and all(faults):
+        raise faults[0]
     return Run(_distinct(cases), published, executor)
 
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text."""
+    """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text.
+
+    scene, readings : None of a file that is there and cannot be read, of which `fault` says why.
+    """
 
     path: Path
     sha256: str
-    scene: Scene
-    readings: Readings
+    scene: Scene | None
+    readings: Readings | None
     blocks: dict[str, str]
+    fault: InputError | None = None
 
     @classmethod
     def read(cls, path: Path) -> "_Source":
-        recording = Recording.load(path)
-        recording.measured_frames()
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
         sha256 = digest(path)
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
+        try:
+            recording = Recording.load(path)
+            recording.measured_frames()
+        except InputError as error:
+            return cls(path.absolute(), sha256, None, None, blocks, error)
         return cls(path.absolute(), sha256, recording.scene, recording.readings(), blocks)
+
+    def check(self, document: Document, method: "_Method") -> None:
+        """Raise InputError where an estimator needs what the recording does not say, or cannot serve its scene."""
+        if self.scene is None or self.readings is None:
+            return
+        try:
+            method.estimator.check(self.scene)
+        except InputError as error:
+            raise InputError(f"{document.source}: {method.name} × {self.path.stem}: {error}") from error
+        method.estimator.data(self.readings, Background(self.scene))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +171,11 @@ class _Method:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """SHA-256 of a file. Raises InputError where it may not be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
@@ -195,14 +223,6 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
-
-
-def _check_readout(document: Document, source: "_Source", method: "_Method") -> None:
-    """Raise InputError where an estimator cannot serve a recording's readout: that is no matter of its values."""
-    try:
-        method.estimator.check(source.scene)
-    except InputError as error:
-        raise InputError(f"{document.source}: {method.name} × {source.path.stem}: {error}") from error
 
 
 def _affected(run: RunFile, assignments: dict[str, Any]) -> list[str]:

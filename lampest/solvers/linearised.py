@@ -24,19 +24,18 @@ FARTHEST = 3.0
 class LinearisedSolver:
     """log r = log r_b − H_b⁻¹ ∇φ(r_b) with the curvature H_b of the baseline's own data; no iteration.
 
-    cost : of one frame. baseline : the cost at the solved baseline, given the baseline's readings.
+    baseline : the cost at the solved baseline, given the baseline's readings.
     """
 
-    cost: Cost
     baseline: Evaluation
 
-    def solve(self, data: Data, previous: Array) -> Solution:
+    def solve(self, cost: Cost, data: Data, previous: Array) -> Solution:
         """The step for a frame's readings, within the bounds and no longer than a factor of 20 either way."""
-        here = replace(self.baseline, data=data)
+        here = replace(self.baseline, cost=cost, data=data)
         smoothing = Smoothing.start(here)
         step = np.clip(-self._inverse(Curvature(here, smoothing).gradient), -FARTHEST, FARTHEST)
         cells = here.cell_resistance * np.exp(step).reshape(here.cell_resistance.shape)
-        return approximation(self.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
+        return approximation(cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
 
     @cached_property
     def _inverse(self) -> Callable[[Array], Array]:

@@ -1,6 +1,6 @@
 """How a solve ended, and what it found."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Protocol
 
@@ -30,6 +30,8 @@ class Status(Enum):
     SADDLE = "the optimality conditions hold, but at a saddle: the cost falls from there"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
+    UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
+    UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
     ITERATIONS = "the iteration limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
     BREAKDOWN = "the solver broke down numerically"
@@ -178,7 +180,12 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
     """A solution that holds NaN and a status."""
-    nothing = np.full(data.measured.shape, np.nan)
-    flags = np.zeros(data.measured.shape, dtype=bool)
-    costs = np.full(len(cost.terms), np.nan)
-    return Solution(nothing, nothing, costs, float("nan"), residual, flags, flags, status, outcome.iterations)
+    return replace(
+        blank(data.measured.shape, len(cost.terms), status), kkt_residual=residual, iterations=outcome.iterations
+    )
+
+
+def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
+    """What holds NaN and a status where nothing was solved; shape : (frames, rows, columns)."""
+    nothing, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+    return Solution(nothing, nothing, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)

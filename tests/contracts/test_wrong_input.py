@@ -25,12 +25,6 @@ def refused(ended: SimpleNamespace, *words: str) -> None:
         assert word in ended.err
 
 
-def with_value(disk: SimpleNamespace, value: float) -> None:
-    resistance = np.full((3, 3, 4), 1500.0)
-    resistance[1, 2, 0] = value
-    disk.recording(disk.folder / "small.h5", resistance=resistance)
-
-
 def truncated(disk: SimpleNamespace) -> None:
     path = disk.folder / "small.h5"
     os.truncate(path, path.stat().st_size // 2)
@@ -87,14 +81,6 @@ RECORDINGS: dict[str, tuple[Callable[[SimpleNamespace], Any], tuple[str, ...]]] 
     "sigma of zero": (
         lambda disk: disk.recording(disk.folder / "small.h5", sigma=np.zeros((3, 4))),
         ("/entry/two_point/sigma[0, 0]", "positive"),
-    ),
-    "NaN": (lambda disk: with_value(disk, np.nan), ("/entry/two_point/resistance[1, 2, 0] is nan",)),
-    "zero": (lambda disk: with_value(disk, 0.0), ("/entry/two_point/resistance[1, 2, 0] is 0",)),
-    "negative": (lambda disk: with_value(disk, -5.0), ("/entry/two_point/resistance[1, 2, 0] is -5",)),
-    "infinite": (lambda disk: with_value(disk, np.inf), ("/entry/two_point/resistance[1, 2, 0] is inf",)),
-    "below the series resistance": (
-        lambda disk: with_value(disk, 139.0),
-        ("/entry/two_point/resistance[1, 2, 0] is 139 ohm", "series resistance of 140 ohm"),
     ),
     "no scene": (lambda disk: without(disk, "/entry/scene"), ("/entry/scene",)),
     "no resistance": (lambda disk: without(disk, "/entry/two_point/resistance"), ("/entry/two_point/resistance",)),

@@ -1,6 +1,7 @@
 """Methods that prepare something from a solved baseline, which then serves the whole recording."""
 
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -9,7 +10,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.panel.panel import Array
-from lampest.solvers.search import evaluated
+from lampest.solvers.search import BROKEN, evaluated
 from lampest.solvers.solution import Settings, Solution, Solver
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 class Anchor(Protocol):
     """What is prepared from a baseline."""
 
-    def solve(self, data: Data, previous: Array) -> Solution:
-        """The cells of a frame after the last one, (rows, columns) ohm."""
+    def solve(self, cost: Cost, data: Data, previous: Array) -> Solution:
+        """The cells of a frame after the last one, (rows, columns) ohm; cost : the anchor's, as the data ask for it."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,16 @@ class AnchoredMethod(Method):
         data = estimator.data(stream.resting.alone(), background)
         cost = estimator.cost(scene, 1, data.partial)
         here = evaluated(cost, data, solved.previous[None])
-        return replace(solved, prepared=self.anchor(cost, here, estimator.solver))
+        return replace(solved, prepared=self.anchor(here, estimator.solver))
 
     @abstractmethod
-    def anchor(self, cost: Cost, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
         """What serves the recording; baseline : the cost at the solved baseline, given its readings."""
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """What the anchor makes of a frame; a full solve where there is none."""
-        if prepared is None or previous is None:
-            return OptimalMethod("reduced").solution(solver, data, previous, None)
-        solution: Solution = prepared.solve(data, previous[0])
-        return solution
+        """What the anchor makes of a frame; a full solve where there is none, or a baseline with holes gives none."""
+        if prepared is not None and previous is not None:
+            with suppress(*BROKEN):
+                solution: Solution = prepared.solve(solver.cost, data, previous[0])
+                return solution
+        return OptimalMethod("reduced").solution(solver, data, previous, None)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Evaluation
 from lampest.estimate.methods.anchored import Anchor, AnchoredMethod
 from lampest.solvers.linearised import LinearisedSolver
@@ -16,6 +15,6 @@ class LinearisedMethod(AnchoredMethod):
 
     kind: Literal["linearised"] = "linearised"
 
-    def anchor(self, cost: Cost, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
         """The baseline's factor."""
-        return LinearisedSolver(cost, baseline)
+        return LinearisedSolver(baseline)

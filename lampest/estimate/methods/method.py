@@ -43,6 +43,10 @@ class Method(ABC):
     def check_scene(self, scene: Scene) -> None:  # noqa: B027 - most methods know all that a network knows
         """Raise InputError where the method has no model of what the scene names, or cannot serve its readout."""
 
+    def compares(self, terms: "tuple[Term, ...]") -> bool:
+        """Whether an estimate with these terms needs the unloaded panel."""
+        return any(term.needs_previous for term in terms)
+
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return Newton(cost, settings)

@@ -95,6 +95,10 @@ class OralDiscMethod(Method):
         if not isinstance(scene.circuit, TwoPointReadout):
             raise InputError("formulation: oral_disc knows readout.kind: two_point only; nodal and reduced know all")
 
+    def compares(self, terms: tuple[Term, ...]) -> bool:
+        """Always: a disc is what has changed."""
+        return True
+
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Evaluation
 from lampest.estimate.methods.anchored import Anchor, AnchoredMethod
 from lampest.solvers.region.region import RegionSolver
@@ -25,6 +24,6 @@ class RegionMethod(AnchoredMethod):
         if not 0 < self.significance < float("inf"):
             raise ValueError("significance must be positive and finite")
 
-    def anchor(self, cost: Cost, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
         """The baseline's network."""
-        return RegionSolver(cost, baseline, self.significance, settings)
+        return RegionSolver(baseline, self.significance, settings)

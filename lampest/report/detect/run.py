@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.loads.pressure import water_pressure
@@ -16,6 +17,8 @@ from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
+from lampest.recording.readings import AT_LEAST, VALUE, Readings
+from lampest.recording.stand_in import StandIn
 from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results, read_results
@@ -62,13 +65,16 @@ class GivenRecording:
     """A recording as the recognition is given it.
 
     case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa.
-    sigma : (frames, rows, columns) ohm. baseline : the unloaded panel.
+    measured, sigma : (frames, rows, columns) ohm; what stands in for a missing reading has so large a σ that it does
+    not count. enough : (frames) whether there is something to look at. baseline : the unloaded panel.
     """
 
     case: CaseResult
     patch_mm: float
     water: Array
+    measured: Array
     sigma: Array
+    enough: NDArray[np.bool_]
     baseline: Baseline
 
     @classmethod
@@ -76,20 +82,23 @@ class GivenRecording:
         """From one case of the recording. Raises InputError where the noise is unknown."""
         scene, depth = case.scene, settings.top_row_depth_mm
         water = water_pressure(scene.panel, scene.water if depth is None else Water(depth))
-        sigma = _noise(case, case.sigma, case.measured, settings)
-        resting = _noise(case, case.sigma_baseline, case.measured_baseline, settings)
+        measured, unloaded = np.stack([_complete(frame) for frame in case.measured]), _complete(case.measured_baseline)
+        sigma = np.where(case.valued, _noise(case, case.sigma, measured, settings), counting(np.zeros(1), measured))
+        resting = _noise(case, case.sigma_baseline, unloaded, settings)
         errors = _model_errors(settings, scene)
         try:
-            baseline = Baseline.of(case.measured_baseline, resting, scene, errors)
+            baseline = Baseline.of(unloaded, resting, scene, errors)
         except ValueError as error:
             raise InputError(f"{case.recording}: {error}") from error
-        return cls(case, settings.patch_of(scene.panel), water, sigma, baseline)
+        side = np.where(case.valued, VALUE, AT_LEAST)  # what is no value is not asked on which side it bounds
+        enough = Readings(measured, None, side, np.ones(side.shape)).enough(scene)
+        return cls(case, settings.patch_of(scene.panel), water, measured, sigma, enough, baseline)
 
     def frames(self) -> Iterator[Direct]:
         """All frames; the baseline ended one period before the first."""
         time = self.case.time
         period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        for place, measured in enumerate(self.case.measured):
+        for place, measured in enumerate(self.measured):
             seconds = float(time[place] - time[0]) + period
             yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds)
 
@@ -101,7 +110,7 @@ def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
     for place, frame in enumerate(given.frames()):
         if detector is None:
             detector = Detector.of(given.case.scene.panel, given.patch_mm, frame)
-        if source is not None and not source.solved[place]:
+        if not (given.enough[place] and (source is None or source.solved[place])):
             verdicts.append(None)
             continue
         detector, verdict = detector.push(frame if source is None else _compared(frame, source.cell_resistance[place]))
@@ -120,6 +129,12 @@ def _model_errors(settings: RecognitionSettings, scene: Scene) -> ModelErrors:
         return settings.model_errors
     reference = scene.systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
     return replace(settings.model_errors, channel_ohm=scene.systematic.channel_spread_ohm, reference=reference)
+
+
+def _complete(measured: Array) -> Array:
+    """A frame (rows, columns) with what stands in for its missing readings."""
+    known = np.isfinite(measured)
+    return measured if known.all() else np.where(known, measured, StandIn.of(measured, known).value)
 
 
 def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: RecognitionSettings) -> Array:

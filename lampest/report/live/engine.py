@@ -129,7 +129,7 @@ def solved_picture(stream: Stream, scene: Scene, scan: Scan, number: int, skippe
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
     try:
         readings = scan.readings(scene)
-        picture = replace(picture, measured_change=100 * (readings.value / stream.resting.value - 1))
+        picture = replace(picture, measured_change=100 * (readings.shown / stream.resting.shown - 1))
         stream, step = stream.push(readings)
     except InputError as error:
         return stream, replace(picture, status=str(error))

@@ -99,7 +99,7 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
 
 def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
     pairs = ((getattr(one, name), getattr(other, name)) for name in GIVEN)
-    return all((a is None) == (b is None) and (a is None or np.array_equal(a, b)) for a, b in pairs)
+    return all((a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
 
 
 def matched(subjects: Sequence[Subject]) -> Matched:

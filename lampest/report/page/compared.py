@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.compare import relative_error
+from lampest.report.compare import data_error
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.measures import log_error, weighted_residual
 from lampest.report.page.statistics import Pair, Scores, Standing, pairs, score, standings
@@ -106,8 +106,8 @@ DATA_ERROR = Criterion(
     "percentage points",
     "100·|model − measured|/measured, its median over readings and frames",
     False,
-    lambda case: relative_error(case.reading_model, case.measured),
-    np.median,
+    data_error,
+    np.nanmedian,
 )
 
 

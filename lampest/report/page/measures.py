@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import relative_error
+from lampest.report.compare import data_error, relative_error
 from lampest.report.page.interval import Interval
 from lampest.report.page.statistics import block_length, mean_interval, median_interval, picks
 from lampest.runs.case import CaseResult
@@ -25,12 +25,13 @@ class Measures:
     frames, solved, cells : number of frames, of solved ones, and of the cells in these.
     failures : (sentence, frame numbers) of the frames that failed.
     cell_error : median of |r − r_true|/r_true, percent. log_error : median of |ln(r/r_true)|, percent.
-    data_error : mean of |model − measured|/measured, percent.
+    data_error : mean of |model − measured|/measured over readings that are values, percent.
     misfit : mean square of (model − measured)/σ. spread : robust standard deviation of the same.
     width : mean of (upper − lower)/r of the 95 % intervals that have an end, percent. endless : how many have none.
     coverage : share of true values within their intervals, percent. free_coverage : of cells away from bounds.
     share : median share of an estimate that the data decide, percent.
-    time : median time per frame, ms. open, low, saturated : so many cells. pressure : smallest and largest, kPa.
+    time : median time per frame, ms. open, low, saturated : so many cells.
+    missing, bounds : so many readings. pressure : smallest and largest, kPa.
     """
 
     frames: int
@@ -51,6 +52,8 @@ class Measures:
     open: int
     low: int
     saturated: int | None
+    missing: int | None
+    bounds: int | None
     pressure: tuple[float, float] | None
 
 
@@ -78,8 +81,8 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
             for text in failed
         ),
         cell_error=None if error is None else median_interval(_flat(error), _drawn(error, generator)),
-        data_error=None if none else float(np.mean(relative_error(case.reading_model, case.measured)[good])),
-        misfit=None if residual is None else float(np.nanmean(residual[good] ** 2)),
+        data_error=None if none else _mean(data_error(case)[good]),
+        misfit=None if residual is None else _mean(residual[good] ** 2),
         spread=None if residual is None else MAD * float(np.nanmedian(np.abs(residual[good]))),
         width=None if ended is None or ended.size == 0 else float(np.mean(ended)),
         endless=None if ended is None else int(case.measured[good].size - ended.size),
@@ -91,6 +94,8 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
         open=int(np.sum(case.open_cell[good] != 0)),
         low=int(np.sum(case.at_lower_bound[good] != 0)),
         saturated=None if case.saturated is None else int(np.sum(case.saturated[good] != 0)),
+        missing=None if case.missing_readings is None else int(np.sum(case.missing_readings)),
+        bounds=None if case.bound_readings is None else int(np.sum(case.bound_readings)),
         pressure=None
         if none or case.pressure is None
         else (float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))),
@@ -105,11 +110,11 @@ def log_error(case: CaseResult) -> Array:
 
 
 def weighted_residual(case: CaseResult) -> Array | None:
-    """(model − measured)/σ, (frames, rows, columns), NaN where nothing was measured; None where σ is unknown."""
+    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
     if case.sigma is None:
         return None
     residual: Array = (case.reading_model - case.measured) / case.sigma
-    return np.asarray(np.where(np.isfinite(case.sigma), residual, np.nan))
+    return np.asarray(np.where(case.valued, residual, np.nan))
 
 
 def _width(case: CaseResult) -> Array | None:
@@ -134,6 +139,12 @@ def _share(within: NDArray[np.bool_], counted: NDArray[np.bool_], generator: np.
         return None
     shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
     return mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
+
+
+def _mean(values: Array) -> float | None:
+    """Of the numbers; None where there is none."""
+    numbers = values[np.isfinite(values)]
+    return float(numbers.mean()) if numbers.size else None
 
 
 def _flat(values: Array) -> Array:

@@ -193,7 +193,8 @@ def _difference_tile(pair: Disagreement, place: int) -> Tile:
 def _residual(case: CaseResult, weighted: bool) -> Array:
     """(frames, rows, columns)."""
     own = weighted_residual(case) if weighted else None
-    return percent_change(case.reading_model, case.measured) if own is None else own
+    plain = np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
+    return plain if own is None else own
 
 
 def _at(case: CaseResult, place: int, values: Array | None) -> Array | None:
@@ -211,4 +212,4 @@ def _strongest_row(subject: Subject, place: int) -> int:
         change = percent_change(first.truth[place], first.truth_baseline)
     else:
         change = percent_change(first.measured[place], first.measured_baseline)
-    return int(np.argmax(np.abs(change)) // change.shape[1])
+    return int(np.argmax(np.where(np.isfinite(change), np.abs(change), 0.0)) // change.shape[1])

@@ -67,6 +67,10 @@ def _of_cells(count: float | None, cells: int) -> str:
     return f"{count:,.0f}" + (f" ({digits(100 * count / cells, 2)}{HARD}%)" if count else "")
 
 
+def _count(count: int | None) -> str:
+    return NONE if count is None else f"{count:,}"
+
+
 LINES = (
     Line(
         "median cell error [%] (95 % interval)",
@@ -95,6 +99,13 @@ LINES = (
     Line("time per frame, median [ms]", lambda own: own.time, None, _median),
     Line("open cells", lambda own: own.open, lambda own: _of_cells(own.open, own.cells), _sum),
     Line("cells at the lower bound", lambda own: own.low, lambda own: _of_cells(own.low, own.cells), _sum),
+    Line("missing readings", lambda own: own.missing or None, lambda own: _count(own.missing), _sum),
+    Line(
+        "readings at a rail, zero or below the series resistance",
+        lambda own: own.bounds or None,
+        lambda own: _count(own.bounds),
+        _sum,
+    ),
     Line("saturated cells", lambda own: own.saturated, lambda own: _of_cells(own.saturated, own.cells), _sum),
 )
 

@@ -73,9 +73,10 @@ def _tiles(cases: Sequence[CaseResult], index: int) -> list[Tile]:
 
 def _tile(title: str, change: Array, open_cells: NDArray[np.bool_] | None = None) -> Tile:
     """With the range of the values below its title."""
-    low, high = (
-        f"{value:+.{0 if abs(value) >= 10 else 1}f}".replace("-", "−") for value in (change.min(), change.max())
-    )
+    known = change[np.isfinite(change)]
+    if not known.size:
+        return Tile(title, change, "no number")
+    low, high = (f"{value:+.{0 if abs(value) >= 10 else 1}f}".replace("-", "−") for value in (known.min(), known.max()))
     return Tile(title, change, f"{low} … {high} %", open_cells)
 
 

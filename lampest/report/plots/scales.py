@@ -62,7 +62,8 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
 
     The limit is the smallest round number that holds 98 % of all values, 100 at most; arrows stand for the rest.
     """
-    reach = np.percentile(np.abs(np.concatenate([part.ravel() for part in values])), 98)
+    numbers = np.abs(np.concatenate([part[np.isfinite(part)] for part in values] or [np.zeros(1)]))
+    reach = np.percentile(numbers, 98) if numbers.size else 0.0
     limit = next((limit for limit in LIMITS if limit >= reach), LIMITS[-1])
     tenths = np.arange(1, 11) * limit / 10
     bands = colormaps[SIGNED](np.linspace(0.04, 0.96, 19))

@@ -22,6 +22,12 @@ def positive(values: Array, solved: Solved) -> str | None:
     return None if np.all(np.isfinite(values) & (values > 0)) else "must be positive and finite everywhere"
 
 
+def positive_or_missing(values: Array, solved: Solved) -> str | None:
+    """Every value is a number above zero, or NaN."""
+    fine = np.isnan(values) | (np.isfinite(values) & (values > 0))
+    return None if np.all(fine) else "must be positive and finite, or NaN"
+
+
 def positive_or_infinite(values: Array, solved: Solved) -> str | None:
     """Every value is above zero."""
     return None if np.all(values > 0) else "must be positive everywhere"
@@ -32,6 +38,14 @@ def numbers_if_solved(values: Array, solved: Solved) -> str | None:
     frames = np.asarray(values).reshape(len(solved), -1)
     right = np.where(solved, np.isfinite(frames).all(axis=1), np.isnan(frames).all(axis=1))
     return None if np.all(right) else "must be numbers where solved is 1, and NaN elsewhere"
+
+
+def whole_frames_if_solved(values: Array, solved: Solved) -> str | None:
+    """(frames, ...): NaN where a frame failed; else all of it numbers, or none where there is no baseline."""
+    frames = np.asarray(values).reshape(len(solved), -1)
+    missing = np.isnan(frames).all(axis=1)
+    right = missing | (solved & np.isfinite(frames).all(axis=1))
+    return None if np.all(right) else "must be numbers or NaN throughout where solved is 1, and NaN elsewhere"
 
 
 def told_if_solved(values: Array, solved: Solved) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.cost.terms import term_kind
 from lampest.panel.panel import Array
-from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_if_solved
+from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_if_solved, whole_frames_if_solved
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ ESTIMATE = (
         "percent",
         "cell resistance against its baseline",
         lambda done: done.relative_change,
-        (numbers_if_solved,),
+        (whole_frames_if_solved,),
     ),
     Column(
         "reading_model",

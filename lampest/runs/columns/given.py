@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED
-from lampest.runs.columns.checks import finite, positive, positive_or_infinite
+from lampest.runs.columns.checks import finite, positive, positive_or_infinite, positive_or_missing
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column
 
 if TYPE_CHECKING:
@@ -48,9 +48,9 @@ MEASURED = Column(
     "measured",
     MAPS,
     "ohm",
-    "measured two-point resistance, series taken off",
+    "measured two-point resistance, series taken off; NaN where a reading says nothing",
     lambda done: done.measured,
-    (positive,),
+    (positive_or_missing,),
     dataset="resistance",
     shared=True,
     as_volt=("volt", "measured voltage, as the network is read"),
@@ -65,7 +65,7 @@ GIVEN = (
         "ohm",
         "mean of the unloaded frames, series taken off",
         lambda done: done.measured_baseline,
-        (positive,),
+        (positive_or_missing,),
         dataset="baseline",
         shared=True,
         as_volt=("baseline", "mean of the unloaded frames"),
@@ -89,6 +89,33 @@ GIVEN = (
         (positive_or_infinite,),
         shared=True,
         as_volt=("sigma_baseline", "standard deviation of the baseline"),
+    ),
+    Column(
+        "reading_side",
+        MAPS,
+        "1",
+        "0: a value; a bound: 1 the truth is at least this, -1 at most",
+        lambda done: done.readings.side,
+        dtype=np.int8,
+        shared=True,
+    ),
+    Column(
+        "missing_readings",
+        FRAMES,
+        "1",
+        "readings that say nothing",
+        lambda done: done.missing_readings,
+        dtype=np.int64,
+        shared=True,
+    ),
+    Column(
+        "bound_readings",
+        FRAMES,
+        "1",
+        "readings at a rail, zero, or below the series resistance",
+        lambda done: done.bound_readings,
+        dtype=np.int64,
+        shared=True,
     ),
     Column("truth", MAPS, "ohm", "true cell resistance", _truth, (positive,), shared=True),
     Column(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -58,11 +59,17 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
             *((each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared),
             ("scene", fullest((case.scene, scene)), scene),
         ):
-            if (ours is None) != (theirs is None) or (ours is not None and not np.array_equal(ours, theirs)):
+            if (ours is None) != (theirs is None) or (ours is not None and not _same(ours, theirs)):
                 raise InputError(
                     f"{case.estimator} and {first.estimator} were given different recordings of the name "
                     f"{case.recording} ({name} differs)"
                 )
+
+
+def _same(ours: Any, theirs: Any) -> bool:
+    """Whether two values agree; what is no number in both does."""
+    numbers = isinstance(ours, np.ndarray) and ours.dtype.kind == "f"
+    return np.array_equal(ours, theirs, equal_nan=numbers)
 
 
 def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:

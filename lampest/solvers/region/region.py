@@ -32,17 +32,16 @@ SHARPEST = 4
 
 @dataclass(frozen=True, eq=False)
 class RegionSolver:
-    """cost : of one frame of the whole panel. baseline : the cost at the solved baseline, given its readings.
+    """baseline : the cost at the solved baseline, given its readings.
 
     significance : in units of the noise, what a reading must stand out by to count as changed.
     """
 
-    cost: Cost
     baseline: Evaluation
     significance: float
     settings: Settings
 
-    def solve(self, data: Data, previous: Array) -> Solution:
+    def solve(self, cost: Cost, data: Data, previous: Array) -> Solution:
         """The estimate of a frame after the last one, (rows, columns) ohm; the whole panel where most of it changed.
 
         Blocks are the rectangles round readings whose change stands out from that of their row and column. They grow
@@ -58,43 +57,43 @@ class RegionSolver:
             found = grown(self._outstanding(left, noise) & plain, blocks)
             large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
             if large or (found == blocks and self._moved(left, noise)):
-                return best_solution(Newton(self.cost, self.settings), data, previous[None])
+                return best_solution(Newton(cost, self.settings), data, previous[None])
             if found == blocks:
                 break
             blocks = found
             for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
                 part = (data.measured[0][block], 1 / data.upper[0][block], plain[block])
                 network = data.readout.fitted_block(network, block, *part)
-        return self._minimised(data, previous, network, blocks)
+        return self._minimised(cost, data, previous, network, blocks)
 
     @cached_property
     def _exact(self) -> Network:
         """A network that reproduces the baseline's readings, which a baseline with penalties does not."""
         resting, data = self.baseline.networks[0], self.baseline.data
-        if all(term.reads_measurement for term in self.cost.terms):
+        if all(term.reads_measurement for term in self.baseline.cost.terms):
             return resting
         cells = data.readout.exact_start(data.measured[0], data.upper[0])
         return data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
 
-    def _minimised(self, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
+    def _minimised(self, cost: Cost, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
         """The cost's minimum over the cells of each block in turn, all others as they are."""
         network, steps = self.baseline.networks[0], 0
         for block in blocks:
             network = network.changed(block, fit.conductance[block])
         for block in blocks:
-            inside = Inside.of(self.cost, data, network, block)
+            inside = Inside.of(cost, data, network, block)
             starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
             network, taken = minimised(inside, min(starts, key=lambda point: point.objective))
             steps += taken
         cells = self.baseline.cell_resistance.copy()
         for block in blocks:
             cells[0][block] = 1 / network.conductance[block]
-        return self._solution(data, network.relabelled(cells[0]), cells, steps)
+        return self._solution(cost, data, network.relabelled(cells[0]), cells, steps)
 
-    def _solution(self, data: Data, network: Network, cells: Array, steps: int) -> Solution:
+    def _solution(self, cost: Cost, data: Data, network: Network, cells: Array, steps: int) -> Solution:
         """What `approximation` gives, without solving the network once more."""
-        at = Evaluation(self.cost, data, cells, network.reading()[None], (network,))
-        residual = at.kkt_residual(np.zeros(len(self.cost.slope)))
+        at = Evaluation(cost, data, cells, network.reading()[None], (network,))
+        residual = at.kkt_residual(np.zeros(len(cost.slope)))
         low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         found = (at.costs, at.objective, residual, low, open_cell, Status.APPROXIMATE, steps)
         return Solution(cells, at.reading, *found)

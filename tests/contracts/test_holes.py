@@ -1,0 +1,143 @@
+"""Readings as they come: what is missing, at a rail, zero or below the series resistance refuses nothing."""
+
+import csv
+import html
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+import lampest
+
+Command = Callable[..., SimpleNamespace]
+TOO_FEW = "too few of the frame's readings are values: the others are missing, or bounds"
+SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+RUN = """schema: 1
+recordings: [{}]
+formulation: reduced
+estimators:
+  LSM: {{terms: {{misfit: {{}}}}}}
+  LSR-gCR: {{terms: {{misfit: {{}}, gradient: {{weight: 1.0e-3}}}}}}
+"""
+
+
+def healthy(seed: int) -> np.ndarray:
+    """(7, 4, 5) ohm as the divider gives it: two unloaded frames, five with a pressed cell."""
+    cells = np.full((7, 4, 5), 2000.0)
+    cells[2:, 1, 2] = 700.0
+    exact = lampest.two_point_resistance(cells) + 140.0
+    return exact + np.random.default_rng(seed).normal(0.0, 0.3, exact.shape)
+
+
+def with_holes() -> np.ndarray:
+    """In the first measured frame singles, in the second a row, the third without anything, the others whole."""
+    values = healthy(2)
+    values[0, 0, 0] = np.nan
+    values[2, 0, 1], values[2, 2, 2], values[2, 3, 3], values[2, 3, 4] = np.nan, np.inf, 0.0, 100.0
+    values[3, 3] = np.nan
+    values[4] = np.nan
+    return values
+
+
+def recorded(path: Path, values: np.ndarray) -> Path:
+    role = np.array([0, 0, 1, 1, 1, 1, 1], dtype=np.uint8)
+    lampest.Recording(SCENE, values, np.arange(7.0), role, name=path.stem).save(path)
+    return path
+
+
+@pytest.fixture
+def batch(tmp_path: Path) -> Path:
+    """A run over one healthy recording, one with holes, one that is cut off."""
+    recorded(tmp_path / "healthy.h5", healthy(1))
+    recorded(tmp_path / "holes.h5", with_holes())
+    cut = recorded(tmp_path / "cut.h5", healthy(3))
+    cut.write_bytes(cut.read_bytes()[:3000])
+    (tmp_path / "run.yaml").write_text(RUN.format("healthy.h5, cut.h5, holes.h5"))
+    return tmp_path
+
+
+def test_a_batch_costs_what_cannot_be_read_and_no_more(batch: Path, lampest: Command) -> None:
+    out = batch / "out"
+    ended = lampest("run", batch / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert "4 cases solved" in ended.out and "2 failed" in ended.out
+    assert "cut × LSM" in ended.err and "not a readable HDF5 file" in ended.err and "Traceback" not in ended.err
+    with h5py.File(out / "results.h5") as file:
+        assert set(file["entry"]) == {"healthy", "holes"}
+        group = file["entry/holes/LSM"]
+        assert [text.decode() for text in group["status"]] == ["optimum verified"] * 2 + [TOO_FEW] + [
+            "optimum verified"
+        ] * 2
+        cells = group["cell_resistance"][()]
+        assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
+        given = file["entry/holes/recording"]
+        assert given["missing_readings"][()].tolist() == [1, 5, 20, 0, 0]
+        assert given["bound_readings"][()].tolist() == [3, 0, 0, 0, 0]
+        assert np.isnan(given["resistance"][0, 0, 1]) and np.isnan(given["resistance"][1, 3]).all()
+        assert given["reading_side"][0, 2, 2] == 1 and given["reading_side"][0, 3, 3] == -1
+        assert np.all(file["entry/healthy/recording/missing_readings"][()] == 0)
+
+
+def test_a_file_that_is_not_there_stops_the_run_before_anything_is_solved(batch: Path, lampest: Command) -> None:
+    (batch / "healthy.h5").unlink()
+    ended = lampest("run", batch / "run.yaml", "--out", batch / "out", "--jobs", "1")
+    assert ended.code == 2 and "no such file" in ended.err and not (batch / "out").exists()
+
+
+def test_counts_stand_in_info_table_and_page(batch: Path, lampest: Command) -> None:
+    said = lampest("info", batch / "holes.h5").out
+    assert "27 readings missing (19 %), 3 at a rail, zero or below the series resistance (2.1 %), in 4 of 7 " in said
+    assert "1 of 7 frames have too few values" in said
+    assert "missing" not in lampest("info", batch / "healthy.h5").out
+    lampest("run", batch / "run.yaml", "--out", batch / "out", "--jobs", "1")
+    results = batch / "out" / "results.h5"
+    assert "26 readings missing" in lampest("info", results).out
+    page = batch / "page.html"
+    ended = lampest("compare", results, "--csv", batch / "table.csv", "--report", page)
+    assert ended.code == 0, ended.err
+    rows = {
+        (row["recording"], row["estimator"]): row
+        for row in csv.DictReader((batch / "table.csv").read_text().split("\n"))
+    }
+    assert [rows["holes", "LSM"][name] for name in ("missing readings", "bound readings")] == ["26", "3"]
+    assert [rows["healthy", "LSM"][name] for name in ("missing readings", "bound readings")] == ["0", "0"]
+    # The network explains every value to its noise; a bound or a hole would make it thousands of percent.
+    assert float(rows["holes", "LSM"]["data error mean [%]"]) < 1.0
+    text = html.unescape(page.read_text())
+    assert "missing readings" in text and TOO_FEW in text
+    assert lampest("plot", results, "--out", batch).code == 0
+    assert lampest("detect", results, "--out", batch / "seen").code == 0
+
+
+def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
+    values = healthy(4)
+    values[:, 2] = np.nan
+    said = lampest("info", recorded(tmp_path / "row.h5", values)).out
+    assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in said
+
+
+def test_a_loop_of_ones_own_goes_on() -> None:
+    values = with_holes()
+    resting = lampest.Readings.of(SCENE, values[:2]).mean()
+    stream = lampest.Stream.begin(lampest.Estimator((lampest.Misfit(),), "reduced"), SCENE, 1.0, resting)
+    ended = []
+    for frame in values[2:]:
+        stream, step = stream.push(lampest.Readings.of(SCENE, frame))
+        ended.append(step.status)
+        assert np.isnan(step.cell_resistance).all() == (step.status == TOO_FEW)
+    assert [status == TOO_FEW for status in ended] == [False, False, True, False, False]
+    assert abs(stream.previous[1, 2] / 700.0 - 1) < 0.05
+
+
+@pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
+def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tuple[object, ...]) -> None:
+    values = healthy(5)
+    values[:3] = np.nan
+    role = np.array([0, 0, 1, 1, 1, 1, 1], dtype=np.uint8)
+    recording = lampest.Recording(SCENE, values, np.arange(7.0), role)
+    found = lampest.reconstruct(recording, terms=list(terms), formulation="reduced")
+    assert found.status[0] == TOO_FEW and all(found.solved[1:])
+    assert np.nanmax(np.abs(found.relative_change)) < 5.0

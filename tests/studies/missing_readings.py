@@ -1,0 +1,80 @@
+"""What missing readings cost the cells beside them, and whether the intervals say so.
+
+Run it with: python -m tests.studies.missing_readings --recordings 20 --seed 101
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.cost.terms import Gradient, Misfit
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
+from lampest.recording.recording import MEASURED, Recording
+from lampest.recording.simulation.simulation import Simulation, simulate
+
+METHODS: dict[str, tuple[Term, ...]] = {
+    "LSM": (Misfit(),),
+    "LSR-gCR": (Misfit(), Gradient(weight="auto")),
+}
+
+
+def mouth(rng: np.random.Generator, seed: int) -> Recording:
+    """Three unloaded frames and three of a mouth, 6 × 6 to 14 × 14 cells, 10 bits and 20 readings."""
+    side = int(rng.integers(6, 15))
+    place = rng.uniform(0.3, 0.7, 2) * (side - 1) * 10
+    load = OralDisc(
+        kind="oral_disc",
+        centre_mm=(float(place[0]), float(place[1])),
+        diameter_mm=float(rng.uniform(25, 40)),
+        rim_width_mm=5.5,
+        pressure_kpa=-10,
+        rim_kpa=80,
+    )
+    scene = Scene(Panel(side, side, 10), TwoPointReadout(), 140.0)
+    return simulate(Simulation(1, seed, scene, frames=3, loads=(load,)))
+
+
+def study(count: int, seed: int) -> None:
+    """Print error (median / 95th percentile, percent) and coverage of read and of missing cells."""
+    for share in (0.0, 0.01, 0.05, 0.2):
+        for name, terms in METHODS.items():
+            rng = np.random.default_rng(seed)
+            read: list[tuple[Array, Array]] = []
+            blind: list[tuple[Array, Array]] = []
+            for number in range(count):
+                made = mouth(rng, seed + number)
+                holes = (rng.random(made.recorded.shape) < share) & (made.role == MEASURED)[:, None, None]
+                found = reconstruct(
+                    replace(made, recorded=np.where(holes, np.nan, made.recorded)), Estimator(terms, "reduced")
+                )
+                lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
+                assert made.truth_cell_resistance is not None and lower is not None and upper is not None
+                truth, hole = made.truth_cell_resistance[found.frame], holes[found.frame]
+                error, held = 100 * np.abs(found.cell_resistance / truth - 1), (lower <= truth) & (truth <= upper)
+                for parts, chosen in ((read, ~hole), (blind, hole)):
+                    chosen &= found.solved[:, None, None]
+                    parts.append((error[chosen], held[chosen].astype(float)))
+            print(f"{100 * share:4.0f} % {name:8} read: {_text(read)}   missing: {_text(blind)}", flush=True)
+
+
+def _text(parts: list[tuple[Array, Array]]) -> str:
+    error, held = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not error.size:
+        return "none"
+    median, high = np.percentile(error, [50, 95])
+    return f"{median:5.2f} / {high:6.1f} %, held {100 * held.mean():.1f} %"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=101)
+    arguments = parser.parse_args()
+    study(arguments.recordings, arguments.seed)
