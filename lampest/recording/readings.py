@@ -12,14 +12,15 @@ from lampest.panel.scene import Scene
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR_ZERO = 3.0  # σ: a resistance that is no larger says only that it is small
-IMPOSSIBLE = 4.0  # σ below the series resistance: once in 30,000 readings by chance
+TAIL = 3.0  # σ: a bound so near to the mean of the values beside it is their noise cut off, not another state
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
     """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
 
-    value : positive; where nothing is seen the frame's geometric mean stands in. sigma : the same unit, or None.
+    value : positive; where nothing is seen the frame's geometric mean stands in, 1 in a frame that shows nothing.
+    sigma : the same unit, filled likewise, or None.
     side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where a reading says nothing.
     """
 
@@ -29,38 +30,40 @@ class Readings:
     seen: Array
 
     @classmethod
-    def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None, dataset: str | None = None) -> "Readings":
+    def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """The network's readings of recorded values, and what each of them says; one frame (rows, columns) or many.
 
-        A code at a rail of the converter, and a resistance that is zero within three σ, are bounds; what the scene's
-        faults make blind says nothing.
+        Says nothing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at
+        or beyond a rail of the converter, infinity, and a resistance that is zero within three σ once the series
+        resistance is off, or below it by however much. Without a readout there are no rails, and without σ no noise:
+        then infinity is at least the largest, and what is not positive at most the smallest value of its frame.
 
         Parameters
         ----------
         scene : what was measured, and how.
         recorded : what the readout's equation gives: ohm of two-point readouts, series resistance included; else volt.
         sigma : same shape or (rows, columns), same unit, or None: then the readout's.
-        dataset : what to call the values in an error; by default their row and column are named.
 
-        Raises InputError where shapes disagree, a value is not positive and finite, or below the series resistance by
-        more than four σ (by anything where σ is unknown).
+        Raises InputError where shapes disagree, or a σ is zero or negative.
         """
-        _check(scene, recorded, sigma, dataset)
-        circuit, sigma = scene.circuit, _noise(scene, recorded, sigma)
+        check_sigma(scene, recorded, sigma)
         within, side = _within_rails(scene, recorded)
-        network, seen = circuit.from_recorded(within, scene), np.ones(recorded.shape)
-        side = side * circuit.direction
+        network, side = scene.circuit.from_recorded(within, scene), side * scene.circuit.direction
+        seen = np.where(np.isnan(recorded), 0.0, 1.0)
+        noise = _noise(scene, within, sigma)
+        if noise is not None:
+            seen = np.where(np.isfinite(noise), seen, 0.0)
         if scene.faults is not None:
             seen[..., scene.faults.blind(scene.panel)] = 0.0
-        if circuit.unit == "ohm":
-            least = network if sigma is None else network + IMPOSSIBLE * sigma
-            why = f", not above the scene's series resistance of {scene.series_resistance_ohm:g} ohm"
-            _refuse((least <= 0) & (seen > 0), recorded, dataset, circuit.unit, why)
-        if sigma is not None and circuit.unit == "ohm":
-            small = (network <= NEAR_ZERO * _least_noise(scene, sigma)) & (seen > 0) & (side != AT_LEAST)
+        if scene.circuit.unit == "ohm":
+            least = np.zeros_like(network) if noise is None else NEAR_ZERO * _least_noise(scene, noise)
+            small = (network <= least) & (side != AT_LEAST)
             side = np.where(small, AT_MOST, side)
-            network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * sigma, network)
-        return cls(_filled(network, seen), sigma, side, seen)
+            if noise is not None:
+                network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * noise, network)
+        network, seen = _numbered(network, seen)
+        side = np.where(seen > 0, side, VALUE)
+        return cls(_filled(network, seen), None if noise is None else _filled(noise, seen), side, seen)
 
     def __getitem__(self, frames: Any) -> "Readings":
         """The readings of some frames."""
@@ -78,11 +81,25 @@ class Readings:
         return None if self.sigma is None else np.where((self.side == 0) & (self.seen > 0), self.sigma, np.inf)
 
     def mean(self) -> "Readings":
-        """The mean over frames; a bound or a blank stays one where any frame has it."""
-        count = len(self.value)
-        sigma = None if self.sigma is None else np.sqrt(np.sum(self.sigma**2, axis=0)) / count
-        strongest = np.take_along_axis(self.side, np.abs(self.side).argmax(axis=0)[None], axis=0)[0]
-        return Readings(self.value.mean(axis=0), sigma, strongest, self.seen.min(axis=0))
+        """The mean over frames (frames, rows, columns), cell by cell over those that say something.
+
+        It is that of the values, unless bounds outnumber them, or lie within TAIL σ of their mean: then noise is cut
+        off at the bound, values alone would lean away from it, and the mean of all of them is a bound again. Bounds of
+        both sides alone say nothing.
+        """
+        value, bound = (self.seen > 0) & (self.side == 0), (self.seen > 0) & (self.side != 0)
+        of_values, deviation = _averaged(self.value, self.sigma, value)
+        among = bound.sum(axis=0) > value.sum(axis=0)
+        if self.sigma is not None:
+            near = bound & (np.abs(self.value - of_values) <= TAIL * self.sigma)
+            among |= near.any(axis=0)
+        of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
+        side = np.where(among, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
+        seen = np.where((value | bound).any(axis=0) & ~(among & (side == VALUE)), 1.0, 0.0)
+        mean = _filled(np.where(among, of_all, of_values), seen)
+        if deviation is None or deviation_of_all is None:
+            return Readings(mean, None, side, seen)
+        return Readings(mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen)
 
     def together(self, *others: "Readings") -> "Readings":
         """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
@@ -110,40 +127,19 @@ def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp], with
     return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
 
 
-def check_all_positive(values: Array, dataset: str | None, unit: str) -> None:
-    """Raise InputError with the place of the first value that is not positive and finite."""
-    _refuse(~(np.isfinite(values) & (values > 0)), values, dataset, unit, "; it must be positive and finite")
-
-
-def check_recorded(scene: Scene, recorded: Array, dataset: str | None) -> None:
-    """Raise InputError with the place of the first value that the scene's readout cannot have given."""
-    circuit = scene.circuit
-    if circuit.unit == "ohm":
-        check_all_positive(recorded, dataset, circuit.unit)
-    outside = ~((recorded >= 0) & (recorded <= circuit.supply_volt))
-    if circuit.unit == "volt":
-        why = f"; it must lie between 0 and the supply of {circuit.supply_volt:g} volt"
-        _refuse(outside, recorded, dataset, circuit.unit, why)
-
-
-def _refuse(bad: NDArray[np.bool_], values: Array, dataset: str | None, unit: str, why: str) -> None:
-    """Raise InputError with the first bad value, `why` after it; without a dataset's name by its row and column."""
-    if np.any(bad):
-        index = tuple(int(part) for part in np.argwhere(bad)[0])
-        named = f"the reading at row {index[-2]}, column {index[-1]}" if dataset is None else f"{dataset}{list(index)}"
-        raise InputError(f"{named} is {values[index]:.6g} {unit}{why}")
-
-
-def _check(scene: Scene, recorded: Array, sigma: Array | None, dataset: str | None) -> None:
+def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:
+    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0."""
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
         size = " × ".join(str(length) for length in recorded.shape)
         raise InputError(f"the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
-    check_recorded(scene, recorded, dataset)
-    if sigma is not None:
-        if sigma.shape not in (recorded.shape, shape):
-            raise InputError("sigma has another shape than the readings")
-        check_all_positive(sigma, "sigma", scene.circuit.unit)
+    if sigma is None:
+        return
+    if sigma.shape not in (recorded.shape, shape):
+        raise InputError("sigma has another shape than the readings")
+    if np.any(sigma <= 0):
+        index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
+        raise InputError(f"sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
@@ -154,12 +150,14 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
-    """Values put within the converter's rails, and the side on which those beyond them bound the truth."""
+    """Values put within the converter's rails, and the side on which those beyond them bound the truth.
+
+    Without a converter only infinity is beyond a rail; its value is not known here and stays infinite.
+    """
     side = np.zeros(recorded.shape)
-    if scene.readout is None:
-        return recorded, side
-    least, largest = scene.readout.rails()
+    least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     side[recorded < least], side[recorded > largest] = AT_MOST, AT_LEAST
+    side[np.isposinf(recorded)] = AT_LEAST
     return np.clip(recorded, least, largest), side
 
 
@@ -170,13 +168,32 @@ def _least_noise(scene: Scene, sigma: Array) -> Array:
     return np.minimum(sigma, scene.readout.sigma(np.array(scene.series_resistance_ohm)))
 
 
-def _filled(network: Array, seen: Array) -> Array:
-    """Each frame with its geometric mean where nothing is seen. Raises InputError where a frame shows nothing."""
+def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
+    """Bounds without a number get the largest and the smallest value of their frame; where it has none, seen is 0."""
+    known = (seen > 0) & np.isfinite(network) & (network > 0)
+    if np.all(known | (seen == 0)):
+        return network, seen
+    largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=known)
+    smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=known)
+    network = np.where(known, network, np.where(network > 0, largest, smallest))
+    return network, np.where(known.any(axis=(-2, -1), keepdims=True), seen, 0.0)
+
+
+def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+    """The mean over the counted frames and its σ, (rows, columns); 1 where no frame counts."""
+    count = np.maximum(counted.sum(axis=0), 1)
+    blank = ~counted.any(axis=0)
+    mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
+    if sigma is None:
+        return mean, None
+    return mean, np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+
+
+def _filled(values: Array, seen: Array) -> Array:
+    """Each frame with its geometric mean where nothing is seen; 1 throughout where a frame shows nothing."""
     if np.all(seen):
-        return network
-    logarithm = np.log(np.where(seen > 0, network, 1.0))
-    count = seen.sum(axis=(-2, -1), keepdims=True)
-    if not np.all(count):
-        raise InputError("a frame has no reading that says anything")
+        return values
+    logarithm = np.log(np.where(seen > 0, values, 1.0))
+    count = np.maximum(seen.sum(axis=(-2, -1), keepdims=True), 1)
     mean = np.exp((logarithm * seen).sum(axis=(-2, -1), keepdims=True) / count)
-    return np.where(seen > 0, network, mean)
+    return np.where(seen > 0, values, mean)

@@ -14,7 +14,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
-from lampest.recording.readings import Readings, check_all_positive, check_recorded
+from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = 0, 1
@@ -38,7 +38,8 @@ class Recording:
     simulation : for simulated ones, all that made them, as YAML text, or None.
     acquisition : for those from a board, its clocks, gaps and events, or None.
 
-    Raises InputError where shapes disagree or a value is none that the readout can give.
+    A reading that says nothing is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
+    counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
     """
 
     scene: Scene
@@ -62,11 +63,10 @@ class Recording:
                 f"{self.name}: {self.path} is {found}, but the scene's panel asks for frames × "
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
-        check_recorded(self.scene, self.recorded, f"{self.name}: {self.path}")
-        if self.sigma is not None:
-            if self.sigma.shape not in (self.recorded.shape, shape):
-                raise InputError(f"{self.name}: {self._group}/sigma has another shape than the frames")
-            check_all_positive(self.sigma, f"{self.name}: {self._group}/sigma", self.scene.circuit.unit)
+        try:
+            check_sigma(self.scene, self.recorded, self.sigma)
+        except InputError as error:
+            raise InputError(f"{self.name}: {self._group}: {error}") from error
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
@@ -182,8 +182,8 @@ class Recording:
         return group
 
     def readings(self) -> Readings:
-        """What the frames say to an estimator. Raises InputError as `Readings.of`."""
-        return Readings.of(self.scene, self.recorded, self.sigma, f"{self.name}: {self.path}")
+        """What the frames say to an estimator."""
+        return Readings.of(self.scene, self.recorded, self.sigma)
 
     def measured_frames(self) -> NDArray[np.intp]:
         """Indices of the frames with role 1. Raises InputError where there is none."""
@@ -205,5 +205,8 @@ def _whole_frames(file: h5py.File, base: str, recorded: Array) -> slice:
     acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
     paths = (f"{base}time", f"{base}role", "/entry/raw/sums", *acquired)
     frames = min(len(hdf5.read_array(file, path, 3 if path.endswith("sums") else 1)) for path in paths)
-    torn = np.any(recorded[:frames] <= 0, axis=(1, 2))
-    return slice(int(np.argmax(torn)) if torn.any() else min(frames, len(recorded)))
+    recorded = recorded[:frames]
+    blank = np.all(np.isnan(recorded), axis=(1, 2))
+    # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
+    unwritten = np.any(recorded == 0, axis=(1, 2)) | np.logical_and.accumulate(blank[::-1])[::-1]
+    return slice(int(np.argmax(unwritten)) if unwritten.any() else len(recorded))

@@ -1,6 +1,7 @@
 """File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene names."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
-from lampest.recording.readings import Readings
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
@@ -159,26 +160,90 @@ def test_one_frame_or_many_are_read_alike(name: str) -> None:
 
 
 def test_what_does_not_fit_is_named() -> None:
-    """A file's values by dataset and index, all others by row and column."""
+    """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
-    low = good.copy()
-    low[1, 3, 5] = 100.0
-    why = "is 100 ohm, not above the scene's series resistance of 140 ohm"
     role = np.ones(2, dtype=np.uint8)
-    with pytest.raises(InputError, match=rf"^mine: /entry/two_point/resistance\[1, 3, 5\] {why}$"):
-        Recording(WHOLE, low, np.arange(2.0), role, name="mine").readings()
-    for values in (low, low[1]):
-        with pytest.raises(InputError, match=rf"^the reading at row 3, column 5 {why}$"):
-            Readings.of(WHOLE, values)
     with pytest.raises(InputError, match=r"^the readings are 9 × 8, but the scene's panel is 8 × 9$"):
         Readings.of(WHOLE, good[0].T)
     with pytest.raises(InputError, match=r"^sigma has another shape than the readings$"):
         Readings.of(WHOLE, good, np.ones(2))
-    with pytest.raises(InputError, match=r"^sigma\[0, 0\] is 0 ohm; it must be positive and finite$"):
+    with pytest.raises(InputError, match=r"^sigma\[0, 0\] is 0 ohm; it must be positive$"):
         Readings.of(WHOLE, good, np.zeros(SHAPE))
-    for wrong in (np.nan, np.inf, 0.0, -5.0):
-        with pytest.raises(InputError, match=r"^the reading at row 3, column 5 is .* ohm; it must be positive and"):
-            Readings.of(WHOLE, np.where(low[1] < 140, wrong, low[1]))
+    with pytest.raises(InputError, match=r"^mine: /entry/two_point: sigma\[0, 0\] is -1 ohm; it must be positive$"):
+        Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
+
+
+NO_READOUT = replace(WHOLE, readout=None)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "scene", "seen", "side"),
+    [
+        (np.nan, WHOLE, 0, 0),
+        (np.inf, WHOLE, 1, AT_LEAST),
+        (1e9, WHOLE, 1, AT_LEAST),
+        (100.0, WHOLE, 1, AT_MOST),
+        (0.0, WHOLE, 1, AT_MOST),
+        (-5.0, WHOLE, 1, AT_MOST),
+        (-np.inf, WHOLE, 1, AT_MOST),
+        (np.nan, NO_READOUT, 0, 0),
+        (np.inf, NO_READOUT, 1, AT_LEAST),
+        (1e9, NO_READOUT, 1, 0),
+        (100.0, NO_READOUT, 1, AT_MOST),
+        (-5.0, NO_READOUT, 1, AT_MOST),
+    ],
+)
+def test_no_value_is_refused(wrong: float, scene: Scene, seen: float, side: float, tmp_path: Path) -> None:
+    """Each says nothing, or is a bound, and leaves the others as they are; a file keeps it as it came."""
+    values = np.full((2, *SHAPE), 700.0)
+    values[:, 0, 0], values[0, 3, 5] = 720.0, wrong
+    path = tmp_path / "mine.h5"
+    Recording(scene, values, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(path)
+    kept = Recording.load(path)
+    assert_array_equal(kept.recorded, values)
+    readings = kept.readings()
+    assert (readings.seen[0, 3, 5], readings.side[0, 3, 5]) == (seen, side)
+    assert np.all(np.isfinite(readings.value) & (readings.value > 0))
+    others = np.ones((2, *SHAPE), dtype=bool)
+    others[0, 3, 5] = False
+    assert np.all(readings.seen[others] == 1) and np.all(readings.side[others] == 0)
+    assert_array_equal(readings.value[others], values[others] - 140.0)
+    if scene.readout is None and side:
+        assert readings.value[0, 3, 5] == (580.0 if side == AT_LEAST else 560.0)
+
+
+def test_a_reading_whose_noise_is_not_finite_says_nothing() -> None:
+    sigma = np.full(SHAPE, 2.0)
+    sigma[1, 1], sigma[2, 2] = np.nan, np.inf
+    readings = Readings.of(WHOLE, np.full(SHAPE, 700.0), sigma)
+    assert_array_equal(readings.seen == 0, ~np.isfinite(sigma))
+    assert readings.sigma is not None and np.all(np.isfinite(readings.sigma))
+
+
+def test_a_frame_that_shows_nothing_is_no_error() -> None:
+    readings = Readings.of(WHOLE, np.full(SHAPE, np.nan))
+    assert not readings.seen.any() and np.all(readings.value == 1)
+
+
+def test_the_mean_is_over_what_says_something() -> None:
+    """A hole in one unloaded frame leaves the others; one wild bound does not outvote values; noise cut off does."""
+    top = WHOLE.circuit.rails()[1]
+    frames = np.full((4, *SHAPE), 700.0)
+    frames[0, 0, 0] = np.nan
+    frames[1:, 0, 1], frames[0, 0, 1] = np.nan, 710.0
+    frames[:, 0, 2] = np.nan
+    frames[0, 0, 3] = np.inf
+    frames[:, 0, 4] = [np.inf, np.inf, np.inf, 700.0]
+    frames[:, 0, 5] = [np.inf, 0.9 * top, 0.9 * top, 0.9 * top]
+    frames[:, 0, 6] = [np.inf, 0.0, np.nan, np.nan]
+    readings = Readings.of(WHOLE, frames)
+    mean = readings.mean()
+    assert_array_equal(mean.seen[0, :8], [1, 1, 0, 1, 1, 1, 0, 1])
+    assert_array_equal(mean.side[0, :8], [0, 0, 0, 0, AT_LEAST, AT_LEAST, 0, 0])
+    assert_allclose(mean.value[0, [0, 1, 3, 7]], [560.0, 570.0, 560.0, 560.0])
+    assert 0.9 * top - 140 < mean.value[0, 5] < top - 140
+    assert mean.sigma is not None and readings.sigma is not None
+    assert_allclose(mean.sigma[0, [0, 1, 7]], readings.sigma[3, 0, 7] / np.sqrt([3, 1, 4]), rtol=0.02)
 
 
 def test_sigma_is_the_given_one_else_that_of_the_readout_else_unknown() -> None:
