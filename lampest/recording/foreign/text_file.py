@@ -1,0 +1,147 @@
+"""Text files as lines of fields: their encoding, the stamps of a terminal, comments, and what keeps fields apart."""
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.recording.foreign.numerals import Numerals
+from lampest.recording.foreign.table import Rows
+
+MOST_FIELDS = 10_000_000
+LONGEST_LINE = 1_000_000
+DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
+COMMENTS = ("#", "%", "//")
+TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
+# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
+STAMPED = re.compile(rf"\s*(?:\[({DATE})?({TIME})\]|({DATE})?({TIME})\s*(?:->|>|\|))\s*")
+
+
+class _Line(NamedTuple):
+    number: int
+    text: str
+    stamp: str
+    comment: bool
+    blank: bool
+
+
+def rows_of_text(path: Path) -> Rows:
+    """The lines of a text file that hold anything, in fields; comments, too.
+
+    Fields are apart by the sign that gives most numbers. Raises InputError with the line where the file is no text,
+    a line is too long, or a quotation mark is not closed.
+    """
+    text, notes = _text(path)
+    lines = _lines(path, text)
+    if any(line.stamp for line in lines):
+        notes.append("a terminal's time before the lines")
+    delimiter = _delimiter([line.text for line in lines if not line.comment])
+    fields, counts = _fields(path, lines, delimiter)
+    numbers = [line.number for line in lines]
+
+    def place(line: int, field: int | None) -> str:
+        return f"{path}:{numbers[line]}" + ("" if field is None else f":{field + 1}")
+
+    return Rows(
+        str(path),
+        fields,
+        counts,
+        np.array([line.comment for line in lines], dtype=bool),
+        np.array([line.blank for line in lines], dtype=bool),
+        tuple(line.stamp for line in lines),
+        place,
+        lambda line: f"line {numbers[line]}",
+        (f"fields apart by {DELIMITERS[delimiter]}", *notes),
+    )
+
+
+def _text(path: Path) -> tuple[str, list[str]]:
+    """UTF-8, UTF-16 by its mark or its zero bytes, and what older Windows programs write into headers."""
+    data = path.read_bytes()
+    for mark, encoding in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
+        halves = data[: 2 * (len(data) // 2)]
+        zeros = halves[1::2] if encoding.endswith("le") else halves[::2]
+        if b"\0" in data and (data.startswith(mark) or zeros.count(0) > 0.9 * len(zeros)):
+            try:
+                return halves.decode(encoding).removeprefix("\ufeff"), ["UTF-16"]
+            except UnicodeDecodeError as error:
+                raise InputError(f"{path}: no text table (byte {error.start} is not UTF-16)") from error
+    if b"\0" in data:
+        raise InputError(f"{path}: no text table (it holds zero bytes)")
+    try:
+        return data.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        if not re.search(rb"^\s*[+-]?[\d.]", data[: error.start], flags=re.MULTILINE) and re.search(rb"\n\s*\d", data):
+            return data.decode("latin-1"), ["Latin-1"]
+        raise InputError(f"{path}:{line}: no text table (byte {error.start} is not UTF-8)") from error
+
+
+def _lines(path: Path, text: str) -> list[_Line]:
+    """Lines that hold anything; their numbers as an editor shows them."""
+    lines, blank = [], False
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+        if len(line) > LONGEST_LINE:
+            raise InputError(f"{path}:{number}: longer than {LONGEST_LINE} characters, which no table is")
+        stamped = STAMPED.match(line)
+        rest = line[stamped.end() :] if stamped else line
+        if not rest.strip(" \t;,\0"):
+            blank = True
+            continue
+        stamp = "".join(part or "" for part in stamped.groups()) if stamped else ""
+        lines.append(_Line(number, rest, stamp, rest.lstrip().startswith(COMMENTS), blank))
+        blank = False
+    return lines
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """The sign that leaves most fields that are numbers, in the first lines; the earlier in the list of equal ones."""
+    sample = [line[:SAMPLED_SIGNS] for line in lines[:SAMPLED_LINES]]
+    while sum(map(len, sample)) > SAMPLED_SIGNS and len(sample) > 1:
+        sample = sample[: len(sample) // 2]
+    return max(DELIMITERS, key=lambda sign: _numbers_by(sample, sign), default=",")
+
+
+def _numbers_by(lines: Sequence[str], sign: str) -> tuple[int, bool]:
+    fields = [field.strip(' "') for line in lines for field in line.split(None if sign == " " else sign)]
+    numerals = Numerals.of(fields)
+    return sum(field != "" and numerals.is_number(field) for field in fields), any(sign in line for line in lines)
+
+
+def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """(lines, fields) stripped texts, and how many fields each line has."""
+    import pandas  # takes 0.3 s
+
+    counts = []
+    for line in lines:
+        if line.text.count('"') % 2 and delimiter != " ":
+            raise InputError(f"{path}:{line.number}: a quotation mark that is not closed")
+        plain = line.text if delimiter == " " else re.sub('"[^"]*"', "", line.text)
+        counts.append(len(plain.split()) if delimiter == " " else plain.count(delimiter) + 1)
+    if not lines:
+        return np.zeros((0, 0), dtype=object), np.zeros(0, dtype=np.intp)
+    if sum(counts) > MOST_FIELDS or len(counts) * max(counts) > 2 * MOST_FIELDS:
+        at = lines[int(np.argmax(np.cumsum(counts) > MOST_FIELDS))] if sum(counts) > MOST_FIELDS else lines[0]
+        raise InputError(f"{path}:{at.number}: more than {MOST_FIELDS} values are not imported")
+    frame = pandas.read_csv(
+        io.StringIO("\n".join(line.text for line in lines)),
+        sep=r"\s+" if delimiter == " " else delimiter,
+        header=None,
+        names=range(max(counts)),
+        dtype=object,
+        na_filter=False,
+        skipinitialspace=True,
+        skip_blank_lines=False,
+        index_col=False,
+        quoting=3 if delimiter == " " else 0,
+    )
+    fields = frame.to_numpy(object)
+    stripped = np.array([text.strip() for text in fields.ravel()], dtype=object)
+    return stripped.reshape(fields.shape), np.array(counts, dtype=np.intp)

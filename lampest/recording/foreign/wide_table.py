@@ -1,0 +1,124 @@
+"""One frame a line: which column is which cell, by its name or by its place."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.recording.foreign.clock import clock_of
+from lampest.recording.foreign.frames import Clock, Frames
+from lampest.recording.foreign.headers import cell_of, line_of, role_of
+from lampest.recording.foreign.table import Table
+
+Cells = dict[int, tuple[int, int]]
+
+
+def cell_columns(source: str, names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str] | None:
+    """Column → (row, column) of the cell that its name holds, and a sentence; None where names hold no cells.
+
+    Raises InputError where a name is beyond the panel, or two are the same cell.
+    """
+    named = {place: cell for place, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
+    if named:
+        first = 0 if min(min(cell) for cell in named.values()) == 0 else 1
+        cells = {place: (cell.row - first, cell.column - first) for place, cell in named.items()}
+        for place, there in cells.items():
+            if there[0] >= shape[0] or there[1] >= shape[1]:
+                turned = "; with --transpose it would fit" if there[0] < shape[1] and there[1] < shape[0] else ""
+                sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
+                raise InputError(f"{source}: the header's {names[place]!r} is beyond the panel of {sizes}{turned}")
+        _refuse_twice(source, names, cells)
+        example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
+        left = shape[0] * shape[1] - len(cells)
+        rest = f"; {left} cells have no column and are missing" if left else ""
+        order = ", row by row" if list(cells.values()) == sorted(cells.values()) else ""
+        return cells, f"cells by their names{order}, which count from {first} ({example}){rest}"
+    return _numbered(names, shape)
+
+
+def _numbered(names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str] | None:
+    """Columns that are called by one word and all numbers of the panel's cells."""
+    lines = {place: line for place, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
+    numbers = sorted(number for _, number in lines.values())
+    count, words = shape[0] * shape[1], {word for word, _ in lines.values()}
+    if (
+        len(words) != 1
+        or len(numbers) != count
+        or numbers[0] > 1
+        or numbers != list(range(numbers[0], numbers[0] + count))
+    ):
+        return None
+    first = numbers[0]
+    cells = {place: divmod(number - first, shape[1]) for place, (_, number) in lines.items()}
+    return cells, f"cells by their numbers from {first}, row by row"
+
+
+def _refuse_twice(source: str, names: Sequence[str], cells: Cells) -> None:
+    seen: dict[tuple[int, int], int] = {}
+    for place, cell in cells.items():
+        if cell in seen:
+            raise InputError(f"{source}: the header's {names[seen[cell]]!r} and {names[place]!r} are the same cell")
+        seen[cell] = place
+
+
+def frames_in_lines(table: Table, shape: tuple[int, int], named: tuple[Cells, str] | None) -> Frames:
+    """One frame a line, its cells by name or, where `named` is None, row by row in the order of the fields."""
+    names = table.names or ("",) * table.width
+    roles = [role_of(name) for name in names]
+    times = [place for place, role in enumerate(roles) if role in ("date", "time")]
+    if named is None:
+        rest = [place for place, role in enumerate(roles) if role not in ("date", "time", "frame")]
+        cells = shape[0] * shape[1]
+        if (
+            len(rest) == cells + 1
+        ):  # a field before the cells: a counter where it has no name in a header, else the time
+            if table.names is None or names[rest[0]]:
+                times.append(rest[0])
+            rest = rest[1:]
+        if len(rest) != cells:
+            rest = list(range(table.width - cells, table.width))
+        named = {place: divmod(number, shape[1]) for number, place in enumerate(rest)}, "cells row by row"
+    cells_of, sentence = named
+    fields = {cell: place for place, cell in cells_of.items()}
+    table.checked(sorted(cells_of))
+    values = np.full((len(table.numbers), *shape), np.nan)
+    for place, (row, column) in cells_of.items():
+        values[:, row, column] = table.numbers[:, place]
+    unused = [names[place] for place in range(table.width) if place not in cells_of and place not in times]
+    left = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
+
+    def place_of(frame: int, row: int, column: int) -> str:
+        return table.place(frame, fields.get((row, column), min(cells_of)))
+
+    timing = timing_of(table, times, range(len(values)))
+    notes = (*table.notes, f"one frame a line, {sentence}{left}")
+    words = tuple(names[place] for place in sorted(cells_of))
+    return Frames(values, timing, notes, place_of, words if table.names else ())
+
+
+def timing_of(table: Table, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
+    """Times of frames from columns (a date and a time of day may be two), taken in these lines, else from stamps."""
+    if columns:
+        return lambda: _clock_of_columns(table, columns, lines)
+    if all(table.stamps[line] for line in lines):
+        return lambda: _clock_of_stamps(table, lines)
+    return None
+
+
+def _clock_of_columns(table: Table, columns: Sequence[int], lines: Sequence[int]) -> Clock:
+    names = table.names or ("",) * table.width
+    dates = [column for column in columns if role_of(names[column]) == "date"]
+    clocks = [column for column in columns if column not in dates]
+    chosen = [*dates[:1], *clocks[:1]]
+    texts = [" ".join(table.fields[line, column] for column in chosen) for line in lines]
+    name, at = names[chosen[-1]], chosen[-1]
+    clock = clock_of(texts, name, lambda number: table.place(lines[number], at), table.numerals)
+    return Clock(
+        clock.seconds, clock.start, f"time: {f'column {name!r}' if name else 'first field'} in {clock.sentence}"
+    )
+
+
+def _clock_of_stamps(table: Table, lines: Sequence[int]) -> Clock:
+    texts = [table.stamps[line] for line in lines]
+    clock = clock_of(texts, "", lambda number: table.place(lines[number], None), table.numerals)
+    return Clock(clock.seconds, clock.start, f"time: the terminal's, {clock.sentence}")
