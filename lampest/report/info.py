@@ -44,6 +44,7 @@ def _recording_lines(recording: Recording) -> list[str]:
     first = "unloaded" if role[0] == UNLOADED else "measured"
     return [
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
+        *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
         f"readings  {recorded.min():.4g} to {recorded.max():.4g} {circuit.unit} ({circuit.signal_name})",
         f"besides   {held or 'nothing'}",

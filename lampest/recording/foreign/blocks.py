@@ -10,7 +10,7 @@ from lampest.files.errors import InputError
 from lampest.recording.foreign.clock import clock_of
 from lampest.recording.foreign.frames import Clock, Frames
 from lampest.recording.foreign.headers import line_of, role_of, side_of
-from lampest.recording.foreign.table import Table
+from lampest.recording.foreign.table import ForeignTable
 from lampest.recording.foreign.wide_table import timing_of
 
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
@@ -21,7 +21,7 @@ TITLE_TIME = re.compile(
 )
 
 
-def frames_in_blocks(table: Table, shape: tuple[int, int]) -> Frames:
+def frames_in_blocks(table: ForeignTable, shape: tuple[int, int]) -> Frames:
     """Frames from lines that hold a row each, with the row's name or the time before it where there is one field more.
 
     Raises InputError where a block has more lines than the panel has rows.
@@ -55,7 +55,7 @@ def frames_in_blocks(table: Table, shape: tuple[int, int]) -> Frames:
     return Frames(values, timing, notes, place, (table.names or ("",))[:1] if extra else ())
 
 
-def _before_the_row(table: Table, extra: int, rows: int) -> tuple[NDArray[np.int64] | None, list[int]]:
+def _before_the_row(table: ForeignTable, extra: int, rows: int) -> tuple[NDArray[np.int64] | None, list[int]]:
     """(lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
     names = table.names or ("",) * table.width
     times = [place for place in range(extra) if role_of(names[place]) in ("time", "date")]
@@ -76,7 +76,7 @@ def _before_the_row(table: Table, extra: int, rows: int) -> tuple[NDArray[np.int
     return numbers - first, times
 
 
-def _column_order(table: Table, extra: int, columns: int) -> tuple[list[int], str]:
+def _column_order(table: ForeignTable, extra: int, columns: int) -> tuple[list[int], str]:
     """Which field of a line is which column of the panel, by names that number them, else in order."""
     plain = list(range(columns)), "columns from left to right"
     lines = [line_of(name) for name in (table.names or ())[extra:]]
@@ -91,7 +91,7 @@ def _column_order(table: Table, extra: int, columns: int) -> tuple[list[int], st
     return [numbers.index(number + first) for number in range(columns)], f"columns by their names from {first}"
 
 
-def _blocks(table: Table, labels: NDArray[np.int64] | None, rows: int) -> tuple[list[list[int]], str]:
+def _blocks(table: ForeignTable, labels: NDArray[np.int64] | None, rows: int) -> tuple[list[list[int]], str]:
     """The lines of each frame, and a sentence on blocks that are not whole."""
     groups: list[list[int]] = []
     seen: set[int] = set()
@@ -138,7 +138,7 @@ def _labelled(labels: NDArray[np.int64]) -> list[list[int]]:
     return groups
 
 
-def _title_timing(table: Table, begins: Sequence[int]) -> Callable[[], Clock] | None:
+def _title_timing(table: ForeignTable, begins: Sequence[int]) -> Callable[[], Clock] | None:
     """Times that stand in the lines before the blocks, where they stand before each of them."""
     found = [TITLE_TIME.search(table.titles[line]) for line in begins]
     matches = [match for match in found if match is not None]

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -61,17 +62,18 @@ def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) 
 
 def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
     """Times of numbers in the unit that the column's name says, or in s. Raises InputError where they do not grow."""
+    _check_growth(np.where(np.isfinite(values), np.arange(len(values)), np.nan), where)
     unit = unit_of_time(name)
     scale = SECONDS[unit or "s"]
-    largest = float(np.nanmax(values, initial=0.0)) * scale
+    largest = float(np.max(values, initial=0.0)) * scale
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
         scale = SECONDS[unit]
         largest *= scale
     if largest >= EPOCH:
-        first = np.datetime64(round(float(values[0]) * scale * 1e6), "us") if np.isfinite(values[0]) else None
+        first = _utc(float(values[0]) * scale, where(0))
         seconds = _growing((values - values[0]) * scale, where)
-        return Clock(seconds, f"{first}Z", f"{unit or 's'} since 1970, s from the first, which is {first}Z")
+        return Clock(seconds, f"{first}", f"{unit or 's'} since 1970, s from the first, which is {first}")
     wraps = np.cumsum(np.diff(values, prepend=values[0]) < -COUNTER / 2) if unit in ("ms", "us") else 0 * values
     seconds = _growing((values + COUNTER * wraps) * scale, where)
     if unit is not None:
@@ -91,10 +93,23 @@ def unit_of_time(name: str) -> str | None:
 
 
 def _growing(seconds: Array, where: Where) -> Array:
+    _check_growth(seconds, where)
+    return seconds
+
+
+def _check_growth(seconds: Array, where: Where) -> None:
+    """Raise InputError with the place of the first time that is not finite, or not after the one before."""
     bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
     if np.any(bad):
         raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; --period sets them instead")
-    return seconds
+
+
+def _utc(seconds: float, where: str) -> str:
+    """Seconds since 1970 as date and time, ISO 8601."""
+    try:
+        return f"{datetime.fromtimestamp(round(seconds, 6), UTC).replace(tzinfo=None).isoformat()}Z"
+    except (ValueError, OverflowError, OSError) as error:
+        raise InputError(f"{where}: {seconds:.6g} s since 1970 is no date") from error
 
 
 def _of_day(text: str, where: str) -> float:

@@ -10,12 +10,12 @@ from lampest.files.errors import InputError
 from lampest.recording.foreign.clock import UNIT_OF_WORD, is_stamp
 from lampest.recording.foreign.headers import UNITS_OF_WORD, line_of
 from lampest.recording.foreign.numerals import Numerals
-from lampest.recording.foreign.table import Rows, Table
+from lampest.recording.foreign.table import ForeignTable, Rows
 
 MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
 
 
-def table_of(rows: Rows) -> Table:
+def table_of_rows(rows: Rows) -> ForeignTable:
     """The lines with readings, the header before them, and sentences on what was left out.
 
     Raises InputError where there are none, or a line has more fields than the others.
@@ -43,7 +43,7 @@ def table_of(rows: Rows) -> Table:
     if header:
         notes.append(f"{' and '.join(rows.called(line) for line in header)} taken as header")
     notes += _left_out(rows, data, header)
-    every = Table(
+    every = ForeignTable(
         rows.source,
         rows.fields[:, :width],
         numbers[:, :width],

@@ -37,9 +37,9 @@ def _workbook(path: Path) -> Iterator[Any]:
     import openpyxl  # takes 0.2 s
 
     try:
-        with warnings.catch_warnings():
+        with path.open("rb") as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that it does not keep
-            with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            with closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as book:
                 yield book
     except (InputError, MemoryError):
         raise

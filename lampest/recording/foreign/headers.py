@@ -13,7 +13,8 @@ ROLES = {
     "wert widerstand spannung",
     "frame": "frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     "date": "date datum day tag",
-    "time": "time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock millis micros ms us "
+    "time": "time times t timestamp timestamps time_stamp "
+    "datetime date_time zeit uhrzeit zeitstempel elapsed clock millis micros ms us "
     "µs s sec second seconds unix epoch device_ms",
 }
 WORD_ROLE = {word: role for role, words in ROLES.items() for word in words.split()}
@@ -38,6 +39,8 @@ COLUMN_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(\d+){GAP}{ROW}{GAP}(
 TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
+LONGEST = 100  # signs of a name that are looked at
+
 
 class CellName(NamedTuple):
     """Row and column that a name holds, as they are written."""
@@ -59,7 +62,7 @@ def role_of(name: str) -> str | None:
 
 def cell_of(name: str) -> CellName | None:
     """The cell in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in any other name."""
-    text = _without_unit(name).strip().lower()
+    text = _without_unit(name[:LONGEST]).strip().lower()
     for pattern, turned in ((ROW_FIRST, False), (COLUMN_FIRST, True), (TWO_NUMBERS, False)):
         match = pattern.fullmatch(text)
         if match and len(match[1]) + len(match[2]) < 12:
@@ -70,7 +73,7 @@ def cell_of(name: str) -> CellName | None:
 
 def line_of(name: str) -> tuple[str, int] | None:
     """Word and number of R3, 'row 3', 3, col_3: ('r', 3); None in any other name."""
-    match = ONE_NUMBER.fullmatch(_without_unit(name).strip().lower())
+    match = ONE_NUMBER.fullmatch(_without_unit(name[:LONGEST]).strip().lower())
     return (match[1], int(match[2])) if match and len(match[2]) < 10 else None
 
 

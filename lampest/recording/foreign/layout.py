@@ -7,11 +7,11 @@ from lampest.recording.foreign.blocks import frames_in_blocks
 from lampest.recording.foreign.frames import Frames
 from lampest.recording.foreign.headers import line_of, role_of
 from lampest.recording.foreign.long_table import frames_of_single_values
-from lampest.recording.foreign.table import Table
+from lampest.recording.foreign.table import ForeignTable
 from lampest.recording.foreign.wide_table import cell_columns, frames_in_lines
 
 
-def frames_of(table: Table, shape: tuple[int, int]) -> Frames:
+def frames_of(table: ForeignTable, shape: tuple[int, int]) -> Frames:
     """The frames (frames, rows, columns) of a table by its header, and by how many fields its lines have.
 
     Raises InputError where neither tells, or something does not fit.
@@ -37,7 +37,7 @@ def frames_of(table: Table, shape: tuple[int, int]) -> Frames:
     )
 
 
-def _single_values(table: Table, shape: tuple[int, int]) -> dict[str, int] | None:
+def _single_values(table: ForeignTable, shape: tuple[int, int]) -> dict[str, int] | None:
     """Which field is row, column, value, frame, time or date in a table of single values; None for other tables."""
     cells = shape[0] * shape[1]
     if table.names is not None:
@@ -51,7 +51,7 @@ def _single_values(table: Table, shape: tuple[int, int]) -> dict[str, int] | Non
     return dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
 
 
-def _are_indices(table: Table, shape: tuple[int, int]) -> bool:
+def _are_indices(table: ForeignTable, shape: tuple[int, int]) -> bool:
     """Whether the first two fields of every line are a row and a column of the panel."""
     for field, size in enumerate(shape):
         numbers = table.numbers[:, field].copy()

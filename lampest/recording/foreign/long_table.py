@@ -7,13 +7,13 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.foreign.frames import Frames, check_count
 from lampest.recording.foreign.headers import line_of
-from lampest.recording.foreign.table import Table
+from lampest.recording.foreign.table import ForeignTable
 from lampest.recording.foreign.wide_table import timing_of
 
 LARGEST_INDEX = 1e9
 
 
-def frames_of_single_values(table: Table, shape: tuple[int, int], order: dict[str, int]) -> Frames:
+def frames_of_single_values(table: ForeignTable, shape: tuple[int, int], order: dict[str, int]) -> Frames:
     """Frames from lines that hold row, column and value, and the frame's number or time; what has no line is missing.
 
     Raises InputError where an index is none or beyond the panel, or a cell comes twice in a frame.
@@ -48,7 +48,7 @@ def frames_of_single_values(table: Table, shape: tuple[int, int], order: dict[st
     return Frames(values, timing_of(table, times, begins), notes, place, words)
 
 
-def _indices(table: Table, field: int) -> NDArray[np.int64]:
+def _indices(table: ForeignTable, field: int) -> NDArray[np.int64]:
     """Row or column numbers of all lines: 3, R3 or 'row 3'."""
     values = table.numbers[:, field].copy()
     unread = table.words[:, field]
@@ -63,7 +63,11 @@ def _indices(table: Table, field: int) -> NDArray[np.int64]:
 
 
 def _first_index(
-    table: Table, rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int], order: dict[str, int]
+    table: ForeignTable,
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    shape: tuple[int, int],
+    order: dict[str, int],
 ) -> int:
     """0 where any row or column has the number 0, else 1. Raises InputError for numbers beyond the panel."""
     first = 0 if min(rows.min(), columns.min()) <= 0 else 1
@@ -78,7 +82,9 @@ def _first_index(
     return first
 
 
-def _frame_numbers(table: Table, cells: NDArray[np.int64], order: dict[str, int]) -> tuple[NDArray[np.intp], str]:
+def _frame_numbers(
+    table: ForeignTable, cells: NDArray[np.int64], order: dict[str, int]
+) -> tuple[NDArray[np.intp], str]:
     """Each line's frame from 0, and how frames are told apart; nothing where all lines are one frame."""
     if "frame" in order:
         return _ranks(_indices(table, order["frame"]).astype(float)), ""

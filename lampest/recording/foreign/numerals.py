@@ -21,6 +21,8 @@ INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#i
 POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d*)?)([eE][+-]?\d+)?", re.ASCII)
 COMMA = re.compile(r"[+-]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+(,\d+)?)([eE][+-]?\d+)?", re.ASCII)
 
+LONGEST = 100  # signs of a number: more are none, and the patterns would take long to say so
+
 
 @dataclass(frozen=True)
 class Numerals:
@@ -51,7 +53,7 @@ class Numerals:
 
         texts = fields.ravel()
         # With commas, points may set thousands apart: those are left to `_read`.
-        plain = ["" if self.comma and "." in text else text for text in texts]
+        plain = ["" if len(text) > LONGEST or (self.comma and "." in text) else text for text in texts]
         if self.comma:
             plain = [text.replace(",", ".") for text in plain]
         values = pandas.to_numeric(pandas.Series(plain, dtype=object), errors="coerce").to_numpy(float).copy()
@@ -74,8 +76,8 @@ class Numerals:
 
 
 def _is_comma(field: str) -> bool:
-    return COMMA.fullmatch(field) is not None
+    return len(field) <= LONGEST and COMMA.fullmatch(field) is not None
 
 
 def _is_point(field: str) -> bool:
-    return POINT.fullmatch(field) is not None
+    return len(field) <= LONGEST and POINT.fullmatch(field) is not None

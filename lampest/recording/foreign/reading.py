@@ -4,7 +4,7 @@ from pathlib import Path
 
 from lampest.files.errors import InputError
 from lampest.recording.foreign.arrays import MATLAB_LAYOUTS, NUMPY_LAYOUTS, frames_of_arrays
-from lampest.recording.foreign.data_lines import table_of
+from lampest.recording.foreign.data_lines import table_of_rows
 from lampest.recording.foreign.excel_file import sheets_of
 from lampest.recording.foreign.frames import MOST_BYTES, Frames
 from lampest.recording.foreign.layout import frames_of
@@ -37,7 +37,7 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None) -> Fra
             return frames_of_arrays(str(path), arrays_of_npz(path), shape, variable, NUMPY_LAYOUTS, 0)
         if kind == ".mat":
             return frames_of_arrays(str(path), read_arrays(path), shape, variable, MATLAB_LAYOUTS, 1)
-        return frames_of(table_of(rows_of_text(path)), shape)
+        return frames_of(table_of_rows(rows_of_text(path)), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
@@ -50,7 +50,7 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None) -> Frames
     wrong: list[InputError] = []
     for name, rows in sheets_of(path, wanted).items():
         try:
-            fitting[name] = frames_of(table_of(rows), shape)
+            fitting[name] = frames_of(table_of_rows(rows), shape)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:

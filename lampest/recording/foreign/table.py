@@ -34,7 +34,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ForeignTable:
     """The lines of a file that hold readings.
 
     fields, numbers, missing, words : (lines, width) texts, their numbers (NaN for none), whether a reading is said to
@@ -63,7 +63,7 @@ class Table:
         """How many fields a line has."""
         return int(self.fields.shape[1])
 
-    def only(self, lines: NDArray[np.bool_], names: tuple[str, ...] | None = None) -> "Table":
+    def only(self, lines: NDArray[np.bool_], names: tuple[str, ...] | None = None) -> "ForeignTable":
         """The table with some of its lines; the others are what stands before the next one."""
         kept = [int(line) for line in np.flatnonzero(lines)]
         titles = []

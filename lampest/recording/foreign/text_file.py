@@ -68,7 +68,7 @@ def _text(path: Path) -> tuple[str, list[str]]:
     for mark, encoding in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
         halves = data[: 2 * (len(data) // 2)]
         zeros = halves[1::2] if encoding.endswith("le") else halves[::2]
-        if b"\0" in data and (data.startswith(mark) or zeros.count(0) > 0.9 * len(zeros)):
+        if data.startswith(mark) or (b"\0" in data and zeros.count(0) > 0.9 * len(zeros)):
             try:
                 return halves.decode(encoding).removeprefix("\ufeff"), ["UTF-16"]
             except UnicodeDecodeError as error:

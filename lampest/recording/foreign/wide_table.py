@@ -8,7 +8,7 @@ from lampest.files.errors import InputError
 from lampest.recording.foreign.clock import clock_of
 from lampest.recording.foreign.frames import Clock, Frames
 from lampest.recording.foreign.headers import cell_of, line_of, role_of
-from lampest.recording.foreign.table import Table
+from lampest.recording.foreign.table import ForeignTable
 
 Cells = dict[int, tuple[int, int]]
 
@@ -61,7 +61,7 @@ def _refuse_twice(source: str, names: Sequence[str], cells: Cells) -> None:
         seen[cell] = place
 
 
-def frames_in_lines(table: Table, shape: tuple[int, int], named: tuple[Cells, str] | None) -> Frames:
+def frames_in_lines(table: ForeignTable, shape: tuple[int, int], named: tuple[Cells, str] | None) -> Frames:
     """One frame a line, its cells by name or, where `named` is None, row by row in the order of the fields."""
     names = table.names or ("",) * table.width
     roles = [role_of(name) for name in names]
@@ -96,7 +96,7 @@ def frames_in_lines(table: Table, shape: tuple[int, int], named: tuple[Cells, st
     return Frames(values, timing, notes, place_of, words if table.names else ())
 
 
-def timing_of(table: Table, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
+def timing_of(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
     """Times of frames from columns (a date and a time of day may be two), taken in these lines, else from stamps."""
     if columns:
         return lambda: _clock_of_columns(table, columns, lines)
@@ -105,7 +105,7 @@ def timing_of(table: Table, columns: Sequence[int], lines: Sequence[int]) -> Cal
     return None
 
 
-def _clock_of_columns(table: Table, columns: Sequence[int], lines: Sequence[int]) -> Clock:
+def _clock_of_columns(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Clock:
     names = table.names or ("",) * table.width
     dates = [column for column in columns if role_of(names[column]) == "date"]
     clocks = [column for column in columns if column not in dates]
@@ -118,7 +118,7 @@ def _clock_of_columns(table: Table, columns: Sequence[int], lines: Sequence[int]
     )
 
 
-def _clock_of_stamps(table: Table, lines: Sequence[int]) -> Clock:
+def _clock_of_stamps(table: ForeignTable, lines: Sequence[int]) -> Clock:
     texts = [table.stamps[line] for line in lines]
     clock = clock_of(texts, "", lambda number: table.place(lines[number], None), table.numerals)
     return Clock(clock.seconds, clock.start, f"time: the terminal's, {clock.sentence}")
