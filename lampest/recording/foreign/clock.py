@@ -49,7 +49,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) 
 
     Raises InputError where one is no time, where dates can be read in two ways, and where times do not grow.
     """
-    if all(numerals.is_number(text) for text in texts):
+    if all(not text or numerals.is_number(text) for text in texts):
         values, _, _ = numerals.numbers(np.array(texts, dtype=object))
         return clock_of_numbers(values, name, where)
     if any(TIME_OF_DAY.fullmatch(text.strip()) for text in texts):

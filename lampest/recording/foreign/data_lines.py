@@ -145,5 +145,5 @@ def _left_out(rows: Rows, data: NDArray[np.bool_], header: list[int]) -> list[st
     if len(lines) == 0:
         return []
     shown = " ".join(rows.fields[lines[0]]).strip()[:40]
-    more = f" and {len(lines) - 1} other lines" if len(lines) > 1 else ""
+    more = f" and {len(lines) - 1} other{'s' if len(lines) > 2 else ''}" if len(lines) > 1 else ""
     return [f"left out: {rows.called(int(lines[0]))} ({shown!r}){more}, no readings or cut off"]

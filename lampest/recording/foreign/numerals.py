@@ -58,7 +58,7 @@ class Numerals:
             plain = [text.replace(",", ".") for text in plain]
         values = pandas.to_numeric(pandas.Series(plain, dtype=object), errors="coerce").to_numpy(float).copy()
         missing, words = np.zeros(len(texts), dtype=bool), np.zeros(len(texts), dtype=bool)
-        for number in np.flatnonzero(np.isnan(values)):
+        for number in np.flatnonzero(np.isnan(values) | np.isneginf(values)):
             values[number], missing[number] = self._read(texts[number].lower())
             words[number] = np.isnan(values[number]) and not missing[number]
         return values.reshape(fields.shape), missing.reshape(fields.shape), words.reshape(fields.shape)

@@ -1,5 +1,6 @@
 """Text files as lines of fields: their encoding, the stamps of a terminal, comments, and what keeps fields apart."""
 
+import csv
 import io
 import re
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ MOST_FIELDS = 10_000_000
 LONGEST_LINE = 1_000_000
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
-COMMENTS = ("#", "%", "//")
+COMMENT = re.compile(r"\s*(?:#(?!N/A|NA|DIV/0!|NUM!|VALUE!|REF!)|%|//)", re.IGNORECASE)  # not where Excel has no number
 TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -96,7 +97,7 @@ def _lines(path: Path, text: str) -> list[_Line]:
             blank = True
             continue
         stamp = "".join(part or "" for part in stamped.groups()) if stamped else ""
-        lines.append(_Line(number, rest, stamp, rest.lstrip().startswith(COMMENTS), blank))
+        lines.append(_Line(number, rest, stamp, COMMENT.match(rest) is not None, blank))
         blank = False
     return lines
 
@@ -119,29 +120,39 @@ def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray
     """(lines, fields) stripped texts, and how many fields each line has."""
     import pandas  # takes 0.3 s
 
-    counts = []
-    for line in lines:
-        if line.text.count('"') % 2 and delimiter != " ":
-            raise InputError(f"{path}:{line.number}: a quotation mark that is not closed")
-        plain = line.text if delimiter == " " else re.sub('"[^"]*"', "", line.text)
-        counts.append(len(plain.split()) if delimiter == " " else plain.count(delimiter) + 1)
     if not lines:
         return np.zeros((0, 0), dtype=object), np.zeros(0, dtype=np.intp)
-    if sum(counts) > MOST_FIELDS or len(counts) * max(counts) > 2 * MOST_FIELDS:
-        at = lines[int(np.argmax(np.cumsum(counts) > MOST_FIELDS))] if sum(counts) > MOST_FIELDS else lines[0]
-        raise InputError(f"{path}:{at.number}: more than {MOST_FIELDS} values are not imported")
-    frame = pandas.read_csv(
-        io.StringIO("\n".join(line.text for line in lines)),
-        sep=r"\s+" if delimiter == " " else delimiter,
-        header=None,
-        names=range(max(counts)),
-        dtype=object,
-        na_filter=False,
-        skipinitialspace=True,
-        skip_blank_lines=False,
-        index_col=False,
-        quoting=3 if delimiter == " " else 0,
-    )
+    blanks = delimiter == " "
+    texts = [" ".join(line.text.split()) if blanks else line.text for line in lines]
+    counts = [re.sub('"[^"]*"', "", text).count(delimiter) + 1 for text in texts]
+    _check_size(path, lines, counts)
+    try:
+        frame = pandas.read_csv(
+            io.StringIO("\n".join(texts)),
+            sep=delimiter,
+            header=None,
+            names=range(max(counts)),
+            dtype=object,
+            na_filter=False,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            index_col=False,
+            quoting=csv.QUOTE_NONE if blanks else csv.QUOTE_MINIMAL,
+        )
+    except ValueError:
+        frame = pandas.DataFrame()
+    if len(frame) != len(lines):  # a quotation mark within a field has swallowed line ends
+        odd = next((line for line in lines if line.text.count('"') % 2), None)
+        odd = odd or next((line for line in lines if '"' in line.text), lines[0])
+        raise InputError(f"{path}:{odd.number}: a quotation mark that is not closed, or within a field")
     fields = frame.to_numpy(object)
     stripped = np.array([text.strip() for text in fields.ravel()], dtype=object)
     return stripped.reshape(fields.shape), np.array(counts, dtype=np.intp)
+
+
+def _check_size(path: Path, lines: Sequence[_Line], counts: Sequence[int]) -> None:
+    """Raise InputError where the lines hold more fields than are imported, all as long as the longest one."""
+    within = np.cumsum(counts) <= MOST_FIELDS
+    if not np.all(within) or len(counts) * max(counts) > 2 * MOST_FIELDS:
+        number = lines[int(np.argmin(within))].number
+        raise InputError(f"{path}:{number}: more than {MOST_FIELDS} values are not imported")
