@@ -78,6 +78,11 @@ BLOCKS = {
     "numbers": "\n".join(f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)),
     "nothing": "\n".join("\n".join(lines(frame)) for frame in CODES),
     "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
+    "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
+    "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n"
+    + "\n\n".join("\n".join(lines(frame, " ")) for frame in CODES),
+    "frame and row": "frame,row,c0,c1,c2,c3,c4\n"
+    + "\n".join(f"{n},{row},{line}" for n, frame in enumerate(CODES) for row, line in enumerate(lines(frame))),
     "row names": "\n".join(
         "\n".join(f"R{number}: {line}" for number, line in enumerate(lines(frame, " "))) for frame in CODES
     ),
@@ -225,12 +230,15 @@ LONG = [(frame, row, column, FRAMES[frame, row, column]) for frame, row, column 
         ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", [0, 0.1, 0.2, 0.3]),
         ("scan\trow\tcolumn\tresistance_ohm", "{f}\t{r1}\t{c1}\t{v}", [0, 1, 2, 3]),
         ("time,row,column,value", "{each},{r},{c},{v}", [0, 1.5, 3.0, 4.5]),
+        ("time,cell,value", "{s},r{r}c{c},{v}", [0, 0.1, 0.2, 0.3]),
+        ("time,index,value", "{s},{index},{v}", [0, 0.1, 0.2, 0.3]),
     ],
 )
 def test_one_value_a_line(tmp_path: Path, header: str, line: str, times: list[float]) -> None:
     text = [header]
     for number, (f, r, c, v) in enumerate(LONG):
         fields = {"f": f, "ms": 100 * f, "s": f / 10, "each": number / 10, "r": r, "c": c, "r1": r + 1, "c1": c + 1}
+        fields["index"] = 5 * r + c + 1
         text.append(line.format(v=v, **fields))
     recording, _ = imported(tmp_path / "m.csv", "\n".join(text))
     np.testing.assert_array_equal(recording.resistance, FRAMES)
@@ -268,6 +276,7 @@ def timed(tmp_path: Path, name: str, stamps: Sequence[object], **how: Any) -> tu
          "2025-01-31T23:59:59Z"),
         ("Zeit", [f"31.01.2025 9:00:0{n},250" for n in range(4)], (0, 1, 2, 3), "2025-01-31T09:00:00.250"),
         ("time", [f"1/31/2025 12:00:0{n}" for n in range(4)], (0, 1, 2, 3), "2025-01-31T12:00:00"),
+        ("time", [f"1/31/2025 {n}:00:00 PM" for n in (12, 1, 2, 3)], (0, 3600, 7200, 10800), "2025-01-31T12:00:00"),
         ("Uhrzeit", ("23:59:59.5", "0:00:00.5", "0:00:01.5", "0:00:02.5"), (0, 1, 2, 3), None),
     ],
 )  # fmt: skip
@@ -400,7 +409,7 @@ def test_units_of_headers_that_are_none(tmp_path: Path) -> None:
 # Missing readings.
 
 
-@pytest.mark.parametrize("word", ["ovf", "", "NaN", "-", "null", "OL", "#N/A", "n/a", "-inf", "1.#QNAN"])
+@pytest.mark.parametrize("word", ["ovf", "", "NaN", "-", "----", "null", "OL", "#N/A", "n/a", "-inf", "1.#QNAN"])
 @pytest.mark.parametrize("sign", [",", ";", "\t"])
 def test_words_for_missing_readings(tmp_path: Path, word: str, sign: str) -> None:
     text = [line.split(sign) for line in wide(FRAMES, sign)]

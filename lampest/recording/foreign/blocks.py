@@ -59,7 +59,7 @@ def _before_the_row(table: ForeignTable, extra: int, rows: int) -> tuple[NDArray
     """(lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
     names = table.names or ("",) * table.width
     times = [place for place in range(extra) if role_of(names[place]) in ("time", "date")]
-    labelled = [place for place in range(extra) if place not in times]
+    labelled = [place for place in range(extra) if place not in times and role_of(names[place]) != "frame"]
     if not labelled:
         return None, times
     texts = table.fields[:, labelled[-1]]

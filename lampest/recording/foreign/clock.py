@@ -34,6 +34,7 @@ STAMPS = {
     "day/month/year": re.compile(r"(?P<d>\d{1,2})[/-](?P<m>\d{1,2})[/-](?P<y>\d{4})"),
     "month/day/year": re.compile(r"(?P<m>\d{1,2})[/-](?P<d>\d{1,2})[/-](?P<y>\d{4})"),
 }
+AFTERNOON = re.compile(r"(?<!\d)(\d{1,2})(:\d{2}(?::\d{2}(?:[.,]\d+)?)?)\s*([AP])M\b", re.IGNORECASE)
 REST = re.compile(r"(?:[T ,]+(?P<t>\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?)\s*(?P<z>Z|UTC|[+-]\d{2}:?\d{2})?)?", re.I)
 
 Where = Callable[[int], str]
@@ -41,6 +42,7 @@ Where = Callable[[int], str]
 
 def is_stamp(text: str) -> bool:
     """Whether a text is a date, a time of day, or both."""
+    text = _of_24_hours(text)
     return TIME_OF_DAY.fullmatch(text.strip()) is not None or any(_matches(text, way) for way in STAMPS)
 
 
@@ -52,6 +54,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) 
     if all(not text or numerals.is_number(text) for text in texts):
         values, _, _ = numerals.numbers(np.array(texts, dtype=object))
         return clock_of_numbers(values, name, where)
+    texts = [_of_24_hours(text) for text in texts]
     if any(TIME_OF_DAY.fullmatch(text.strip()) for text in texts):
         seconds = np.array([_of_day(text, where(number)) for number, text in enumerate(texts)])
         seconds = seconds + DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -DAY / 2)
@@ -118,6 +121,11 @@ def _of_day(text: str, where: str) -> float:
         raise InputError(f"{where}: {text[:40]!r} is no time of day")
     hours, minutes, seconds = match.groups()
     return 3600.0 * int(hours) + 60.0 * int(minutes) + float((seconds or "0").replace(",", ".").replace(":", "."))
+
+
+def _of_24_hours(text: str) -> str:
+    """1:05 PM → 13:05, wherever it stands in a text."""
+    return AFTERNOON.sub(lambda said: f"{int(said[1]) % 12 + 12 * (said[3] in 'pP'):02d}{said[2]}", text)
 
 
 def _matches(text: str, way: str) -> re.Match[str] | None:

@@ -71,7 +71,9 @@ def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]
     others = words.copy()
     others[words] = [not told[text] for text in unread]
     strange = others.sum(axis=1)
-    few: NDArray[np.bool_] = (strange == 0) | (2 * strange < filled.sum(axis=1))
+    most = filled.sum(axis=1)
+    few: NDArray[np.bool_] = ((strange <= 1) & (2 * strange < most)) | (4 * strange < most)
+    few &= (rows.counts > 1) | ~missing[:, 0] | (rows.counts.max() == 1)  # a line of dashes alone
     return np.asarray(few & ~rows.comment & reading.any(axis=1))
 
 

@@ -9,6 +9,7 @@ from lampest.files.errors import InputError
 ROLES = {
     "row": "row rows zeile reihe y i",
     "column": "column columns col cols spalte x j",
+    "cell": "cell taxel pixel index sensor",
     "value": "value values reading resistance ohm kohm volt voltage code adc raw counts mv r v "
     "wert widerstand spannung",
     "frame": "frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",

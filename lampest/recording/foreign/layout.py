@@ -24,7 +24,7 @@ def frames_of(table: ForeignTable, shape: tuple[int, int]) -> Frames:
         columns = cell_columns(table.source, names, shape)
         if columns is not None:
             return frames_in_lines(table, shape, columns)
-    others = 0 if names is None else sum(role_of(name) in ("time", "date", "frame") for name in names)
+    others = 0 if names is None else sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
     if table.width in (cells, cells + 1, cells + others):
         return frames_in_lines(table, shape, None)
     if table.width in (shape[1], shape[1] + 1, shape[1] + others):
@@ -43,7 +43,7 @@ def _single_values(table: ForeignTable, shape: tuple[int, int]) -> dict[str, int
     if table.names is not None:
         roles = [role_of(name) for name in table.names]
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
-        return order if {"row", "column", "value"} <= set(order) else None
+        return order if "value" in order and ({"row", "column"} <= set(order) or "cell" in order) else None
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
     if table.width in (shape[1], shape[1] + 1) and not _are_indices(table, shape):

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.foreign.frames import Frames, check_count
-from lampest.recording.foreign.headers import line_of
+from lampest.recording.foreign.headers import cell_of, line_of
 from lampest.recording.foreign.table import ForeignTable
 from lampest.recording.foreign.wide_table import timing_of
 
@@ -19,9 +19,7 @@ def frames_of_single_values(table: ForeignTable, shape: tuple[int, int], order: 
     Raises InputError where an index is none or beyond the panel, or a cell comes twice in a frame.
     """
     table.checked([order["value"]])
-    rows, columns = (_indices(table, order[name]) for name in ("row", "column"))
-    first = _first_index(table, rows, columns, shape, order)
-    rows, columns = rows - first, columns - first
+    rows, columns, first = _lines_of_cells(table, order, shape)
     frames, how = _frame_numbers(table, rows * shape[1] + columns, order)
     count = int(frames.max()) + 1
     check_count(table.source, count * shape[0] * shape[1])
@@ -48,6 +46,28 @@ def frames_of_single_values(table: ForeignTable, shape: tuple[int, int], order: 
     return Frames(values, timing_of(table, times, begins), notes, place, words)
 
 
+def _lines_of_cells(
+    table: ForeignTable, order: dict[str, int], shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Row and column of all lines from 0, and where the file counts from; one field may name or number the cell."""
+    if {"row", "column"} <= set(order):
+        rows, columns = _indices(table, order["row"]), _indices(table, order["column"])
+    else:
+        texts = table.fields[:, order["cell"]]
+        cells = {text: cell_of(text) for text in set(texts)}
+        if not all(cells.values()):
+            numbers = _indices(table, order["cell"])
+            first = 0 if numbers.min() <= 0 else 1
+            rows, columns = np.divmod(numbers - first, shape[1])
+            _check_range(table, rows, columns, 0, shape, order)
+            return rows, columns, first
+        named = [cells[text] or (0, 0) for text in texts]
+        rows, columns = np.array(named, dtype=np.int64).T
+    first = 0 if min(rows.min(), columns.min()) <= 0 else 1
+    _check_range(table, rows, columns, first, shape, order)
+    return rows - first, columns - first, first
+
+
 def _indices(table: ForeignTable, field: int) -> NDArray[np.int64]:
     """Row or column numbers of all lines: 3, R3 or 'row 3'."""
     values = table.numbers[:, field].copy()
@@ -62,24 +82,21 @@ def _indices(table: ForeignTable, field: int) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _first_index(
+def _check_range(
     table: ForeignTable,
     rows: NDArray[np.int64],
     columns: NDArray[np.int64],
+    first: int,
     shape: tuple[int, int],
     order: dict[str, int],
-) -> int:
-    """0 where any row or column has the number 0, else 1. Raises InputError for numbers beyond the panel."""
-    first = 0 if min(rows.min(), columns.min()) <= 0 else 1
+) -> None:
+    """Raise InputError for the first number beyond the panel."""
     for name, values, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
         bad = (values < first) | (values >= first + size)
         if np.any(bad):
             at = int(np.argmax(bad))
-            raise InputError(
-                f"{table.place(at, order[name])}: {name} {values[at]} is beyond the panel's "
-                f"{first} to {first + size - 1}"
-            )
-    return first
+            place = table.place(at, order.get(name, order.get("cell")))
+            raise InputError(f"{place}: {name} {values[at]} is beyond the panel's {first} to {first + size - 1}")
 
 
 def _frame_numbers(

@@ -13,7 +13,7 @@ from lampest.panel.panel import Array
 # What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
 # Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 MISSING = (
-    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing - -- --- ? ?? . "
+    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . "
     "-inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
 )
 MISSING_WORDS = frozenset(MISSING.split())
@@ -42,7 +42,7 @@ class Numerals:
         """Whether a text is a number, a word for infinity, or one for a missing reading."""
         word = field.strip().lower()
         written = _is_comma(word) if self.comma else _is_point(word)
-        return written or word in MISSING_WORDS or word in INFINITE_WORDS
+        return written or word in MISSING_WORDS or word in INFINITE_WORDS or (word != "" and not word.strip("-"))
 
     def numbers(self, fields: NDArray[Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Numbers of texts, any shape; where a reading is missing by a word or an empty field; where neither.
@@ -65,7 +65,7 @@ class Numerals:
 
     def _read(self, word: str) -> tuple[float, bool]:
         """The number of one text, NaN for none; whether it stands for a missing one."""
-        if word in MISSING_WORDS or not word:
+        if word in MISSING_WORDS or not word.strip("-"):
             return np.nan, True
         if word in INFINITE_WORDS:
             return np.inf, False

@@ -24,6 +24,9 @@ DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
 STAMPED = re.compile(rf"\s*(?:\[({DATE})?({TIME})\]|({DATE})?({TIME})\s*(?:->|>|\|))\s*")
 
+LISTED = re.compile(r"\s*[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+BRACKETS = str.maketrans("[]{}()", "      ")
+
 
 class _Line(NamedTuple):
     number: int
@@ -93,6 +96,7 @@ def _lines(path: Path, text: str) -> list[_Line]:
             raise InputError(f"{path}:{number}: longer than {LONGEST_LINE} characters, which no table is")
         stamped = STAMPED.match(line)
         rest = line[stamped.end() :] if stamped else line
+        rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
         if not rest.strip(" \t;,\0"):
             blank = True
             continue
