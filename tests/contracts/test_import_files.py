@@ -612,6 +612,52 @@ def test_files_that_are_none(tmp_path: Path, name: str, make: Callable[[Path], o
     assert str(tmp_path / name) in str(caught.value) and message in str(caught.value)
 
 
+# Tables at random.
+
+WORDS = (
+    "ovf", "nan", "inf", "-", "OL", "", "x3", "time", "t [ms]", "r0c0", "R1C1", "row", "col", "value",
+    "frame", "cell", "R [kOhm]", "12:34:56.789", "2025-01-31T12:00:00", "24.12.2025", "1,5", "1.234,5", "1e5",
+    "-3", "0", "1", "2", "512", "0.3", "#", "% c", "Frame 3", "t=5", "c1", "r2", "MΩ", "[V]", '"a"', '"',
+    "1_0", "0x1", "9" * 30, "1e999", "--", "a b", "\t", ";", "->", "[12:00:00] 5", "date", "2025-13-45",
+    "(0, 3)", "k", "timestamp", "1700000000", "1e300", "4294967295", "[1, 2]", "\u2028", "\x1b",
+)  # fmt: skip
+
+
+def random_table(rng: np.random.Generator) -> bytes:
+    """Some lines of numbers, or of anything, of mostly one length."""
+    sign, end = rng.choice([",", ";", "\t", " ", ", "]), rng.choice(["\n", "\r\n", "\r"])
+    width, plain = int(rng.choice([1, 3, 3, 4, 6, 6, 7, 7, 12])), rng.random() < 0.6
+    rows = []
+    for _ in range(int(rng.integers(9))):
+        count = width if rng.random() < 0.85 else int(rng.integers(10))
+        fields = [
+            f"{rng.uniform(200, 900):.{rng.integers(4)}f}" if plain else str(rng.choice(WORDS)) for _ in range(count)
+        ]
+        rows.append(sign.join(str(rng.choice(WORDS)) if rng.random() < 0.06 else field for field in fields))
+        rows += [str(rng.choice(WORDS))] * int(rng.random() < 0.1)
+    return end.join(rows).encode(str(rng.choice(["utf-8", "utf-16", "utf-8-sig"])))
+
+
+@pytest.mark.parametrize("scene", [None, "divider", "loaded"])
+def test_any_table_is_taken_or_refused_with_one_sentence(tmp_path: Path, scene: str | None) -> None:
+    known = {None: None, "divider": Scene(Panel(2, 3), TwoPointReadout()), "loaded": Scene(Panel(2, 3), LOADED.readout)}
+    taken = 0
+    for seed in range(250):
+        rng = np.random.default_rng([seed, len(scene or "")])
+        (tmp_path / "m.csv").write_bytes(random_table(rng))
+        try:
+            missing = str(rng.choice(["mark", "skip-frame", "refuse"]))
+            recording, notes = import_file(tmp_path / "m.csv", 2, 3, known[scene], missing=missing)
+        except InputError as error:
+            assert str(error).isprintable() and len(str(error)) < 1000
+            continue
+        taken += 1
+        recording.readings()
+        assert recording.recorded.shape[1:] == (2, 3) and np.all(np.diff(recording.time) > 0)
+        assert all(note.isprintable() for note in notes)
+    assert taken > 5
+
+
 # The command.
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.document import read_document, validated
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, printable
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.frames import Clock, Frames, Place
@@ -84,7 +84,7 @@ def import_file(
     recording = Recording(
         scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
     )
-    return recording, notes
+    return recording, tuple(map(printable, notes))
 
 
 def read_scene(path: str | Path) -> Scene:

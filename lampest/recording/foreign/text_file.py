@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -131,19 +132,21 @@ def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray
     counts = [re.sub('"[^"]*"', "", text).count(delimiter) + 1 for text in texts]
     _check_size(path, lines, counts)
     try:
-        frame = pandas.read_csv(
-            io.StringIO("\n".join(texts)),
-            sep=delimiter,
-            header=None,
-            names=range(max(counts)),
-            dtype=object,
-            na_filter=False,
-            skipinitialspace=True,
-            skip_blank_lines=False,
-            index_col=False,
-            quoting=csv.QUOTE_NONE if blanks else csv.QUOTE_MINIMAL,
-        )
-    except ValueError:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pandas.errors.ParserWarning)  # of fields that it drops
+            frame = pandas.read_csv(
+                io.StringIO("\n".join(texts)),
+                sep=delimiter,
+                header=None,
+                names=range(max(counts)),
+                dtype=object,
+                na_filter=False,
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                index_col=False,
+                quoting=csv.QUOTE_NONE if blanks else csv.QUOTE_MINIMAL,
+            )
+    except (ValueError, pandas.errors.ParserWarning):
         frame = pandas.DataFrame()
     if len(frame) != len(lines):  # a quotation mark within a field has swallowed line ends
         odd = next((line for line in lines if line.text.count('"') % 2), None)
