@@ -230,6 +230,7 @@ LONG = [(frame, row, column, FRAMES[frame, row, column]) for frame, row, column 
         ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", [0, 0.1, 0.2, 0.3]),
         ("scan\trow\tcolumn\tresistance_ohm", "{f}\t{r1}\t{c1}\t{v}", [0, 1, 2, 3]),
         ("time,row,column,value", "{each},{r},{c},{v}", [0, 1.5, 3.0, 4.5]),
+        ("time,r,c,v", "{s},{r},{c},{v}", [0, 0.1, 0.2, 0.3]),
         ("time,cell,value", "{s},r{r}c{c},{v}", [0, 0.1, 0.2, 0.3]),
         ("time,index,value", "{s},{index},{v}", [0, 0.1, 0.2, 0.3]),
     ],
@@ -336,6 +337,7 @@ VOLTS = (MEANS + 0.5) * 5 / 1024
         (FRAMES / 1000, DIVIDER, "kohm"),
         (FRAMES * 20, DIVIDER, "ohm"),
         (FRAMES / 100, DIVIDER, "kohm"),
+        (FRAMES * 500, DIVIDER, "ohm"),
         (CODES, DIVIDER, ("ohm", "code")),
         (CODES + 1000, DIVIDER, ("ohm", "mV")),
         (VOLTS, DIVIDER, "volt"),
@@ -711,6 +713,7 @@ def test_the_command_ends_with_a_map(tmp_path: Path) -> None:
         (["--scene", "scene.yaml", "--unit", "code"], "code values need a scene with a readout"),
         (["--scene", "scene.yaml", "--period", "0"], "--period must be positive and finite"),
         (["--scene", "scene.yaml", "--missing", "drop"], "'drop' is unknown"),
+        (["--scene", "scene.yaml", "--variable", "R"], "m.csv: holds nothing by name; --variable is for .mat, .npz"),
     ],
 )
 def test_the_command_refuses_with_one_sentence(tmp_path: Path, arguments: list[str], message: str) -> None:

@@ -42,6 +42,9 @@ def _single_values(table: ForeignTable, shape: tuple[int, int]) -> dict[str, int
     cells = shape[0] * shape[1]
     if table.names is not None:
         roles = [role_of(name) for name in table.names]
+        short = [name.strip().lower() for name in table.names]
+        if {"r", "c"} <= set(short):  # beside a c, an r is no resistance
+            roles[short.index("r")], roles[short.index("c")] = "row", "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         return order if "value" in order and ({"row", "column"} <= set(order) or "cell" in order) else None
     if table.width not in (3, 4) or table.width in (cells, cells + 1):

@@ -14,6 +14,8 @@ from lampest.recording.foreign.text_file import rows_of_text
 
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
 
+NAMED = (".mat", ".npz", ".xlsx", ".xlsm")
+
 
 def read_frames(path: Path, shape: tuple[int, int], variable: str | None) -> Frames:
     """The frames of a file by its suffix, text for any other than .xlsx, .xlsm, .npy, .npz and .mat.
@@ -29,6 +31,8 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None) -> Fra
             raise InputError(f"{path}: {size} bytes, more than {MOST_BYTES} are not imported")
         if kind in NOT_READ:
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
+        if variable is not None and kind not in NAMED:
+            raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
         if kind in (".xlsx", ".xlsm"):
             return _of_sheets(path, shape, variable)
         if kind == ".npy":

@@ -99,6 +99,9 @@ def _fitting(known: Array, allowed: Sequence[str], scene: Scene | None) -> tuple
     units = [unit for unit in UNITS if unit in allowed and fits[unit]]
     if len(units) > 1 and "code" not in units and readout.unit == "ohm":
         return _by_steps(known, units, readout)
+    least, largest = readout.rails()
+    if not units and "ohm" in allowed and least <= middle <= largest:
+        return ["ohm"], "no other unit is within the converter's rails"
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
 
 
