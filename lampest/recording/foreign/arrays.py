@@ -98,8 +98,8 @@ def _timing(source: str, arrays: ArraysByName, chosen: str, frames: int) -> Call
     name, values = times[0], np.asarray(arrays[times[0]], dtype=float).ravel()
 
     def clock() -> Clock:
-        found = clock_of_numbers(values, name, lambda frame: f"{source}: {name}[{frame}]")
-        return Clock(found.seconds, found.start, f"time: array {name} in {found.sentence}")
+        read = clock_of_numbers(values, name, lambda frame: f"{source}: {name}[{frame}]")
+        return Clock(read.seconds, read.start, f"time: array {name} in {read.sentence}")
 
     return clock
 

@@ -58,8 +58,8 @@ def frames_in_blocks(table: ForeignTable, shape: tuple[int, int]) -> Frames:
 def _before_the_row(table: ForeignTable, extra: int, rows: int) -> tuple[NDArray[np.int64] | None, list[int]]:
     """(lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
     names = table.names or ("",) * table.width
-    times = [place for place in range(extra) if role_of(names[place]) in ("time", "date")]
-    labelled = [place for place in range(extra) if place not in times and role_of(names[place]) != "frame"]
+    times = [field for field in range(extra) if role_of(names[field]) in ("time", "date")]
+    labelled = [field for field in range(extra) if field not in times and role_of(names[field]) != "frame"]
     if not labelled:
         return None, times
     texts = table.fields[:, labelled[-1]]
@@ -140,8 +140,8 @@ def _labelled(labels: NDArray[np.int64]) -> list[list[int]]:
 
 def _title_timing(table: ForeignTable, begins: Sequence[int]) -> Callable[[], Clock] | None:
     """Times that stand in the lines before the blocks, where they stand before each of them."""
-    found = [TITLE_TIME.search(table.titles[line]) for line in begins]
-    matches = [match for match in found if match is not None]
+    searches = [TITLE_TIME.search(table.titles[line]) for line in begins]
+    matches = [match for match in searches if match is not None]
     if len(matches) != len(begins):
         return None
     texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches]

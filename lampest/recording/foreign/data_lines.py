@@ -123,8 +123,8 @@ def _refuse_long(rows: Rows, data: NDArray[np.bool_], width: int) -> None:
     long = data & np.any(rows.fields[:, width:] != "", axis=1)
     if np.any(long):
         line, usual = int(np.argmax(long)), int(np.argmax(data & ~long))
-        found = f"{rows.counts[line]} fields, where {rows.called(usual)} has {width}"
-        raise InputError(f"{rows.place(line, None)}: {found}")
+        said = f"{rows.counts[line]} fields, where {rows.called(usual)} has {width}"
+        raise InputError(f"{rows.place(line, None)}: {said}")
 
 
 def _names(rows: Rows, header: list[int], width: int) -> tuple[str, ...] | None:

@@ -37,10 +37,10 @@ def frames_of_single_values(table: ForeignTable, shape: tuple[int, int], order: 
     notes = (*table.notes, f"one value a line as {said}; indices count from {first}{how}")
 
     def place(frame: int, row: int, column: int) -> str:
-        there = int(where[frame, row, column])
-        if there < 0:
+        line = int(where[frame, row, column])
+        if line < 0:
             return f"{table.source}: row {row + first}, column {column + first} of frame {frame}"
-        return table.place(there, order["value"])
+        return table.place(line, order["value"])
 
     words = (table.names[order["value"]],) if table.names else ()
     return Frames(values, timing_of(table, times, begins), notes, place, words)

@@ -52,11 +52,11 @@ def understood_unit(
     allowed = [unit for unit in possible if not said or unit in said]
     if not allowed:
         check_unit(said[0], scene, source)
-    known = values[np.isfinite(values)]
-    if known.size == 0:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
-    span = f"values from {known.min():.6g} to {known.max():.6g}"
-    fitting, reason = _fitting(known, allowed, scene)
+    span = f"values from {finite.min():.6g} to {finite.max():.6g}"
+    fitting, reason = _fitting(finite, allowed, scene)
     if len(fitting) == 1:
         sure = fitting[0] == "ohm" and (scene is None or scene.readout is None)
         return fitting[0], f"unit {fitting[0]}, {'assumed' if sure else 'guessed'}: {span} ({reason})"
@@ -72,21 +72,21 @@ def _possible(scene: Scene | None) -> tuple[str, ...]:
     return UNITS if scene.circuit.unit == "ohm" else ("volt", "mV", "code")
 
 
-def _fitting(known: Array, allowed: Sequence[str], scene: Scene | None) -> tuple[list[str], str]:
+def _fitting(finite: Array, allowed: Sequence[str], scene: Scene | None) -> tuple[list[str], str]:
     """Those of the allowed units in which finite values (any number) make sense, and why; negative ones make none."""
     readout = None if scene is None else scene.readout
-    middle = float(np.median(known))
+    middle = float(np.median(finite))
     if readout is None:
         ohm, kohm = middle >= LEAST_OHM, middle < MOST_KOHM
         units = [unit for unit, fits in (("ohm", ohm), ("kohm", kohm)) if fits and unit in allowed]
         return units, f"without a readout they are kohm below {LEAST_OHM:g}, ohm from {MOST_KOHM:g} on"
     top, supply = 2**readout.adc_bits - 1, readout.supply_volt
-    code = known.max() <= top and _may_be_means(known, readout.readings)
-    whole = code and bool(np.all(known == np.round(known)))  # a converter's own numbers come before rounded mV
+    code = finite.max() <= top and _may_be_means(finite, readout.readings)
+    whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
     fits = {
         "code": code,
-        "volt": known.max() <= supply,
-        "mV": supply < known.max() <= 1000 * supply and not whole,
+        "volt": finite.max() <= supply,
+        "mV": supply < finite.max() <= 1000 * supply and not whole,
     }
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
@@ -98,22 +98,22 @@ def _fitting(known: Array, allowed: Sequence[str], scene: Scene | None) -> tuple
     }
     units = [unit for unit in UNITS if unit in allowed and fits[unit]]
     if len(units) > 1 and "code" not in units and readout.unit == "ohm":
-        return _by_steps(known, units, readout)
+        return _by_steps(finite, units, readout)
     least, largest = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= largest:
         return ["ohm"], "no other unit is within the converter's rails"
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
 
 
-def _may_be_means(known: Array, readings: int) -> bool:
+def _may_be_means(finite: Array, readings: int) -> bool:
     """Whether values are means of so many whole numbers, as far as their rounding lets it be seen."""
-    slack = max(_rounding(known), 1e-9)
-    return bool(np.all(np.abs(known * readings - np.round(known * readings)) <= slack * readings))
+    slack = max(_rounding(finite), 1e-9)
+    return bool(np.all(np.abs(finite * readings - np.round(finite * readings)) <= slack * readings))
 
 
-def _by_steps(known: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
+def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
     """Voltages and resistances told apart by the converter's steps, where values are written finely enough."""
-    seen = {unit: _on_steps(known, unit, readout) for unit in units}
+    seen = {unit: _on_steps(finite, unit, readout) for unit in units}
     stepped = [unit for unit in units if seen[unit] is True]
     if len(stepped) == 1:
         return stepped, "as such they lie on the converter's steps"
@@ -121,12 +121,12 @@ def _by_steps(known: Array, units: Sequence[str], readout: Readout) -> tuple[lis
     return rest, f"as {' or '.join(unit for unit in units if unit not in rest)} they would miss the converter's steps"
 
 
-def _on_steps(known: Array, unit: str, readout: Readout) -> bool | None:
+def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     """Whether values, were they in this unit, are means of the converter's codes; None where that cannot be seen.
 
     V = (Σ code/readings + 0 or ½)·Vcc/2^bits, or by the steps of Vcc/(2^bits − 1) that many programs take.
     """
-    values = np.unique(known)
+    values = np.unique(finite)
     ends = [(values + sign * _rounding(values)) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
@@ -162,12 +162,12 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Arr
     if unit in RESISTANCES or readout is None:
         refuse_where(values < 0, values, place, "must be a positive resistance in ohm")
         return scaled
-    known = np.where(np.isinf(values), np.nan, values)
+    plain = np.where(np.isinf(values), np.nan, values)
     if unit == "code":
-        outside = (known < 0) | (known > 2**readout.adc_bits - 1)
+        outside = (plain < 0) | (plain > 2**readout.adc_bits - 1)
         refuse_where(outside, values, place, f"is no code of a {readout.adc_bits}-bit converter")
-        return readout.recorded_from_volt(readout.volt_from_code(known))
-    outside = (known < 0) | (scaled > readout.supply_volt)
+        return readout.recorded_from_volt(readout.volt_from_code(plain))
+    outside = (plain < 0) | (scaled > readout.supply_volt)
     supply = f"{readout.supply_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
     refuse_where(outside & np.isfinite(values), values, place, f"lies outside 0 to {supply}, the readout's supply")
-    return readout.recorded_from_volt(np.where(np.isnan(known), np.nan, scaled))
+    return readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))

@@ -1,4 +1,4 @@
-"""One frame a line: which column is which cell, by its name or by its place."""
+"""One frame a line: which column is which cell, by its name or by its field."""
 
 from collections.abc import Callable, Sequence
 
@@ -18,15 +18,15 @@ def cell_columns(source: str, names: Sequence[str], shape: tuple[int, int]) -> t
 
     Raises InputError where a name is beyond the panel, or two are the same cell.
     """
-    named = {place: cell for place, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
+    named = {field: cell for field, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
     if named:
         first = 0 if min(min(cell) for cell in named.values()) == 0 else 1
-        cells = {place: (cell.row - first, cell.column - first) for place, cell in named.items()}
-        for place, there in cells.items():
-            if there[0] >= shape[0] or there[1] >= shape[1]:
-                turned = "; with --transpose it would fit" if there[0] < shape[1] and there[1] < shape[0] else ""
+        cells = {field: (cell.row - first, cell.column - first) for field, cell in named.items()}
+        for field, (row, column) in cells.items():
+            if row >= shape[0] or column >= shape[1]:
+                turned = "; with --transpose it would fit" if row < shape[1] and column < shape[0] else ""
                 sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
-                raise InputError(f"{source}: the header's {names[place]!r} is beyond the panel of {sizes}{turned}")
+                raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}{turned}")
         _refuse_twice(source, names, cells)
         example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
         left = shape[0] * shape[1] - len(cells)
@@ -38,7 +38,7 @@ def cell_columns(source: str, names: Sequence[str], shape: tuple[int, int]) -> t
 
 def _numbered(names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str] | None:
     """Columns that are called by one word and all numbers of the panel's cells."""
-    lines = {place: line for place, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
+    lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
     numbers = sorted(number for _, number in lines.values())
     count, words = shape[0] * shape[1], {word for word, _ in lines.values()}
     if (
@@ -49,42 +49,33 @@ def _numbered(names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str]
     ):
         return None
     first = numbers[0]
-    cells = {place: divmod(number - first, shape[1]) for place, (_, number) in lines.items()}
+    cells = {field: divmod(number - first, shape[1]) for field, (_, number) in lines.items()}
     return cells, f"cells by their numbers from {first}, row by row"
 
 
 def _refuse_twice(source: str, names: Sequence[str], cells: Cells) -> None:
     seen: dict[tuple[int, int], int] = {}
-    for place, cell in cells.items():
+    for field, cell in cells.items():
         if cell in seen:
-            raise InputError(f"{source}: the header's {names[seen[cell]]!r} and {names[place]!r} are the same cell")
-        seen[cell] = place
+            raise InputError(f"{source}: the header's {names[seen[cell]]!r} and {names[field]!r} are the same cell")
+        seen[cell] = field
 
 
 def frames_in_lines(table: ForeignTable, shape: tuple[int, int], named: tuple[Cells, str] | None) -> Frames:
     """One frame a line, its cells by name or, where `named` is None, row by row in the order of the fields."""
     names = table.names or ("",) * table.width
     roles = [role_of(name) for name in names]
-    times = [place for place, role in enumerate(roles) if role in ("date", "time")]
-    if named is None:
-        rest = [place for place, role in enumerate(roles) if role not in ("date", "time", "frame")]
-        cells = shape[0] * shape[1]
-        if (
-            len(rest) == cells + 1
-        ):  # a field before the cells: a counter where it has no name in a header, else the time
-            if table.names is None or names[rest[0]]:
-                times.append(rest[0])
-            rest = rest[1:]
-        if len(rest) != cells:
-            rest = list(range(table.width - cells, table.width))
-        named = {place: divmod(number, shape[1]) for number, place in enumerate(rest)}, "cells row by row"
-    cells_of, sentence = named
-    fields = {cell: place for place, cell in cells_of.items()}
+    times = [field for field, role in enumerate(roles) if role in ("date", "time")]
+    cells_of, sentence = named or _by_position(table, [role in ("date", "time", "frame") for role in roles], shape)
+    before = min(cells_of) - 1
+    if named is None and not times and before == 0 and roles[0] != "frame" and (names[0] or table.names is None):
+        times = [0]  # one field more than cells; where a header leaves it without a name it is a counter
+    fields = {cell: field for field, cell in cells_of.items()}
     table.checked(sorted(cells_of))
     values = np.full((len(table.numbers), *shape), np.nan)
-    for place, (row, column) in cells_of.items():
-        values[:, row, column] = table.numbers[:, place]
-    unused = [names[place] for place in range(table.width) if place not in cells_of and place not in times]
+    for field, (row, column) in cells_of.items():
+        values[:, row, column] = table.numbers[:, field]
+    unused = [names[field] for field in range(table.width) if field not in cells_of and field not in times]
     left = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
 
     def place_of(frame: int, row: int, column: int) -> str:
@@ -92,8 +83,16 @@ def frames_in_lines(table: ForeignTable, shape: tuple[int, int], named: tuple[Ce
 
     timing = timing_of(table, times, range(len(values)))
     notes = (*table.notes, f"one frame a line, {sentence}{left}")
-    words = tuple(names[place] for place in sorted(cells_of))
+    words = tuple(names[field] for field in sorted(cells_of))
     return Frames(values, timing, notes, place_of, words if table.names else ())
+
+
+def _by_position(table: ForeignTable, others: Sequence[bool], shape: tuple[int, int]) -> tuple[Cells, str]:
+    """The last fields that are none of the others as cells, row by row."""
+    cells = shape[0] * shape[1]
+    rest = [field for field in range(table.width) if not others[field]]
+    rest = rest if len(rest) >= cells else list(range(table.width))
+    return {field: divmod(number, shape[1]) for number, field in enumerate(rest[-cells:])}, "cells row by row"
 
 
 def timing_of(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
