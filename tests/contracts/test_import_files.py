@@ -340,6 +340,8 @@ VOLTS = (MEANS + 0.5) * 5 / 1024
         (FRAMES * 500, DIVIDER, "ohm"),
         (CODES, DIVIDER, ("ohm", "code")),
         (CODES + 1000, DIVIDER, ("ohm", "mV")),
+        (MEANS, DIVIDER, "code"),
+        (MEANS.round(1), DIVIDER, ("ohm", "code")),
         (VOLTS, DIVIDER, "volt"),
         (1000 * VOLTS, DIVIDER, "mV"),
         ((1000 * VOLTS).round(2), DIVIDER, "mV"),

@@ -97,7 +97,7 @@ def _fitting(finite: Array, allowed: Sequence[str], scene: Scene | None) -> tupl
         "mV": f"within the supply of {1000 * supply:g} mV",
     }
     units = [unit for unit in UNITS if unit in allowed and fits[unit]]
-    if len(units) > 1 and "code" not in units and readout.unit == "ohm":
+    if len(units) > 1 and readout.unit == "ohm":
         return _by_steps(finite, units, readout)
     least, largest = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= largest:
@@ -112,12 +112,12 @@ def _may_be_means(finite: Array, readings: int) -> bool:
 
 
 def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
-    """Voltages and resistances told apart by the converter's steps, where values are written finely enough."""
+    """Codes, voltages and resistances told apart by the converter's steps, where values are written finely enough."""
     seen = {unit: _on_steps(finite, unit, readout) for unit in units}
     stepped = [unit for unit in units if seen[unit] is True]
     if len(stepped) == 1:
         return stepped, "as such they lie on the converter's steps"
-    rest = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]
+    rest = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # resistances may be filtered
     return rest, f"as {' or '.join(unit for unit in units if unit not in rest)} they would miss the converter's steps"
 
 
@@ -130,6 +130,8 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     ends = [(values + sign * _rounding(values)) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
+    elif unit == "code":
+        ends = [readout.lsb_volt * end for end in ends]
     low, volt, high = ends
     half = np.abs(high - low) / 2
     step = readout.lsb_volt / readout.readings
