@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Folder, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress
 
 
 def run(
@@ -97,23 +97,37 @@ def simulate(
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="CSV, .npy or .mat.")],
-    rows: Annotated[int, typer.Option("--rows", min=1)],
-    columns: Annotated[int, typer.Option("--columns", min=1)],
+    file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
     out: Annotated[Path, typer.Option("--out", help="The recording that is written.")],
+    rows: Annotated[int | None, typer.Option("--rows", min=1, help="Of the panel; else the scene's.")] = None,
+    columns: Annotated[int | None, typer.Option("--columns", min=1, help="Of the panel; else the scene's.")] = None,
     scene: Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene.")] = None,
-    unit: Annotated[str, typer.Option("--unit", help="ohm, volt or code.")] = "ohm",
+    unit: Annotated[
+        str | None,
+        typer.Option("--unit", help="ohm, kohm, volt, mV or code; else what the header or the values leave."),
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option("--period", help="Seconds between frames; else the file's times.")
+    ] = None,
+    missing: Annotated[
+        str, typer.Option("--missing", help="Missing readings: mark (NaN), skip-frame or refuse.")
+    ] = "mark",
     baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
     transpose: Annotated[bool, typer.Option("--transpose", help="Rows and columns of the file are swapped.")] = False,
-    variable: Annotated[str | None, typer.Option("--variable", help="The variable of a .mat file.")] = None,
+    variable: Annotated[
+        str | None, typer.Option("--variable", help="The variable of a .mat or .npz file, the sheet of an .xlsx file.")
+    ] = None,
 ) -> None:
-    """Turn a table of two-point measurements into a recording."""
+    """Turn measurements of another program into a recording, and say how they were understood."""
     from lampest.recording.foreign.importing import import_file, read_scene
+    from lampest.report.imported import understood_lines
 
+    check_positive("--period", period)
+    told = read_scene(scene) if scene else None
     recording, notes = import_file(
-        file, rows, columns, read_scene(scene) if scene else None, unit, baseline, transpose, variable
+        file, rows, columns, told, unit, baseline, transpose, variable, period=period, missing=missing
     )
     recording.save(out)
-    for note in notes:
-        print(note)
+    for line in understood_lines(recording, notes):
+        print(line)
     print(out)

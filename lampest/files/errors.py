@@ -13,10 +13,15 @@ class InputError(ValueError):
     """
 
     def __init__(self, sentence: str) -> None:
-        sentence = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in sentence)
+        sentence = printable(sentence)
         if len(sentence) > LONGEST_START + LONGEST_END:
             sentence = f"{sentence[:LONGEST_START]} ... {sentence[-LONGEST_END:]}"
         super().__init__(sentence)
+
+
+def printable(text: str) -> str:
+    """A text on one line that does nothing to a terminal: other signs are written as escapes."""
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
 
 def in_words(value: Any) -> str:

@@ -37,6 +37,7 @@ class Recording:
     name : what results call it (the file's stem).
     simulation : for simulated ones, all that made them, as YAML text, or None.
     acquisition : for those from a board, its clocks, gaps and events, or None.
+    start_time : date and time at 0 s, ISO 8601, with its zone where that is known; None where it is not.
 
     A reading that says nothing is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
     counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
@@ -54,6 +55,7 @@ class Recording:
     name: str = "recording"
     simulation: str | None = None
     acquisition: Acquisition | None = None
+    start_time: str | None = None
 
     def __post_init__(self) -> None:
         frames, shape = len(self.recorded), self.scene.panel.shape
@@ -122,6 +124,8 @@ class Recording:
             simulated = hdf5.has(file, "/entry/truth/simulation")
             simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
             acquisition = Acquisition.read(file, kept)
+            started = hdf5.has(file, "/entry/start_time")
+            start_time = hdf5.read_text(file, "/entry/start_time") if started else None
         return cls(
             scene,
             recorded,
@@ -135,6 +139,7 @@ class Recording:
             path.stem,
             simulation,
             acquisition,
+            start_time,
         )
 
     def save(self, path: str | Path) -> None:
@@ -148,6 +153,8 @@ class Recording:
         circuit, axes = self.scene.circuit, ("time", "row", "column")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
         hdf5.write_text(entry, "scene", scene_text(self.scene))
+        if self.start_time is not None:
+            hdf5.write_text(entry, "start_time", self.start_time)  # NeXus has it under this name
         group = self._frames_group(entry, group_of(circuit), circuit.signal)
         hdf5.write_dataset(group, circuit.signal, self.recorded, circuit.unit, circuit.signal_name, axes)
         if self.sigma is not None:

@@ -47,6 +47,7 @@ def _recording_lines(recording: Recording) -> list[str]:
     first = "unloaded" if role[0] == UNLOADED else "measured"
     return [
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
+        *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
         *_touching_lines(recording),
         f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",

@@ -62,7 +62,7 @@ class Reconstruction(Estimates):
     def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
         """A pandas.DataFrame of one line for every cell of every frame; units in `attrs["units"]`.
 
-        Raises InputError as `result`, and where pandas is not installed.
+        Raises InputError as `result`.
         """
         return self.result(columns=columns).to_dataframe(columns)
 

@@ -4,10 +4,12 @@ A mutant is a good file after one to four changes: to its bytes, to its lines, o
 """
 
 import copy
+import datetime
 import io
 import json
 import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +17,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import openpyxl
 from support import invented_case
 
 from lampest.panel.readouts import TwoPointReadout
@@ -33,9 +36,12 @@ SUFFIXES = {
     "table": ".csv",
     "numpy": ".npy",
     "matlab": ".mat",
+    "excel": ".xlsx",
+    "arrays": ".npz",
+    "matlab_hdf5": ".mat",
 }
 KINDS = ("recording", "run", "results", "simulation", "recording", "table", "results", "scene", "numpy", "matlab")
-KINDS += ("recording", "run", "results", "setting")
+KINDS += ("recording", "run", "results", "setting", "table", "excel", "arrays", "matlab_hdf5")
 SCENE: dict[str, Any] = {
     "panel": {"rows": 3, "columns": 4, "pitch_mm": 10},
     "readout": {"kind": "two_point", "supply_volt": 5, "reference_ohm": 1000, "adc_bits": 10, "noise_lsb": 0.7},
@@ -149,6 +155,9 @@ def corpus(folder: Any) -> Corpus:
             "table": good_tables(),
             "numpy": (numpy_file(frames()), numpy_file(frames().reshape(3, 12).astype(">i4"))),
             "matlab": (matlab_file(frames(), packed=False), matlab_file(frames(), packed=True)),
+            "excel": (excel_file(zipfile.ZIP_STORED), excel_file(zipfile.ZIP_DEFLATED)),
+            "arrays": (npz_file(np.savez), npz_file(np.savez_compressed)),
+            "matlab_hdf5": (matlab_hdf5_file(),),
         }
     )
 
@@ -217,7 +226,57 @@ def good_tables() -> tuple[bytes, ...]:
         for (frame, row, column), value in np.ndenumerate(values)
     )
     plain = "\r\n".join(" ".join(map(str, frame.ravel())) for frame in values)
-    return wide.encode(), long.encode(), plain.encode()
+    stamped = "time,row,column,R [ohm]\n" + "".join(
+        f"2025-01-31T12:00:0{frame}.5+01:00,R{row + 1},C{column + 1},{value}\n"
+        for (frame, row, column), value in np.ndenumerate(values)
+    )
+    blocks = "\n\n".join("\n".join("\t".join(map(str, row)) for row in frame) for frame in values)
+    labelled = "\n".join(
+        ",c0,c1,c2,c3\n" + "\n".join(f"r{number}," + ",".join(map(str, row)) for number, row in enumerate(frame))
+        for frame in values
+    )
+    log = "".join(
+        f"12:34:5{number}.250 -> Frame {number}, t = {250 * number} ms\n"
+        + "".join(f"12:34:5{number}.250 -> {','.join(map(str, row))},\n" for row in frame)
+        for number, frame in enumerate(values)
+    )
+    texts = (wide, long, plain, stamped, blocks, labelled, "boot v1.2\r\n,12\r\n" + log)
+    return *(text.encode() for text in texts), log.encode("utf-16")
+
+
+def excel_file(packing: int) -> bytes:
+    """The bytes of an .xlsx file with times and a header."""
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["time", *(f"r{row}c{column}" for row in range(3) for column in range(4))])
+    for number, frame in enumerate(frames()):
+        sheet.append([datetime.datetime(2025, 1, 31, 12, 0, number), *map(float, frame.ravel())])
+    stream, whole = io.BytesIO(), io.BytesIO()
+    book.save(stream)
+    with zipfile.ZipFile(stream) as parts, zipfile.ZipFile(whole, "w", packing) as archive:
+        for name in parts.namelist():
+            archive.writestr(name, parts.read(name))
+    return whole.getvalue()
+
+
+def npz_file(save: Callable[..., None]) -> bytes:
+    """The bytes of a .npz file with resistances, times, and much else."""
+    stream = io.BytesIO()
+    save(stream, resistance=frames(), time_ms=np.arange(3) * 250, noise=np.random.default_rng(5).random(2000))
+    return stream.getvalue()
+
+
+def matlab_hdf5_file() -> bytes:
+    """The bytes of a .mat file of version 7.3 with resistances, times and a text."""
+    stream = io.BytesIO()
+    with h5py.File(stream, "w", userblock_size=512) as file:
+        for name, values in (("R", frames()), ("t", np.arange(3.0)[:, None])):
+            file.create_dataset(name, data=values if name == "t" else values.transpose(0, 2, 1))
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file.create_dataset("text", data=np.array([[65], [66]], dtype="u2"))
+        file["text"].attrs["MATLAB_class"] = np.bytes_("char")
+    header = b"MATLAB 7.3 MAT-file".ljust(124) + struct.pack("<H", 0x0200) + b"IM"
+    return header + stream.getvalue()[len(header) :]
 
 
 def numpy_file(array: Any) -> bytes:
@@ -249,6 +308,8 @@ def changed(kind: str, style: str, seeds: tuple[bytes, ...], rng: np.random.Gene
         return changed_tree({"run": RUN, "scene": SCENE, "simulation": SIMULATION}[kind], count, rng)
     if style == "nodes":
         return changed_nodes(content, count, rng)
+    if style == "parts":
+        return changed_parts(content, count, rng)
     change = changed_text if style == "text" else changed_bytes
     for _ in range(count):
         content = change(content, seeds, rng)
@@ -280,6 +341,21 @@ def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Gener
         place = int(rng.integers(len(data)))
         data[place] ^= 1 << int(rng.integers(8))
     return bytes(data)
+
+
+def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes:
+    """Changes within the parts of a zip file, which is whole itself."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    for _ in range(count):
+        name = list(parts)[int(rng.integers(len(parts)))]
+        change = changed_bytes if name.endswith(".npy") else changed_text
+        parts[name] = change(parts[name], (parts[name],), rng)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, part in parts.items():
+            archive.writestr(name, part)
+    return stream.getvalue()
 
 
 def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
@@ -522,4 +598,7 @@ STYLES = {
     "table": ("text", "text", "bytes"),
     "numpy": ("bytes", "text"),
     "matlab": ("bytes",),
+    "excel": ("bytes", "parts", "parts"),
+    "arrays": ("bytes", "parts"),
+    "matlab_hdf5": ("bytes",),
 }

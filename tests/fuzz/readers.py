@@ -156,6 +156,9 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "table": _imported,
     "numpy": _imported,
     "matlab": _imported,
+    "excel": _imported,
+    "arrays": _imported,
+    "matlab_hdf5": _imported,
 }
 
 
@@ -173,4 +176,7 @@ COMMANDS: dict[str, Any] = {
     "table": _import,
     "numpy": _import,
     "matlab": _import,
+    "excel": _import,
+    "arrays": _import,
+    "matlab_hdf5": _import,
 }

@@ -1,76 +1,90 @@
-"""Foreign measurements → a recording: text tables, NumPy's .npy and MATLAB's .mat."""
+"""Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
 import dataclasses
-import warnings
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.document import read_document, validated
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, printable
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.matlab_file import read_arrays
-from lampest.recording.foreign.table_file import Frames, read_table
+from lampest.recording.foreign.frames import Clock, Frames, Place
+from lampest.recording.foreign.headers import units_of
+from lampest.recording.foreign.reading import read_frames
+from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-UNITS = ("ohm", "volt", "code")
-MOST_BYTES = 500_000_000
-MOST_VALUES = 50_000_000
+MISSING = ("mark", "skip-frame", "refuse")
 
 
 def import_file(
     path: str | Path,
-    rows: int,
-    columns: int,
+    rows: int | None = None,
+    columns: int | None = None,
     scene: Scene | None = None,
-    unit: str = "ohm",
+    unit: str | None = None,
     baseline_frames: int = 0,
     transpose: bool = False,
     variable: str | None = None,
+    period: float | None = None,
+    missing: str = "mark",
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
 
-    The suffix says what the file is: .npy, .mat, and a text table for every other.
+    The suffix says what the file is: .xlsx, .npy, .npz, .mat, and a text table for every other.
 
     Parameters
     ----------
+    rows, columns : of the panel; None: the scene's.
     scene : panel, readout and series resistance; None: this panel and resistances alone.
-    unit : what the numbers are: 'ohm' of two-point readouts; 'volt' at the converter and its 'code' need the scene's
-        readout.
+    unit : 'ohm', 'kohm', 'volt' or 'mV' at the converter, its 'code'; None: what the header says, else what the values
+        and the scene leave; see docs/import.md.
     baseline_frames : the first so many frames were taken without load.
     transpose : the file's rows are the panel's columns.
-    variable : which array of a .mat file; needed where several would do.
+    variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
+    period : s between frames, in place of the file's times.
+    missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
 
     Raises InputError with file and place where anything does not fit.
     """
     path = Path(path)
+    if missing not in MISSING:
+        raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
+    if period is not None and not 0 < period < float("inf"):
+        raise InputError("the period must be positive and finite")
     panel = _panel(rows, columns, scene)
-    if unit not in UNITS:
-        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(UNITS)}")
-    if unit != "ohm" and (scene is None or scene.readout is None):
-        raise InputError(f"{path}: {unit} values need a scene with a readout, which tells how they become ohm")
-    if scene is not None and unit == "ohm" != scene.circuit.unit:
-        raise InputError(f"{path}: the scene's readout gives {scene.circuit.unit}; say unit volt or code")
-    frames = _read(path, (columns, rows) if transpose else (rows, columns), variable)
-    notes = list(frames.notes)
-    values, place = frames.values, frames.place
+    check_unit(unit, scene, path)
+    frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable)
     if transpose:
-        values, place = values.transpose(0, 2, 1), _transposed(place)
-        notes.append("transposed: the file's rows are the panel's columns")
-    if not 0 <= baseline_frames <= len(values):
-        raise InputError(
-            f"{path}: {baseline_frames} baseline frames asked for, but the file holds {len(values)} frames"
-        )
+        frames = _transposed(frames)
+    count = len(frames.values)
+    if not 0 <= baseline_frames <= count:
+        raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
+    clock = _clock(frames, period)
+    if missing == "refuse":
+        _refuse_missing(np.isnan(frames.values), frames.place)
+    kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
+    told = scene is not None
     scene = scene or Scene(panel)
-    recorded = _recorded(values, unit, scene, place)
-    time = np.arange(len(values), dtype=float) if frames.time is None else frames.time
-    if frames.time is None:
-        notes.append("no time in the file: one frame a second is assumed")
-    role = np.where(np.arange(len(values)) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
-    notes.append(f"{len(values)} frames of {rows} × {columns} cells, the first {baseline_frames} of them unloaded")
-    return Recording(scene, recorded, time, role, name=path.stem), tuple(notes)
+    recorded = recorded_values(frames.values, kind, scene, frames.place)
+    role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
+    kept, gaps = _without_missing(recorded, missing, frames.place, path)
+    unloaded = int(np.sum(role[kept] == UNLOADED))
+    notes = (
+        *frames.notes,
+        reason,
+        clock.sentence,
+        _assumed(scene, told),
+        gaps,
+        *_bounds(recorded[kept], scene),
+        f"{_counted(len(kept), 'frame')} of {panel.rows} × {panel.columns} cells, the first {unloaded} unloaded",
+    )
+    recording = Recording(
+        scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
+    )
+    return recording, tuple(map(printable, notes))
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -85,144 +99,82 @@ def read_scene(path: str | Path) -> Scene:
     return scene
 
 
-def _panel(rows: int, columns: int, scene: Scene | None) -> Panel:
+def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
+    """The panel that is asked for, or the scene's; both must agree."""
+    if scene is None and (rows is None or columns is None):
+        raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
+    asked = tuple(
+        size if size is not None else scene.panel.shape[side] if scene is not None else 0
+        for side, size in enumerate((rows, columns))
+    )
     try:
-        panel = Panel(rows, columns)
+        panel = Panel(*asked)
     except ValueError as error:
-        raise InputError(f"{rows} × {columns}: {error}") from error
+        raise InputError(f"{asked[0]} × {asked[1]}: {error}") from error
     if scene is not None and scene.panel.shape != panel.shape:
-        found = " × ".join(str(size) for size in scene.panel.shape)
-        raise InputError(f"the scene's panel has {found} cells, not {rows} × {columns}")
-    return panel
+        has = " × ".join(str(size) for size in scene.panel.shape)
+        raise InputError(f"the scene's panel has {has} cells, not {asked[0]} × {asked[1]}")
+    return scene.panel if scene is not None else panel
 
 
-def _transposed(place: Callable[[int, int, int], str]) -> Callable[[int, int, int], str]:
-    return lambda frame, row, column: place(frame, column, row)
-
-
-def _read(path: Path, shape: tuple[int, int], variable: str | None) -> Frames:
-    try:
-        size = path.stat().st_size
-        if not path.is_file():
-            raise InputError(f"{path}: no file")
-        if size > MOST_BYTES:
-            raise InputError(f"{path}: {size} bytes, more than {MOST_BYTES} are not imported")
-        if path.suffix.lower() == ".npy":
-            return _read_numpy(path, shape)
-        if path.suffix.lower() == ".mat":
-            return _read_matlab(path, shape, variable)
-        return read_table(path, shape)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except MemoryError as error:
-        raise InputError(f"{path}: claims more data than the memory holds") from error
-
-
-def _read_numpy(path: Path, shape: tuple[int, int]) -> Frames:
-    """(frames, rows, columns), (rows, columns) or (frames, rows·columns), row by row."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:  # its parser of headers raises whatever Python's parser does
-        found = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: no readable .npy file ({found})") from error
-    if not isinstance(mapped, np.ndarray) or mapped.dtype.kind not in "iuf":
-        raise InputError(f"{path}: holds no plain array of real numbers")
-    if mapped.size > MOST_VALUES:
-        raise InputError(f"{path}: {mapped.size} values, more than {MOST_VALUES} are not imported")
-    layouts: dict[str, tuple[int, ...]] = {"(rows, columns)": shape, "(frames, rows, columns)": (-1, *shape)}
-    layouts["(frames, rows·columns), row by row"] = (-1, shape[0] * shape[1])
-    fits = [name for name, wanted in layouts.items() if _fits(mapped.shape, wanted)]
-    if not fits:
-        raise InputError(_wrong_shape(str(path), mapped.shape, layouts, shape))
-    values = np.array(mapped, dtype=float).reshape(-1, *shape)
-    return Frames(values, None, (f"read as {fits[0]}",), _array_place(str(path), ("frame", "row", "column")))
-
-
-def _read_matlab(path: Path, shape: tuple[int, int], variable: str | None) -> Frames:
-    """(rows, columns, frames) as MATLAB stacks matrices, else (rows, columns) or (frames, rows, columns)."""
-    arrays = read_arrays(path)
-    sizes = {name: array.shape for name, array in arrays.items()}
-    layouts: dict[str, tuple[int, ...]] = {"(rows, columns)": shape, "(rows, columns, frames)": (*shape, -1)}
-    layouts["(frames, rows, columns)"] = (-1, *shape)
-    if variable is not None and variable not in sizes:
-        raise InputError(f"{path}: no numeric array '{variable}'; there are {', '.join(sizes) or 'none'}")
-    chosen = (
-        [variable]
-        if variable
-        else [name for name, size in sizes.items() if any(_fits(size, w) for w in layouts.values())]
-    )
-    if len(chosen) > 1:
-        raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with --variable")
-    if not chosen:
-        listed = ", ".join(f"{name} ({_times(size)})" for name, size in sizes.items()) or "none"
-        raise InputError(f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}")
-    name = chosen[0]
-    fits = [layout for layout, wanted in layouts.items() if _fits(sizes[name], wanted)]
-    if not fits:
-        raise InputError(_wrong_shape(f"{path}: {name}", sizes[name], layouts, shape))
-    if arrays[name].size > MOST_VALUES:
-        raise InputError(f"{path}: {name} has {arrays[name].size} values, more than {MOST_VALUES} are not imported")
-    values = arrays[name].astype(float)
-    if fits[0] == "(rows, columns, frames)":
-        values = values.transpose(2, 0, 1)
-        place = _array_place(f"{path}: {name}", ("row", "column", "frame"), 1)
-    elif fits[0] == "(rows, columns)":
-        place = _array_place(f"{path}: {name}", ("row", "column"), 1)
-    else:
-        place = _array_place(f"{path}: {name}", ("frame", "row", "column"), 1)
-    return Frames(values.reshape(-1, *shape), None, (f"array {name} read as {fits[0]}",), place)
-
-
-def _fits(size: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
-    return len(size) == len(wanted) and all(
-        has == wants or (wants == -1 and has > 0) for has, wants in zip(size, wanted, strict=True)
-    )
-
-
-def _wrong_shape(where: str, size: tuple[int, ...], layouts: dict[str, tuple[int, ...]], shape: tuple[int, int]) -> str:
-    hint = "; with --transpose it would" if shape[0] != shape[1] and size[-2:] == shape[::-1] else ""
-    return f"{where}: is {_times(size)}, which fits {shape[0]} × {shape[1]} cells in no way: {', '.join(layouts)}{hint}"
-
-
-def _times(size: Sequence[int]) -> str:
-    return " × ".join(str(part) for part in size) or "one value"
-
-
-def _array_place(where: str, order: tuple[str, ...], first: int = 0) -> Callable[[int, int, int], str]:
-    """How to name a value of an array: its indices in the file's order, counted from `first`."""
-
+def _transposed(frames: Frames) -> Frames:
     def place(frame: int, row: int, column: int) -> str:
-        index = {"frame": frame + first, "row": row + first, "column": column + first}
-        brackets = "({})" if first else "[{}]"
-        return f"{where}{brackets.format(', '.join(str(index[name]) for name in order))}"
+        return frames.place(frame, column, row)
 
-    return place
-
-
-def _recorded(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
-    """Values in their unit → what a recording of this readout holds, (frames, rows, columns)."""
-    _refuse(~np.isfinite(values), values, place, "is no finite number")
-    readout = scene.readout
-    if unit == "ohm" or readout is None:
-        _refuse(values <= 0, values, place, "must be a positive resistance in ohm")
-        return values
-    if unit == "code":
-        highest = 2**readout.adc_bits - 1
-        _refuse((values < 0) | (values > highest), values, place, f"is no code of a {readout.adc_bits}-bit converter")
-        _refuse((values == 0) | (values == highest), values, place, "is a saturated code, whose voltage is unknown")
-        return readout.recorded_from_volt(readout.volt_from_code(values))
-    outside = (values < 0) | (values > readout.supply_volt)
-    _refuse(outside, values, place, f"lies outside 0 to {readout.supply_volt:g} V, the readout's supply")
-    saturated = (values == 0) | (values == readout.supply_volt)
-    _refuse(saturated, values, place, "V is saturated: it may be anything beyond")
-    return readout.recorded_from_volt(values)
+    notes = (*frames.notes, "transposed: the file's rows are the panel's columns")
+    return dataclasses.replace(frames, values=frames.values.transpose(0, 2, 1), place=place, notes=notes)
 
 
-def _refuse(bad: np.ndarray, values: Array, place: Callable[[int, int, int], str], why: str) -> None:
-    if np.any(bad):
-        frame, row, column = (int(part) for part in np.argwhere(bad)[0])
-        raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
+def _clock(frames: Frames, period: float | None) -> Clock:
+    number = np.arange(len(frames.values), dtype=float)
+    if period is not None:
+        unused = "; those of the file are not used" if frames.timing is not None else ""
+        return Clock(number * period, None, f"time: a frame every {period:g} s, as told{unused}")
+    if frames.timing is None:
+        return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
+    return frames.timing()
+
+
+def _without_missing(recorded: Array, missing: str, place: Place, path: Path) -> tuple[NDArray[np.intp], str]:
+    """Which frames are kept, and a sentence on readings that are missing. Raises InputError where they are refused."""
+    blank = np.isnan(recorded)
+    gaps = blank.any(axis=(1, 2))
+    every = np.arange(len(recorded))
+    if not np.any(gaps):
+        return every, "no reading is missing"
+    if np.all(blank):
+        raise InputError(f"{path}: all readings are missing")
+    if missing == "refuse":
+        _refuse_missing(blank, place)
+    said = (
+        f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(recorded), 'frame')}"
+    )
+    if missing == "mark":
+        return every, f"{said}: NaN in the recording"
+    if np.all(gaps):
+        raise InputError(f"{path}: {said}, so that no frame would be left; --missing mark keeps them")
+    return every[~gaps], f"{said}: these frames are left out"
+
+
+def _refuse_missing(blank: NDArray[np.bool_], place: Place) -> None:
+    if np.any(blank):
+        frame, row, column = (int(part) for part in np.argwhere(blank)[0])
+        raise InputError(f"{place(frame, row, column)}: the reading of row {row}, column {column} is missing")
+
+
+def _assumed(scene: Scene, told: bool) -> str:
+    series = f"series resistance {scene.series_resistance_ohm:g} ohm" if scene.circuit.unit == "ohm" else ""
+    pitch = f"pitch {scene.panel.pitch_mm:g} mm"
+    both = " and ".join(filter(None, (series, pitch)))
+    return f"{both}, {'by the scene' if told else 'assumed; a scene says otherwise'}"
+
+
+def _bounds(recorded: Array, scene: Scene) -> tuple[str, ...]:
+    """A sentence on readings at the converter's rails, which are kept as bounds."""
+    least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
+    beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
+    return (f"{_counted(beyond, 'reading')} at or beyond a rail of the converter: kept as bounds",) if beyond else ()
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,4 +1,4 @@
-"""The real numeric arrays of MATLAB's .mat files of level 5 (options -v6 and -v7).
+"""The real numeric arrays of MATLAB's .mat files: of level 5 (options -v6 and -v7) here, of 7.3 next door.
 
 SciPy's reader ends the whole process on some damaged files; this one checks every size before it is used.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.recording.foreign.matlab_hdf5 import arrays_of_level_7
 
 HEADER = 128
 MOST_BYTES = 400_000_000
@@ -30,7 +31,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise InputError(f"{path}: a MATLAB 7.3 file; save it with the option -v7 instead")
+        return arrays_of_level_7(path)
     order = {b"IM": "<", b"MI": ">"}.get(data[HEADER - 2 : HEADER])
     if order is None:
         raise InputError(f"{path}: no readable .mat file (save it with the option -v7)")

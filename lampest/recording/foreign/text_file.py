@@ -1,0 +1,165 @@
+"""Text files as lines of fields: their encoding, the stamps of a terminal, comments, and what keeps fields apart."""
+
+import csv
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.recording.foreign.numerals import Numerals
+from lampest.recording.foreign.table import Rows
+
+MOST_FIELDS = 10_000_000
+LONGEST_LINE = 1_000_000
+DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
+COMMENT = re.compile(r"\s*(?:#(?!N/A|NA|DIV/0!|NUM!|VALUE!|REF!)|%|//)", re.IGNORECASE)  # not where Excel has no number
+TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
+# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
+STAMPED = re.compile(rf"\s*(?:\[({DATE})?({TIME})\]|({DATE})?({TIME})\s*(?:->|>|\|))\s*")
+
+LISTED = re.compile(r"\s*[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+BRACKETS = str.maketrans("[]{}()", "      ")
+
+
+class _Line(NamedTuple):
+    number: int
+    text: str
+    stamp: str
+    comment: bool
+    blank: bool
+
+
+def rows_of_text(path: Path) -> Rows:
+    """The lines of a text file that hold anything, in fields; comments, too.
+
+    Fields are apart by the sign that gives most numbers. Raises InputError with the line where the file is no text,
+    a line is too long, or a quotation mark is not closed.
+    """
+    text, notes = _text(path)
+    lines = _lines(path, text)
+    if any(line.stamp for line in lines):
+        notes.append("a terminal's time before the lines")
+    delimiter = _delimiter([line.text for line in lines if not line.comment])
+    fields, counts = _fields(path, lines, delimiter)
+    numbers = [line.number for line in lines]
+
+    def place(line: int, field: int | None) -> str:
+        return f"{path}:{numbers[line]}" + ("" if field is None else f":{field + 1}")
+
+    return Rows(
+        str(path),
+        fields,
+        counts,
+        np.array([line.comment for line in lines], dtype=bool),
+        np.array([line.blank for line in lines], dtype=bool),
+        tuple(line.stamp for line in lines),
+        place,
+        lambda line: f"line {numbers[line]}",
+        (f"fields apart by {DELIMITERS[delimiter]}", *notes),
+    )
+
+
+def _text(path: Path) -> tuple[str, list[str]]:
+    """UTF-8, UTF-16 by its mark or its zero bytes, and what older Windows programs write into headers."""
+    data = path.read_bytes()
+    for mark, encoding in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
+        halves = data[: 2 * (len(data) // 2)]
+        zeros = halves[1::2] if encoding.endswith("le") else halves[::2]
+        if data.startswith(mark) or (b"\0" in data and zeros.count(0) > 0.9 * len(zeros)):
+            try:
+                return halves.decode(encoding).removeprefix("\ufeff"), ["UTF-16"]
+            except UnicodeDecodeError as error:
+                raise InputError(f"{path}: no text table (byte {error.start} is not UTF-16)") from error
+    if b"\0" in data:
+        raise InputError(f"{path}: no text table (it holds zero bytes)")
+    try:
+        return data.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        if not re.search(rb"^\s*[+-]?[\d.]", data[: error.start], flags=re.MULTILINE) and re.search(rb"\n\s*\d", data):
+            return data.decode("latin-1"), ["Latin-1"]
+        raise InputError(f"{path}:{line}: no text table (byte {error.start} is not UTF-8)") from error
+
+
+def _lines(path: Path, text: str) -> list[_Line]:
+    """Lines that hold anything; their numbers as an editor shows them."""
+    lines, blank = [], False
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+        if len(line) > LONGEST_LINE:
+            raise InputError(f"{path}:{number}: longer than {LONGEST_LINE} characters, which no table is")
+        stamped = STAMPED.match(line)
+        rest = line[stamped.end() :] if stamped else line
+        rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
+        if not rest.strip(" \t;,\0"):
+            blank = True
+            continue
+        stamp = "".join(part or "" for part in stamped.groups()) if stamped else ""
+        lines.append(_Line(number, rest, stamp, COMMENT.match(rest) is not None, blank))
+        blank = False
+    return lines
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """The sign that leaves most fields that are numbers, in the first lines; the earlier in the list of equal ones."""
+    sample = [line[:SAMPLED_SIGNS] for line in lines[:SAMPLED_LINES]]
+    while sum(map(len, sample)) > SAMPLED_SIGNS and len(sample) > 1:
+        sample = sample[: len(sample) // 2]
+    return max(DELIMITERS, key=lambda sign: _numbers_by(sample, sign), default=",")
+
+
+def _numbers_by(lines: Sequence[str], sign: str) -> tuple[int, bool]:
+    fields = [field.strip(' "') for line in lines for field in line.split(None if sign == " " else sign)]
+    numerals = Numerals.of(fields)
+    return sum(field != "" and numerals.is_number(field) for field in fields), any(sign in line for line in lines)
+
+
+def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """(lines, fields) stripped texts, and how many fields each line has."""
+    import pandas  # takes 0.3 s
+
+    if not lines:
+        return np.zeros((0, 0), dtype=object), np.zeros(0, dtype=np.intp)
+    blanks = delimiter == " "
+    texts = [" ".join(line.text.split()) if blanks else line.text for line in lines]
+    counts = [re.sub('"[^"]*"', "", text).count(delimiter) + 1 for text in texts]
+    _check_size(path, lines, counts)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pandas.errors.ParserWarning)  # of fields that it drops
+            frame = pandas.read_csv(
+                io.StringIO("\n".join(texts)),
+                sep=delimiter,
+                header=None,
+                names=range(max(counts)),
+                dtype=object,
+                na_filter=False,
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                index_col=False,
+                quoting=csv.QUOTE_NONE if blanks else csv.QUOTE_MINIMAL,
+            )
+    except (ValueError, pandas.errors.ParserWarning):
+        frame = pandas.DataFrame()
+    if len(frame) != len(lines):  # a quotation mark within a field has swallowed line ends
+        odd = next((line for line in lines if line.text.count('"') % 2), None)
+        odd = odd or next((line for line in lines if '"' in line.text), lines[0])
+        raise InputError(f"{path}:{odd.number}: a quotation mark that is not closed, or within a field")
+    fields = frame.to_numpy(object)
+    stripped = np.array([text.strip() for text in fields.ravel()], dtype=object)
+    return stripped.reshape(fields.shape), np.array(counts, dtype=np.intp)
+
+
+def _check_size(path: Path, lines: Sequence[_Line], counts: Sequence[int]) -> None:
+    """Raise InputError where the lines hold more fields than are imported, all as long as the longest one."""
+    within = np.cumsum(counts) <= MOST_FIELDS
+    if not np.all(within) or len(counts) * max(counts) > 2 * MOST_FIELDS:
+        number = lines[int(np.argmin(within))].number
+        raise InputError(f"{path}:{number}: more than {MOST_FIELDS} values are not imported")
