@@ -69,10 +69,10 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
     from lampest.panel.scene import Faults as Faults
     from lampest.panel.scene import Scene as Scene
-    from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
+    from lampest.panel.series import SeriesPerLine as SeriesPerLine
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene
     from lampest.recording.readings import Readings as Readings
