@@ -72,10 +72,10 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.wiring import Lines as Lines
     from lampest.panel.scene import Faults as Faults
     from lampest.panel.scene import Scene as Scene
-    from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
+    from lampest.panel.series import SeriesPerLine as SeriesPerLine
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene
     from lampest.recording.readings import Readings as Readings

@@ -12,8 +12,9 @@ from lampest.files.document import to_yaml
 from lampest.files.tagged import members_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import PerLine, check_lines, lines_text, per_line
+from lampest.panel.readouts.lines import check_lines, lines_text
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
+from lampest.panel.series import SeriesPerLine
 
 
 @dataclass(frozen=True)
@@ -90,27 +91,6 @@ class Faults:
             raise ValueError("faults: a cell cannot be open and shorted")
         if np.all(self.blind(panel)) or np.all(self.open_cells(panel)):
             raise ValueError("faults: nothing is left of the panel")
-
-
-@dataclass(frozen=True)
-class SeriesPerLine:
-    """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
-
-    rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    rows: PerLine
-    columns: PerLine
-
-    def __post_init__(self) -> None:
-        check_lines("rows", self.rows)
-        check_lines("columns", self.columns)
-
-    def ohm(self, panel: Panel) -> Array:
-        """(rows, columns) ohm. Raises ValueError where a list has another length."""
-        row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
-        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
 
 
 @dataclass(frozen=True)
