@@ -143,9 +143,15 @@ def live(
 
 
 def report_recorded(done: "Recorded") -> None:
-    """Say what was recorded; a recording that was interrupted ends with 130."""
+    """Say what was recorded, and what no scene told; a recording that was interrupted ends with 130."""
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     print(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
+        print(
+            "lampest: no series resistance is assumed, because the scene names none; two multiplexer channels have "
+            "some 140 ohm, which lampest calibrate measures",
+            file=sys.stderr,
+        )
     if done.interrupted:
         raise typer.Exit(INTERRUPTED)
 
