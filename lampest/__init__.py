@@ -60,12 +60,16 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import SuctionCup as SuctionCup
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
+    from lampest.panel.readouts import GroundedReadout as GroundedReadout
     from lampest.panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
     from lampest.panel.readouts import Readout as Readout
     from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
+    from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
+    from lampest.panel.readouts.loaded_columns.diode import Diode as Diode
     from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
     from lampest.panel.scene import Faults as Faults
     from lampest.panel.scene import Scene as Scene
+    from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water

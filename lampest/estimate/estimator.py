@@ -22,7 +22,7 @@ from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
 from lampest.solvers.solution import Settings, Solver
 
-FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
+FARTHEST, SHORTED = 1e9, 1e-6
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
@@ -54,7 +54,8 @@ class Bounds:
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
-            lower = readout.least_cells(measured, sigma) if self.lower == "measured" else apparent * NEAREST
+            native = self.lower == "measured"
+            lower = readout.least_cells(measured, sigma) if native else readout.nearly_shorted(measured)
         else:
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution":
@@ -200,7 +201,8 @@ class Estimator:
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
-            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), apparent * NEAREST, lower)
+            nearly_shorted = scene.circuit.nearly_shorted(measured)
+            lower = np.where((readings.side == AT_MOST) | (readings.seen == 0), nearly_shorted, lower)
             upper = np.where((readings.side != 0) | (readings.seen == 0), apparent * FARTHEST, upper)
         if scene.faults is not None:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))

@@ -7,8 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.lines import PerLine, check_lines, lines_text, per_line
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,27 @@ class Faults:
             raise ValueError("faults: a cell cannot be open and shorted")
         if np.all(self.blind(panel)) or np.all(self.open_cells(panel)):
             raise ValueError("faults: nothing is left of the panel")
+
+
+@dataclass(frozen=True)
+class SeriesPerLine:
+    """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
+
+    rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    rows: PerLine
+    columns: PerLine
+
+    def __post_init__(self) -> None:
+        check_lines("rows", self.rows)
+        check_lines("columns", self.columns)
+
+    def ohm(self, panel: Panel) -> Array:
+        """(rows, columns) ohm. Raises ValueError where a list has another length."""
+        row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
+        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
 
 
 @dataclass(frozen=True)
@@ -131,8 +153,9 @@ class Systematic:
 
     Parameters
     ----------
-    reference_tolerance : the reference resistor is off by up to this fraction.
-    channel_spread_ohm : standard deviation of the series resistance of each line's channel, in ohm.
+    reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
+        fraction.
+    channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
 
     Raises ValueError where a number is out of range.
     """
@@ -156,7 +179,8 @@ class Scene:
     ----------
     panel : rows, columns and pitch.
     readout : the electronics; None where only resistances are known, and then their σ is unknown too.
-    series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm.
+    series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm; a
+        number for all, or one for each line.
     faults : what is known to be broken, or None.
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
@@ -168,15 +192,17 @@ class Scene:
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     panel: Panel
     readout: AnyReadout | None = None
-    series_resistance_ohm: float = 0.0
+    series_resistance_ohm: float | SeriesPerLine = 0.0
     faults: Faults | None = None
     water: Water | None = None
     temperature: Temperature | None = None
     systematic: Systematic | None = None
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.series_resistance_ohm) and self.series_resistance_ohm >= 0):
-            raise ValueError("series_resistance_ohm must be zero or positive, and finite")
+        if isinstance(self.series_resistance_ohm, SeriesPerLine):
+            self.series_resistance_ohm.ohm(self.panel)
+        else:
+            check_lines("series_resistance_ohm", self.series_resistance_ohm)
         if self.faults is not None:
             self.faults.check(self.panel)
         self.circuit.check(self)
@@ -185,3 +211,17 @@ class Scene:
     def circuit(self) -> Readout:
         """How readings follow from cells: the readout's circuit, or two-point resistances where it names none."""
         return TwoPointReadout() if self.readout is None else self.readout
+
+    @property
+    def series_ohm(self) -> Array:
+        """What stands in series with every reading, ohm; to be broadcast to (rows, columns)."""
+        series = self.series_resistance_ohm
+        return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
+
+    @property
+    def series_text(self) -> str:
+        """'140 ohm', or the ranges of rows and of columns."""
+        series = self.series_resistance_ohm
+        if not isinstance(series, SeriesPerLine):
+            return lines_text(series)
+        return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"

@@ -102,7 +102,7 @@ class Track:
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0))
-        columns = self.shared.columns(model.at.data.measured)
+        columns = self.shared.columns(cells, model.at.data.measured)
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer = np.zeros((cells.size, columns.shape[1]))
         answer[model.free] = errors.answer(np.asarray(model.through @ columns), last, baseline)

@@ -54,7 +54,7 @@ class Readings:
             seen[..., scene.faults.blind(scene.panel)] = 0.0
         if circuit.unit == "ohm":
             least = network if sigma is None else network + IMPOSSIBLE * sigma
-            why = f", not above the scene's series resistance of {scene.series_resistance_ohm:g} ohm"
+            why = f", not above the scene's series resistance of {scene.series_text}"
             _refuse((least <= 0) & (seen > 0), recorded, dataset, circuit.unit, why)
         if sigma is not None and circuit.unit == "ohm":
             small = (network <= NEAR_ZERO * _least_noise(scene, sigma)) & (seen > 0) & (side != AT_LEAST)
@@ -147,10 +147,12 @@ def _check(scene: Scene, recorded: Array, sigma: Array | None, dataset: str | No
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """σ of every reading: the one that is given, else the readout's, else None."""
+    """σ of every reading of the network: from the one that is given, else the readout's, else None."""
     if sigma is not None:
-        return np.broadcast_to(sigma, recorded.shape)
-    return None if scene.readout is None else scene.readout.sigma(recorded)
+        return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
+    if scene.readout is None:
+        return None
+    return scene.readout.sigma_of_reading(recorded, scene.readout.sigma(recorded))
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
@@ -167,7 +169,7 @@ def _least_noise(scene: Scene, sigma: Array) -> Array:
     """The noise where nothing but the series resistance is read; that of a large resistance says no such thing."""
     if scene.readout is None:
         return sigma
-    return np.minimum(sigma, scene.readout.sigma(np.array(scene.series_resistance_ohm)))
+    return np.minimum(sigma, scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape)))
 
 
 def _filled(network: Array, seen: Array) -> Array:

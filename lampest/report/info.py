@@ -60,7 +60,7 @@ def _scene_lines(scene: Scene) -> list[str]:
     else:
         lines.append(f"readout   {readout.description()}")
     if scene.circuit.unit == "ohm":
-        lines.append(f"series    {scene.series_resistance_ohm:g} ohm")
+        lines.append(f"series    {scene.series_text}")
     if scene.systematic is not None:
         off = scene.systematic
         lines.append(

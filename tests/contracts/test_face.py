@@ -29,7 +29,8 @@ NAMES = (
     "TotalVariationOfChange", "Arrival", "Shape", "Rod", "Ring", "SuctionCup", "OralDisc", "Block", "Column", "Plot",
     "simulate", "Simulation", "read_results", "Results", "CaseResult", "PublishedFigures", "StepFigures",
     "write_results", "import_file", "read_scene", "read_run", "read_simulations", "two_point_resistance",
-    "InputError", "UNLOADED", "MEASURED", "reconstruct",
+    "InputError", "UNLOADED", "MEASURED", "reconstruct", "GroundedReadout", "VirtualGroundReadout", "Diode",
+    "SeriesPerLine",
 )
 # fmt: on
 

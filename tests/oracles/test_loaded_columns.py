@@ -18,7 +18,7 @@ from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout
-from lampest.panel.scene import Faults, Scene, Systematic
+from lampest.panel.scene import Faults, Scene, SeriesPerLine
 from lampest.recording.foreign.importing import import_file
 from lampest.recording.recording import Recording
 from lampest.runs.batch import run_batch
@@ -197,10 +197,10 @@ def test_volt_and_code_are_imported(tmp_path: Path) -> None:
         import_file(tmp_path / "volt.npy", 5, 6, recording.scene, "ohm")
 
 
-@pytest.mark.parametrize("broken", [{"series_resistance_ohm": 140.0}, {"systematic": Systematic(0.01)}])
-def test_what_the_circuit_has_no_model_of_is_refused(broken: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="belongs to readout"):
-        Scene(Panel(5, 6), READOUT, **broken)
+@pytest.mark.parametrize("series", [140.0, SeriesPerLine(70.0, 70.0)])
+def test_a_series_resistance_is_refused_and_its_place_told(series: float | SeriesPerLine) -> None:
+    with pytest.raises(ValueError, match=r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"):
+        Scene(Panel(5, 6), READOUT, series)
 
 
 def test_recognition_refuses_what_its_physics_is_not_of() -> None:

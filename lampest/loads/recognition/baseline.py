@@ -26,13 +26,13 @@ class Baseline:
 
     logarithm : (rows, columns) mean of ln r0. offsets : (rows + columns + 1) in their standard deviations.
     covariance : of both together, (cells + rows + columns + 1)².
-    series_ohm : what was taken off the readings. model_errors : the errors that are assumed.
+    series_ohm : what was taken off the readings, to be broadcast to them. model_errors : the errors that are assumed.
     """
 
     logarithm: Array
     offsets: Array
     covariance: Array
-    series_ohm: float
+    series_ohm: Array
     model_errors: ModelErrors
 
     @classmethod
@@ -44,7 +44,7 @@ class Baseline:
         """
         if not isinstance(scene.circuit, TwoPointReadout):
             raise ValueError("recognition knows readout.kind: two_point only")
-        series_ohm = scene.series_resistance_ohm
+        series_ohm = scene.series_ohm
         rows, columns = measured.shape
         cells, lines = measured.size, rows + columns + 1
         prior = np.zeros((cells + lines,) * 2)

@@ -3,9 +3,21 @@
 from typing import Annotated
 
 from lampest.files.tagged import ByKind
+from lampest.panel.readouts.grounded import GroundedReadout
 from lampest.panel.readouts.loaded_columns.readout import LoadedColumnsReadout
 from lampest.panel.readouts.readout import Readout
 from lampest.panel.readouts.two_point.readout import TwoPointReadout
+from lampest.panel.readouts.virtual_ground import VirtualGroundReadout
 
-__all__ = ["AnyReadout", "LoadedColumnsReadout", "Readout", "TwoPointReadout"]
-AnyReadout = Annotated[TwoPointReadout | LoadedColumnsReadout, ByKind("lampest.readouts", "two_point")]
+__all__ = [
+    "AnyReadout",
+    "GroundedReadout",
+    "LoadedColumnsReadout",
+    "Readout",
+    "TwoPointReadout",
+    "VirtualGroundReadout",
+]
+AnyReadout = Annotated[
+    TwoPointReadout | LoadedColumnsReadout | GroundedReadout | VirtualGroundReadout,
+    ByKind("lampest.readouts", "two_point"),
+]

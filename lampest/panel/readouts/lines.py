@@ -1,12 +1,31 @@
 """Numbers that hold for all lines of one side of the panel, or are given for each."""
 
 from math import isfinite
+from typing import Any, Literal
 
 import numpy as np
 
 from lampest.panel.panel import Array
 
 PerLine = float | tuple[float, ...]
+Side = Literal["rows", "columns"]
+# Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
+LEAST_OHM, MOST_OHM = 1e-6, 1e9
+
+
+def opposite(side: Side) -> Side:
+    """The other side of the panel."""
+    return "columns" if side == "rows" else "rows"
+
+
+def of_side(side: Side, rows: Any, columns: Any) -> tuple[Any, Any]:
+    """(what the side has, what the other side has), of what rows and columns have; and the same way back."""
+    return (rows, columns) if side == "rows" else (columns, rows)
+
+
+def along(side: Side, values: Array) -> Array:
+    """Values of the lines of one side, to be broadcast to (rows, columns)."""
+    return values[:, None] if side == "rows" else values[None, :]
 
 
 def as_tuple(value: PerLine) -> tuple[float, ...]:
@@ -14,19 +33,28 @@ def as_tuple(value: PerLine) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
-def lines_text(value: PerLine) -> str:
+def lines_text(value: PerLine, unit: str = "ohm") -> str:
     """'10000 ohm', or 'from 980 to 1020 ohm' where lines differ."""
     numbers = as_tuple(value)
     low, high = min(numbers), max(numbers)
-    return f"{low:g} ohm" if low == high else f"from {low:g} to {high:g} ohm"
+    return f"{low:g} {unit}" if low == high else f"from {low:g} to {high:g} {unit}"
 
 
-def check_lines(name: str, value: PerLine, least: float, open_end: bool = False) -> None:
-    """Raise ValueError unless every number is finite and at least `least`, or above it with an open end."""
+def check_lines(name: str, value: PerLine, open_end: bool = False) -> None:
+    """Raise ValueError unless every number is finite and not negative, nor zero with an open end."""
+    if not as_tuple(value):
+        raise ValueError(f"{name} lists no number")
     for number in as_tuple(value):
-        if not isfinite(number) or number < least or (open_end and number == least):
-            bound = "positive" if open_end else "zero or positive"
-            raise ValueError(f"{name} must be {bound} and finite")
+        if not isfinite(number) or number < 0 or (open_end and number == 0):
+            raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'} and finite")
+
+
+def check_resistors(name: str, value: PerLine, open_end: bool = True, most: float = MOST_OHM) -> None:
+    """The same for resistances, and raise ValueError where one is so small or so large that digits are lost."""
+    check_lines(name, value, open_end)
+    for number in as_tuple(value):
+        if number and not LEAST_OHM <= number <= most:
+            raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {MOST_OHM:g} ohm")
 
 
 def per_line(name: str, value: PerLine, lines: int) -> Array:
@@ -36,3 +64,21 @@ def per_line(name: str, value: PerLine, lines: int) -> Array:
     if len(value) != lines:
         raise ValueError(f"{name} lists {len(value)} numbers, but there are {lines} such lines")
     return np.array(value)
+
+
+def scaled(value: PerLine, factor: float) -> PerLine:
+    """Every number times a factor."""
+    return tuple(number * factor for number in value) if isinstance(value, tuple) else value * factor
+
+
+def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ...]:
+    """The numbers with what every line's channel (lines) has more. Raises ValueError where one turns negative."""
+    total = per_line(name, value, len(channels)) + channels
+    if np.any(total < 0):
+        raise ValueError(f"the spread of the channels makes a resistance negative; give a larger {name}")
+    return tuple(float(ohm) for ohm in total)
+
+
+def parallel(ohm: Array, other: float | None) -> Array:
+    """Two resistances side by side; the other may not be there."""
+    return ohm if other is None else np.asarray(1 / (1 / ohm + 1 / other))

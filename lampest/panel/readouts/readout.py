@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
+from lampest.panel.readouts.lines import PerLine, Side, along, check_lines, lines_text, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 
 if TYPE_CHECKING:
@@ -32,11 +33,14 @@ class Readout(ABC):
     supply_volt : supply of the circuit and reference of the converter in volt.
     adc_bits : resolution of the converter.
     readings : conversions that are averaged for one cell.
-    noise_lsb : standard deviation of one reading before quantisation, in least significant bits.
+    noise_lsb : standard deviation of one reading before quantisation, in least significant bits; a number or one for
+        each driven line (`noisy_side`).
 
     unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
     whether readings grow with all cells by one factor. unique : whether theory promises that plain least squares
     without noise has one minimum; where it does not, the reduced solver searches and others go on from what it finds.
+    in_series : whether the scene's series resistance adds to every reading. noisy_side : whose lines `noise_lsb` lists.
+    mirrored : whether loads lead to the supply, so that the converter sees Vcc minus the network's reading.
 
     Raises ValueError where a number is out of range.
     """
@@ -47,10 +51,11 @@ class Readout(ABC):
     signal_name: ClassVar[str] = "voltage at the converter"
     homogeneous: ClassVar[bool] = False
     unique: ClassVar[bool] = False
+    in_series: ClassVar[bool] = False
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20
-    noise_lsb: float = 0.7
+    noise_lsb: PerLine = 0.7
 
     def __post_init__(self) -> None:
         check_positive("supply_volt", self.supply_volt)
@@ -58,15 +63,26 @@ class Readout(ABC):
             raise ValueError("adc_bits must lie between 1 and 32")
         if not 1 <= self.readings <= 65535:
             raise ValueError("readings must lie between 1 and 65535")
-        if not (isfinite(self.noise_lsb) and self.noise_lsb >= 0):
-            raise ValueError("noise_lsb must be zero or positive, and finite")
+        check_lines("noise_lsb", self.noise_lsb)
 
     def check(self, scene: "Scene") -> None:
         """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
-        if scene.series_resistance_ohm:
-            raise ValueError("series_resistance_ohm belongs to readout.kind: two_point")
-        if scene.systematic is not None:
-            raise ValueError("systematic belongs to readout.kind: two_point")
+        per_line("noise_lsb", self.noise_lsb, of_side(self.noisy_side, *scene.panel.shape)[0])
+        if scene.series_resistance_ohm and not self.in_series:
+            raise ValueError(
+                "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's resistance is part "
+                "of the readout's drive_ohm or sense_ohm"
+            )
+
+    @property
+    def noisy_side(self) -> Side:
+        """The driven lines; rows unless a kind says otherwise."""
+        return "rows"
+
+    @property
+    def mirrored(self) -> bool:
+        """No, unless a kind says otherwise."""
+        return False
 
     @abstractmethod
     def description(self) -> str:
@@ -74,7 +90,7 @@ class Readout(ABC):
 
     def converter_description(self) -> str:
         """The converter's part of that."""
-        return f"{self.adc_bits} bits, {self.readings} readings, noise {self.noise_lsb:g} LSB"
+        return f"{self.adc_bits} bits, {self.readings} readings, noise {lines_text(self.noise_lsb, 'LSB')}"
 
     # The circuit: what a kind must state.
 
@@ -118,6 +134,10 @@ class Readout(ABC):
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """What no cell can lie below, given its readings (…, rows, columns), ohm."""
+        return self.nearly_shorted(measured)
+
+    def nearly_shorted(self, measured: Array) -> Array:
+        """Cells (…, rows, columns) ohm that are smaller than any that these readings leave possible."""
         return LEAST_SHARE * self.apparent_resistance(measured)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
@@ -153,16 +173,20 @@ class Readout(ABC):
 
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
-        return recorded
+        return self.supply_volt - recorded if self.mirrored else recorded
 
     @property
     def direction(self) -> float:
         """1 where a network's reading grows with the recorded one, -1 where it falls."""
-        return 1.0
+        return -1.0 if self.mirrored else 1.0
 
     def to_recorded(self, reading: Array, scene: "Scene") -> Array:
         """The recorded reading of a network's, any shape ending in (rows, columns)."""
-        return reading
+        return self.supply_volt - reading if self.mirrored else reading
+
+    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
+        """σ of the network's readings from that of recorded ones, the same shape."""
+        return sigma
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """Recorded readings (frames, rows, columns) of cells, without the converter.
@@ -174,6 +198,21 @@ class Readout(ABC):
     def off_by(self, fraction: float) -> Self:
         """The same circuit with its reference resistor larger by a fraction."""
         return self
+
+    def shared_errors(self, cells: Array, measured: Array, scene: "Scene", reference: float, channel: float) -> Array:
+        """What errors of all readings together do to them, (1 + rows + columns, rows, columns): secants of the model.
+
+        cells : the estimate, (rows, columns) ohm. measured : its readings. reference : by this fraction the reference
+        resistor is off, see `off_by`. channel : by so many ohm one line's channel is, rows first, see `simulated`.
+        """
+        rows, columns = cells.shape
+        errors, still = np.zeros((1 + rows + columns, rows, columns)), self.exact_reading(cells)
+        if reference:
+            errors[0] = self.off_by(reference).exact_reading(cells) - still
+        for line, more in enumerate(channel * np.eye(rows + columns) if channel else ()):
+            recorded = self.simulated(cells, scene, more[:rows], more[rows:])
+            errors[1 + line] = self.from_recorded(recorded, scene) - still
+        return errors
 
     # The converter.
 
@@ -204,20 +243,32 @@ class Readout(ABC):
         """A recorded reading from the sum of so many codes; a rail stands for its interval's middle, and is finite."""
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
-    def sigma_code(self) -> float:
-        """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
+    def noise_volt(self) -> Array:
+        """The noise of one reading, to be broadcast to (rows, columns)."""
+        return self._of_driven_lines(np.array(self.noise_lsb)) * self.lsb_volt
+
+    def _of_driven_lines(self, values: Array) -> Array:
+        """One number, or one for each driven line, to be broadcast to (rows, columns)."""
+        return along(self.noisy_side, values) if values.ndim else values
+
+    def sigma_code(self) -> Array:
+        """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b²; as `noise_lsb` is given.
 
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
-        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
-        left = np.sum(np.exp(-((2 * np.pi * harmonic * self.noise_lsb) ** 2)) / (2 * np.pi**2 * harmonic**2))
-        bias = 1 / 12 if self.noise_lsb == 0 else min(float(left), 1 / 12)
-        return float(np.sqrt((self.noise_lsb**2 + 1 / 12 - bias) / self.readings + bias))
+        harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.noise_lsb)
+        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
+        bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
 
     def sigma(self, recorded: Array) -> Array:
         """σ of recorded readings, the same shape and unit."""
-        return np.full(np.shape(recorded), self.sigma_code() * self.lsb_volt)
+        return np.broadcast_to(self.sigma_volt(), np.shape(recorded)).copy()
+
+    def sigma_volt(self) -> Array:
+        """σ of a mean reading at the converter, to be broadcast to (rows, columns)."""
+        return self._of_driven_lines(self.sigma_code()) * self.lsb_volt
 
     def rails(self) -> tuple[float, float]:
         """(least, largest) recorded reading that a code between the first and the last one can mean.

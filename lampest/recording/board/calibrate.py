@@ -140,17 +140,17 @@ def _parts(conductance: Array) -> Index:
 
 def _sigma_of_mean(recording: Recording, used: Array) -> Array:
     """σ of each used cell's mean over the frames (cells) ohm: what averages out, and what quantisation leaves."""
-    mean, frames = recording.resistance.mean(axis=0)[used], len(recording.resistance)
-    scatter = recording.resistance[:, used].std(axis=0, ddof=1) if frames > 1 else np.zeros(len(mean))
+    whole, frames = recording.resistance.mean(axis=0), len(recording.resistance)
+    scatter = recording.resistance[:, used].std(axis=0, ddof=1) if frames > 1 else np.zeros(int(np.sum(used)))
     readout = recording.scene.readout
     if readout is None:
-        return np.full(len(mean), max(float(np.sqrt(np.mean(scatter**2))), 1e-9) / np.sqrt(frames))
+        return np.full(len(scatter), max(float(np.sqrt(np.mean(scatter**2))), 1e-9) / np.sqrt(frames))
     endless = dataclasses.replace(readout, readings=65535)
-    lasting = endless.sigma(mean)
+    lasting = endless.sigma(whole)[used]
     # One cell's scatter over few frames is a poor estimate, and zero where all readings agree: that of all, in codes.
-    expected = readout.sigma(mean)
+    expected = readout.sigma(whole)[used]
     pooled = float(np.sqrt(np.mean((scatter / expected) ** 2))) if frames > 1 else 1.0
-    least = endless.sigma_code() / readout.sigma_code()
+    least = float(np.min(endless.sigma_code() / readout.sigma_code()))
     total: Array = np.hypot(expected * max(pooled, least) / np.sqrt(frames), lasting)
     return total
 

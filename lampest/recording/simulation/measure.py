@@ -40,7 +40,7 @@ def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Arr
 def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
     """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
-    sigma = readout.noise_lsb * readout.lsb_volt
+    sigma = readout.noise_volt()
     sums = np.empty(total.shape, dtype=np.int64)
     for frame, volt in enumerate(readout.volt_from_recorded(total)):
         sums[frame] = 0

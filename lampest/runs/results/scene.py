@@ -8,11 +8,11 @@ from lampest.files import hdf5
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, Water
+from lampest.panel.scene import Scene, SeriesPerLine, Water
 
 ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
     "pitch_mm": lambda scene: scene.panel.pitch_mm,
-    "series_resistance_ohm": lambda scene: scene.series_resistance_ohm,
+    "series_resistance_ohm": lambda scene: _one_series(scene),
     "top_row_depth_mm": lambda scene: None if scene.water is None else scene.water.top_row_depth_mm,
 }
 
@@ -56,4 +56,10 @@ def fullest(scenes: Iterable[Scene]) -> Scene:
 
 def _in_attributes(scene: Scene) -> Scene:
     """What is left of a scene in a file without it."""
-    return Scene(scene.panel, series_resistance_ohm=scene.series_resistance_ohm, water=scene.water)
+    return Scene(scene.panel, series_resistance_ohm=_one_series(scene) or 0.0, water=scene.water)
+
+
+def _one_series(scene: Scene) -> float | None:
+    """The series resistance where one number says it."""
+    series = scene.series_resistance_ohm
+    return None if isinstance(series, SeriesPerLine) else series

@@ -98,9 +98,9 @@ class Ipopt:
         return np.concatenate([conductance, *potentials, *sides])
 
     def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
-        """Bounds of all unknowns; no network reads a cell below a thousandth of its apparent resistance."""
+        """Bounds of all unknowns; no network reads a cell that is smaller than `Readout.nearly_shorted`."""
         free = int(self._solver.size1_in("x0")) - data.measured.size - split
-        least = np.minimum(np.maximum(data.lower, data.apparent_resistance / 1000), data.upper).ravel()
+        least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper).ravel()
         lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
         upper = [scale / least, np.full(free + split, np.inf)]
         return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}

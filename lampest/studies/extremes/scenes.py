@@ -105,7 +105,7 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
 
 def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
     """What one conversion says of a resistance."""
-    noise = readout.noise_lsb * readout.lsb_volt * rng.standard_normal(total.shape)
+    noise = readout.noise_volt() * rng.standard_normal(total.shape)
     code = readout.code_from_volt(readout.volt_from_recorded(total) + noise)
     return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 

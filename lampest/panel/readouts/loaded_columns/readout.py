@@ -1,12 +1,26 @@
 """Loaded columns: one line is driven through a resistor, the other driven lines float, every sensed line has a load."""
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, lines_text, per_line
+from lampest.panel.readouts.lines import (
+    PerLine,
+    Side,
+    along,
+    check_resistors,
+    lines_text,
+    of_side,
+    opposite,
+    parallel,
+    per_line,
+    scaled,
+    with_channels,
+)
+from lampest.panel.readouts.loaded_columns.diode import Diode
 from lampest.panel.readouts.loaded_columns.start import kirchhoff_start
 from lampest.panel.readouts.readout import LEAST_SHARE, Readout
 
@@ -21,6 +35,8 @@ END = 1e-9  # of the supply: a reading so near to an end says that a cell is ope
 class LoadedColumnsReadout(Readout):
     """V = Vcc·Z_ij/(Rd_i + Z_ii): driven line i, sensed line j with its load Rs_j, other driven lines floating.
 
+    Behind a diode it is V = U·Z_ij/(Rd_i + Z_ii), U what the diode leaves of Vcc; see `Diode.left`.
+
     Parameters
     ----------
     driven : the lines that are driven, one after the other.
@@ -28,6 +44,8 @@ class LoadedColumnsReadout(Readout):
         ground and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
     load_ohm : Rs, a number or one for each sensed line. drive_ohm : Rd, between the supply and the driven line, the
         channel included; a number or one for each driven line.
+    diode : in series with Rd, or None. input_ohm : input resistance of the converter, parallel to every load; None:
+        none that matters.
     supply_volt, adc_bits, readings, noise_lsb : the converter; see `Readout`.
 
     The network's reading is the voltage across the load, for either polarity. Raises ValueError where a number is out
@@ -35,84 +53,103 @@ class LoadedColumnsReadout(Readout):
     """
 
     kind: Literal["loaded_columns"] = "loaded_columns"
-    driven: Literal["rows", "columns"] = "rows"
+    driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
     load_ohm: PerLine = 10_000.0
     drive_ohm: PerLine = 0.0
+    diode: Diode | None = None
+    input_ohm: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_lines("load_ohm", self.load_ohm, least=0.0, open_end=True)
-        check_lines("drive_ohm", self.drive_ohm, least=0.0)
+        check_resistors("load_ohm", self.load_ohm)
+        check_resistors("drive_ohm", self.drive_ohm, open_end=False)
+        if self.input_ohm is not None:
+            check_resistors("input_ohm", self.input_ohm, most=inf)
 
     def check(self, scene: "Scene") -> None:
         """Raise ValueError as every kind does, and unless a list has one resistance for each line."""
         super().check(scene)
-        driven, sensed = self._sides(*scene.panel.shape)
+        driven, sensed = of_side(self.driven, *scene.panel.shape)
         per_line("load_ohm", self.load_ohm, sensed)
         per_line("drive_ohm", self.drive_ohm, driven)
 
     def description(self) -> str:
         """The circuit and the converter."""
-        sensed = "columns" if self.driven == "rows" else "rows"
+        diode = "" if self.diode is None else f", {self.diode.description()}"
+        converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return (
-            f"loaded {sensed}, {self.driven} driven {self.polarity} one after the other, {self.supply_volt:g} V, "
-            f"load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}, {self.converter_description()}"
+            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the other, "
+            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
+            f"{diode}{converter}, {self.converter_description()}"
         )
 
-    def _sides(self, rows: Any, columns: Any) -> tuple[Any, Any]:
-        """(driven, sensed) of what rows and columns have."""
-        return (rows, columns) if self.driven == "rows" else (columns, rows)
+    @property
+    def noisy_side(self) -> Side:
+        """The driven one."""
+        return self.driven
+
+    @property
+    def mirrored(self) -> bool:
+        """Where loads lead to the supply."""
+        return self.polarity == "down"
+
+    def _load(self, lines: int) -> Array:
+        """Rs of the sensed lines, the converter parallel to it."""
+        return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm)
 
     def _loads(self, shape: tuple[int, ...]) -> Array:
-        """Rs of the sensed line, to be broadcast to (rows, columns)."""
-        _, sensed = self._sides(*shape)
-        load = per_line("load_ohm", self.load_ohm, sensed)
-        return load[None, :] if self.driven == "rows" else load[:, None]
+        """The same, to be broadcast to (rows, columns)."""
+        return along(opposite(self.driven), self._load(of_side(self.driven, *shape)[1]))
 
     def _drives(self, shape: tuple[int, ...]) -> Array:
         """Rd of the driven line, to be broadcast to (rows, columns)."""
-        driven, _ = self._sides(*shape)
-        drive = per_line("drive_ohm", self.drive_ohm, driven)
-        return drive[:, None] if self.driven == "rows" else drive[None, :]
+        return along(self.driven, per_line("drive_ohm", self.drive_ohm, of_side(self.driven, *shape)[0]))
 
     def ties(self, measured: Array) -> Array:
         """1/Rs at the sensed lines, none at the driven ones."""
-        rows, columns = measured.shape
-        driven, sensed = self._sides(rows, columns)
-        load = 1 / per_line("load_ohm", self.load_ohm, sensed)
-        parts = (np.zeros(driven), load) if self.driven == "rows" else (load, np.zeros(driven))
-        return np.concatenate(parts)
+        driven, sensed = of_side(self.driven, *measured.shape)
+        return np.concatenate(of_side(self.driven, np.zeros(driven), 1 / self._load(sensed)))
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """V = Vcc·Z_ij/(Rd_i + Z_ii)."""
-        driven, _ = self._sides(row, column)
+        """V = U·Z_ij/(Rd_i + Z_ii)."""
+        driven, _ = of_side(self.driven, row, column)
         shape = mutual.shape
-        return self.supply_volt * mutual / (driven + np.broadcast_to(self._drives(shape), shape))
+        resistance = driven + np.broadcast_to(self._drives(shape), shape)
+        supply = self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
+        return supply * mutual / resistance
+
+    def _driven_volt(self, current: Array, drive: Array) -> Array:
+        """Vcc − Rd I − V_d(I): where a driven line stands while it takes a current, any shape."""
+        volt = self.supply_volt - drive * current
+        return volt if self.diode is None else volt - self.diode.drop(current)
 
     def apparent_resistance(self, measured: Array) -> Array:
-        """Rs·(1/v − 1) − Rd: what the naive divider makes of a reading."""
+        """Rs·(Vcc − V_d)/V − Rs − Rd: what the naive divider makes of a reading."""
         share = np.clip(measured / self.supply_volt, END, 1 - END)
         shape = measured.shape[-2:]
         load = self._loads(shape)
-        return np.asarray(np.maximum(load * (1 / share - 1) - self._drives(shape), LEAST_SHARE * load))
+        lost = 0.0 if self.diode is None else self.diode.drop(share * self.supply_volt / load) / self.supply_volt
+        return np.asarray(np.maximum(load * ((1 - lost) / share - 1) - self._drives(shape), LEAST_SHARE * load))
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells that satisfy Kirchhoff's law at the voltages that were read; see `kirchhoff_start`."""
         if near is not None:
             return near
         shape = measured.shape
+        volt = np.clip(measured, END * self.supply_volt, (1 - END) * self.supply_volt)
         load, drive = np.broadcast_to(self._loads(shape), shape), np.broadcast_to(self._drives(shape), shape)
-        share = np.clip(measured / self.supply_volt, END, 1 - END)
-        if self.driven == "rows":
-            conductance = kirchhoff_start(share, load, drive[:, 0])
-        else:
-            conductance = kirchhoff_start(share.T, load.T, drive[0]).T
+        if self.driven == "columns":
+            volt, load, drive = volt.T, load.T, drive.T
+        potential = self._driven_volt((volt / load).sum(axis=1), drive[:, 0])
+        conductance = kirchhoff_start(volt, load, potential)
+        if self.driven == "columns":
+            conductance = conductance.T
         return np.asarray(np.minimum(1 / conductance, upper))
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i.
-
+        """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i
+        − V_d.
         Every sensed line takes at least what flows through its own cell, and I_i is all of it. RELAXED by the noise.
         """
         shape = measured.shape[-2:]
@@ -121,32 +158,15 @@ class LoadedColumnsReadout(Readout):
         noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
         current = (measured / load).sum(axis=along, keepdims=True)
         current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=along, keepdims=True))
-        least = np.maximum(self.supply_volt - drive * current, 0) / current - load
+        least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
 
     def simulated(self, cell_resistance: Array, scene: Any, row_ohm: Array, column_ohm: Array) -> Array:
         """With the driven lines' channels in the drive resistance; the sensed lines have none."""
-        driven, _ = self._sides(row_ohm, column_ohm)
-        drive = per_line("drive_ohm", self.drive_ohm, len(driven)) + driven
-        if np.any(drive < 0):
-            raise ValueError("the spread of the channels makes a drive resistance negative; give a larger drive_ohm")
-        actual = replace(self, drive_ohm=tuple(float(ohm) for ohm in drive))
+        driven, _ = of_side(self.driven, row_ohm, column_ohm)
+        actual = replace(self, drive_ohm=with_channels("drive_ohm", self.drive_ohm, driven))
         return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
 
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""
-        scaled = tuple(ohm * (1 + fraction) for ohm in as_tuple(self.load_ohm))
-        return replace(self, load_ohm=scaled if isinstance(self.load_ohm, tuple) else scaled[0])
-
-    def from_recorded(self, recorded: Array, scene: Any) -> Array:
-        """The voltage across the load: V, or Vcc − V where loads lead to the supply."""
-        return recorded if self.polarity == "up" else self.supply_volt - recorded
-
-    @property
-    def direction(self) -> float:
-        """-1 where loads lead to the supply."""
-        return 1.0 if self.polarity == "up" else -1.0
-
-    def to_recorded(self, reading: Array, scene: Any) -> Array:
-        """The same way back."""
-        return self.from_recorded(reading, scene)
+        return replace(self, load_ohm=scaled(self.load_ohm, 1 + fraction))

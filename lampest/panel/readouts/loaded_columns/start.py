@@ -1,9 +1,9 @@
 """Where a search begins with loaded columns: cells that satisfy Kirchhoff's law at the voltages that were read.
 
-While line i is driven, sensed line j stands at v_ij, which is read, and the driven one at u_i = 1 − Rd_i I_i with
-I_i = Σ_j v_ij/Rs_j, which follows. Only the floating lines' potentials w_r are unknown: w_r Σ_j g_rj = Σ_j g_rj v_ij.
+While line i is driven, sensed line j stands at v_ij, which is read, and the driven one at a potential that follows from
+its current I_i = Σ_j v_ij/Rs_j. Only the floating lines' potentials w_r are unknown: w_r Σ_j g_rj = Σ_j g_rj v_ij.
 Given those, Σ_r g_rj (w_r − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. Both in turn converge to the
-cells that reproduce the readings. All voltages in units of the supply.
+cells that reproduce the readings.
 """
 
 import numpy as np
@@ -16,13 +16,13 @@ SETTLED = 1e-3  # of log g: a start need not be better
 LEAST, LARGEST = 0.02, 1e3
 
 
-def kirchhoff_start(voltage: Array, load: Array, drive: Array) -> Array:
-    """g (driven, sensed) siemens from v (driven, sensed), Rs (sensed) and Rd (driven) in ohm.
+def kirchhoff_start(voltage: Array, load: Array, potential: Array) -> Array:
+    """g (driven, sensed) siemens from v (driven, sensed), Rs (sensed) ohm and the driven lines' potentials (driven).
 
     A start, not an estimate: it stops after MOST_ROUNDS, and cells are held to LEAST and LARGEST of the naive ones.
     """
     current: Array = voltage / load
-    driven = np.maximum(1 - drive * current.sum(axis=1), voltage.max(axis=1) * (1 + 1e-6))
+    driven = np.maximum(potential, voltage.max(axis=1) * (1 + 1e-6))
     naive = current / (driven[:, None] - voltage)
     conductance: Array = naive
     for _ in range(MOST_ROUNDS):

@@ -1,6 +1,7 @@
 """Two-point readout: one row and one column are selected, all other lines float; a divider reads the resistance."""
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import along, check_resistors
 from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
@@ -15,6 +17,8 @@ from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
+
+LEAST_REST = 1e-6  # of the input's conductance: a cell that conducts less is beyond any converter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +30,11 @@ class TwoPointReadout(Readout):
     supply_volt : divider supply and ADC reference in volt.
     reference_ohm : reference resistor in ohm.
     measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
+    input_ohm : input resistance of the converter, parallel to what it is across; None: none that matters.
     adc_bits, readings, noise_lsb : the converter; see `Readout`.
 
-    Recorded is what the divider equation gives, the series resistance of the scene included. Raises ValueError where a
+    Recorded is what the divider equation gives, as if the converter took no current, the series resistance of the scene
+    included. Raises ValueError where a
     number is out of range. Source: paper, equation (1) (across the sensor) and section V.B (across the reference).
     """
 
@@ -37,23 +43,25 @@ class TwoPointReadout(Readout):
     signal_name: ClassVar[str] = "two-point resistance, divider equation"
     homogeneous: ClassVar[bool] = True
     unique: ClassVar[bool] = True
+    in_series: ClassVar[bool] = True
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
+    input_ohm: float | None = None
 
     def __post_init__(self) -> None:
         check_positive("supply_volt", self.supply_volt)
-        check_positive("reference_ohm", self.reference_ohm)
+        check_resistors("reference_ohm", self.reference_ohm)
+        if self.input_ohm is not None:
+            check_resistors("input_ohm", self.input_ohm, most=inf)
         super().__post_init__()
-
-    def check(self, scene: "Scene") -> None:
-        """Nothing: scenes speak of this kind by default, and it fits any panel."""
 
     def description(self) -> str:
         """The divider and the converter."""
+        converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return (
             f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured across the "
-            f"{self.measured_across}, {self.converter_description()}"
+            f"{self.measured_across}{converter}, {self.converter_description()}"
         )
 
     def ties(self, measured: Array) -> Array:
@@ -124,18 +132,47 @@ class TwoPointReadout(Readout):
 
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """R − R_series."""
-        network: Array = recorded - scene.series_resistance_ohm
-        return network
+        return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
     def to_recorded(self, reading: Array, scene: "Scene") -> Array:
-        """R + R_series."""
-        total: Array = reading + scene.series_resistance_ohm
-        return total
+        """R + R_series, as the divider shows it."""
+        total = np.asarray(reading + scene.series_ohm)
+        if self.input_ohm is None:
+            return total
+        if self.measured_across == "sensor":
+            with np.errstate(divide="ignore"):
+                return np.asarray(1 / (1 / total + 1 / self.input_ohm))
+        return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
+
+    def _between_lines(self, recorded: Array) -> Array:
+        """What is between the divider's ends, without the converter: the inverse of what the divider shows.
+
+        Where a sensor seems no smaller than the converter's input nothing conducts but that.
+        """
+        if self.input_ohm is None:
+            return recorded
+        if self.measured_across == "sensor":
+            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, LEAST_REST / self.input_ohm))
+        return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
+
+    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
+        """Without a converter's input the same; else times ∂R/∂(recorded)."""
+        if self.input_ohm is None:
+            return sigma
+        slope = self._between_lines(recorded) / recorded
+        return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """R + R_series + what both channels have more."""
         total = self.to_recorded(self.exact_reading(cell_resistance), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
+
+    def shared_errors(self, cells: Array, measured: Array, scene: "Scene", reference: float, channel: float) -> Array:
+        """(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
+        rows, columns = (np.eye(count) for count in measured.shape)
+        lines = [*(along("rows", line) for line in rows), *(along("columns", line) for line in columns)]
+        ones = np.ones(measured.shape)
+        return np.stack([(measured + scene.series_ohm) * reference, *(line * ones * channel for line in lines)])
 
     def off_by(self, fraction: float) -> Self:
         """Rref·(1 + fraction)."""
@@ -166,9 +203,8 @@ class TwoPointReadout(Readout):
 
         `recorded` is what the divider sees, series resistance included. Source: error propagation of equation (1).
         """
-        sigma_volt = self.sigma_code() * self.lsb_volt
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        return np.asarray(total**2 / self.reference_ohm * sigma_volt / self.supply_volt)
+        return np.asarray(total**2 / self.reference_ohm * self.sigma_volt() / self.supply_volt)
 
 
 def resolution_limit(two_point_resistance: Array, sigma: Array) -> Array:
