@@ -83,8 +83,8 @@ def test_known_resistors_calibrate_too(tmp_path: Path) -> None:
         ("nothing.csv", "--known: 'nothing.csv' is neither a number of ohm nor a file"),
         ("1,2\n3,4\n", "the panel has 10 × 10 cells, but the table holds 2 × 2 numbers"),
         ("1,2\n3\n", "no table of resistances"),
-        ("1e9", "ohm below the known ones"),
-        ("-5", "known resistors must be positive"),
+        ("1e9", "no calibration: 11 % of its readings change from frame to frame"),
+        ("-5", "known resistors must be zero or positive"),
     ],
 )
 def test_known_resistors_that_are_none(tmp_path: Path, known: str, sentence: str) -> None:

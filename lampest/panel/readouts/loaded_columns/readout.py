@@ -8,6 +8,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import (
+    LineNumber,
     PerLine,
     Side,
     along,
@@ -170,3 +171,7 @@ class LoadedColumnsReadout(Readout):
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""
         return replace(self, load_ohm=scaled(self.load_ohm, 1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """The drive resistances, which may be channels alone, and the loads."""
+        return (LineNumber("drive_ohm", (self.driven,), channel=True), LineNumber("load_ohm", (opposite(self.driven),)))

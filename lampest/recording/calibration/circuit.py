@@ -1,0 +1,152 @@
+"""What known resistors would read behind electronics whose numbers are unknown: the model that a calibration fits."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import LineNumber, Side
+from lampest.panel.scene import Scene
+from lampest.recording.calibration.repeats import Repeats
+
+SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
+MOST_OHM = 1e8  # where a fit to what is no calibration may wander, and no farther: scenes end at 1e9
+TYPICAL_OHM = 70.0  # of a channel of a CD74HC4067 at 5 V: its data sheet
+CHANNEL_SPREAD_OHM = 30.0  # by which channels differ: a third of 160 - 70 ohm, worst less typical, same sheet
+RESISTOR_SPREAD = 0.05 / 3**0.5  # by which loads differ: evenly within the 5 % of ordinary resistors
+STEP = 1e-5  # of the logarithm of a resistance, for differences: half of the digits
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording of known resistors: means of its readings, and what stood in place of the cells.
+
+    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor.
+    """
+
+    name: str
+    readings: Repeats
+    known: Array
+
+    @cached_property
+    def cells(self) -> Array:
+        """(rows, columns) ohm with shorts and gaps as resistances."""
+        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
+        there: NDArray[np.bool_] = np.isfinite(self.known)
+        rows, columns = there.any(axis=1, keepdims=True), there.any(axis=0, keepdims=True)
+        return np.asarray(rows & columns & np.isfinite(self.readings.volt))
+
+    @cached_property
+    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
+        """Where each resistor stands, by its value and its number among those of that value.
+
+        Resistors of one name in two recordings are taken for one that was moved.
+        """
+        count: dict[float, int] = {}
+        found = {}
+        for row, column in np.argwhere(np.isfinite(self.known) & (self.known > 0)):
+            value = float(self.known[row, column])
+            count[value] = count.get(value, -1) + 1
+            found[value, count[value]] = (int(row), int(column))
+        return found
+
+
+@dataclass(frozen=True)
+class LineUnknowns:
+    """Where in the unknowns the lines of one side stand that one number has."""
+
+    number: int
+    side: Side
+    lines: slice
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """The unknowns: for every number a common value, then for every line by how many spreads it is off.
+
+    A channel's resistance is TYPICAL_OHM·q + CHANNEL_SPREAD_OHM·e, a resistor's R·exp(q)·(1 + RESISTOR_SPREAD·e) with R
+    of the scene. e is as likely as a standard normal number, so that lines which nothing measures are taken for the
+    mean of the others.
+    """
+
+    scene: Scene
+    numbers: tuple[LineNumber, ...]
+
+    @property
+    def readout(self) -> Readout:
+        """The scene's."""
+        return self.scene.circuit
+
+    @cached_property
+    def parts(self) -> tuple[LineUnknowns, ...]:
+        """The lines of every number, in the order of the unknowns."""
+        found, first, lines = [], len(self.numbers), self._lengths
+        for index, number in enumerate(self.numbers):
+            for side in number.sides:
+                found.append(LineUnknowns(index, side, slice(first, first + lines[side])))
+                first += lines[side]
+        return tuple(found)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return int(self.parts[-1].lines.stop)
+
+    @cached_property
+    def start(self) -> Array:
+        """The scene's numbers, channels at least typical ones; all lines alike."""
+        found = np.zeros(self.size)
+        for index, number in enumerate(self.numbers):
+            if number.channel:
+                found[index] = max(self.told(number) / TYPICAL_OHM, len(number.sides))
+        return found
+
+    def told(self, number: LineNumber) -> float:
+        """What the scene says of a number, ohm, the mean where it lists one for each line."""
+        value = self.scene.series_ohm if number.in_scene else getattr(self.readout, number.name)
+        return float(np.mean(np.asarray(value)))
+
+    def common(self, unknowns: Array, number: int) -> tuple[float, float]:
+        """(c, ∂c/∂q) of a number, ohm."""
+        one, at = self.numbers[number], float(unknowns[number])
+        if one.channel:
+            return TYPICAL_OHM * at, TYPICAL_OHM
+        value = self.told(one) * float(np.exp(at))
+        return value, value
+
+    def spread(self, unknowns: Array, number: int) -> float:
+        """By how much lines differ, ohm."""
+        one = self.numbers[number]
+        return CHANNEL_SPREAD_OHM if one.channel else RESISTOR_SPREAD * self.common(unknowns, number)[0]
+
+    def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
+        """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
+        channels: dict[Side, Array] = {side: np.zeros(length) for side, length in self._lengths.items()}
+        fields: dict[str, Any] = {}
+        for index, number in enumerate(self.numbers):
+            common, spread = self.common(unknowns, index)[0], self.spread(unknowns, index)
+            off = {part.side: spread * unknowns[part.lines] for part in self.parts if part.number == index}
+            if number.in_scene:
+                for side, ohm in off.items():
+                    channels[side] = common / len(number.sides) + ohm
+            else:
+                (ohm,) = off.values()
+                each = np.clip(common + ohm, 0.0 if number.channel else SHORT_OHM, MOST_OHM)
+                fields[number.name] = tuple(float(value) for value in each)
+        circuit: Any = replace(self.readout, **fields)
+        bare = replace(self.scene, readout=circuit, series_resistance_ohm=0.0)
+        recorded = circuit.simulated(cells, bare, channels["rows"], channels["columns"])
+        return np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
+
+    @cached_property
+    def _lengths(self) -> dict[Side, int]:
+        rows, columns = self.scene.panel.shape
+        return {"rows": rows, "columns": columns}

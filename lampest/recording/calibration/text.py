@@ -1,0 +1,78 @@
+"""A calibration as the scene it makes, with uncertainties as comments, and in one line for people."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lampest.files.document import to_yaml
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import LineNumber
+from lampest.panel.scene import Scene, SeriesPerLine
+from lampest.recording.calibration.calibrate import Calibration
+from lampest.recording.calibration.found import Found
+
+DIGITS = 3  # of an ohm: below what any contact repeats to
+
+
+def calibrated_scene(calibration: Calibration) -> Scene:
+    """The scene with the numbers found, rounded to a milliohm; a list where lines differ."""
+    scene = calibration.scene
+    readout: Any = scene.readout
+    for found in calibration.found:
+        each = {lines.side: rounded(found.on(lines)) for lines in found.lines}
+        if found.number.in_scene:
+            series = SeriesPerLine(**each) if found.differ else round(found.ohm, DIGITS)
+            scene = replace(scene, series_resistance_ohm=series)
+        else:
+            (listed,) = each.values()
+            readout = replace(readout, **{found.number.name: listed if found.differ else round(found.ohm, DIGITS)})
+    if calibration.noise is not None:
+        readout = replace(readout, noise_lsb=calibration.noise)
+    return replace(scene, readout=readout)
+
+
+def rounded(ohm: Array) -> tuple[float, ...]:
+    """To a milliohm, none below zero."""
+    return tuple(round(max(float(value), 0.0), DIGITS) for value in ohm)
+
+
+def calibrated_scene_text(calibration: Calibration) -> str:
+    """The calibrated scene as YAML, with the uncertainties and the lines as comments."""
+    remarks = [remark for found in calibration.found for remark in _remarks(calibration, found)]
+    if calibration.noise is not None:
+        remarks.append(f"noise_lsb: of one reading, from {calibration.repeats.sum():g} repeats")
+    remarks.append(
+        f"resistors taken as within {100 * calibration.tolerance:g} %; what is left over is {calibration.misfit:.2g} "
+        f"times what noise and tolerances explain"
+    )
+    return "".join(f"# {remark}\n" for remark in remarks) + to_yaml(calibrated_scene(calibration))
+
+
+def summary(calibration: Calibration) -> str:
+    """'drive resistance 70.7 ± 0.3 ohm, load resistance 9987 ± 15 ohm from 64 readings'."""
+    each = (f"{spoken(found.number)} {found.ohm:.3f} ± {found.sigma_ohm:.3f} ohm" for found in calibration.found)
+    return f"{', '.join(each)} from {calibration.readings} readings"
+
+
+def spoken(number: LineNumber) -> str:
+    """'drive resistance'."""
+    return f"{number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
+
+
+def _remarks(calibration: Calibration, found: Found) -> list[str]:
+    remarks = [
+        f"{found.number.name}: {found.ohm:.3f} +- {found.sigma_ohm:.3f} ohm (one standard deviation), from "
+        f"{calibration.readings} readings"
+    ]
+    if not found.differ:
+        return remarks
+    for lines in found.lines:
+        each = ", ".join(
+            "not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sigma:.2f}"
+            for ohm, sigma in zip(lines.off_ohm, lines.sigma_ohm, strict=True)
+        )
+        remarks.append(f"{lines.side} differ from the mean by {each} ohm")
+    if len(found.lines) > 1:
+        remarks.append("what rows and columns have in common is shared evenly, because only their sums are read")
+    return remarks
