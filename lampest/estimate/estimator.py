@@ -191,6 +191,10 @@ class Estimator:
         """Whether a term divides by the readings' standard deviation."""
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
+    def check(self, scene: Scene) -> None:
+        """Raise InputError where the formulation cannot serve what the scene's readout reads."""
+        self.method.check_readout(scene.circuit)
+
     def data(self, readings: Readings, background: Background) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
         measured, sigma, scene = readings.value, readings.sigma, background.scene

@@ -70,9 +70,10 @@ class Stream:
     def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
         """Before the first frame; an absolute method solves its baseline now.
 
-        Raises InputError where the noise is needed and unknown, bounds leave no room, or the readings are no frame of
-        the panel.
+        Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
+        scene's readout, or the readings are no frame of the panel.
         """
+        estimator.check(scene)
         _check_frame(resting, scene)
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene, period, resting, track=track)

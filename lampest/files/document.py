@@ -160,22 +160,48 @@ def validated(document: Document, kind: Any) -> Any:
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
-        faults = error.errors(include_url=False)
-        # A misspelt key also leaves its field missing; the key is what the user can see.
-        first = next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), faults[0])
-        location = _location(first["loc"])
-        alternatives = [fault["msg"] for fault in faults if _location(fault["loc"]) == location]
-        message = " or ".join([alternatives[0], *(text.removeprefix(SHOULD_BE) for text in alternatives[1:])])
-        message = message.removeprefix("Value error, ")
-        if first["type"] in UNKNOWN_KEY:
-            message = "no such key"
+        location, message = _worst(error.errors(include_url=False), document.content)
         raise document.error(location, message) from error
 
 
-def _location(parts: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Where a fault is, without what the validator says of the alternatives of a type."""
-    kinds = ("float", "int", "bool", "str")
-    return tuple(part for part in parts if part not in kinds and not str(part).startswith(("function-", "literal[")))
+def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
+    """Where the fault is that says most to a user, and its sentence.
+
+    A misspelt key also leaves its field missing; the key is what the user can see. Of a value that may be of several
+    types the deepest fault says which of them was meant.
+    """
+    if first := next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), None):
+        return _location(first, content), "no such key"
+    within = _location(faults[0], content)
+    inside = [(_location(fault, content), fault) for fault in faults]
+    inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
+    place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
+    if worst["type"] == "value_error":
+        return place, worst["msg"].removeprefix("Value error, ")
+    alternatives = [_sentence(fault) for where, fault in inside if where == place]
+    return place, " or ".join([alternatives[0], *(text.removeprefix(SHOULD_BE) for text in alternatives[1:])])
+
+
+def _sentence(fault: Any) -> str:
+    """What is wrong, without the words of the validating library for kinds."""
+    if fault["type"] != "union_tag_invalid":
+        return str(fault["msg"])
+    known = fault["ctx"]["expected_tags"].replace("'", "")
+    return f"there is no kind {fault['ctx']['tag']} here or in an installed package; there are {known}"
+
+
+def _location(fault: Any, content: Any) -> tuple[Any, ...]:
+    """Where a fault is, without what the validator says of the alternatives of a type: keys that are not there."""
+    place: list[Any] = []
+    parts = fault["loc"]
+    for number, part in enumerate(parts):
+        inside = isinstance(content, list) and isinstance(part, int) and part < len(content)
+        if inside or (isinstance(content, dict) and part in content):
+            content = content[part]
+        elif fault["type"] != "missing" or number < len(parts) - 1:
+            continue
+        place.append(part)
+    return tuple(place)
 
 
 def to_yaml(value: Any) -> str:

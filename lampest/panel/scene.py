@@ -1,5 +1,6 @@
 """What a measurement contains. An effect that a scene does not name does not exist in the model."""
 
+import warnings
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, ClassVar
@@ -7,6 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.document import to_yaml
+from lampest.files.tagged import members_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import PerLine, check_lines, lines_text, per_line
@@ -225,3 +228,15 @@ class Scene:
         if not isinstance(series, SeriesPerLine):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
+
+
+def scene_text(scene: Scene) -> str:
+    """The scene as files hold it, YAML; warns where its readout is of a kind that nobody who reads the file knows."""
+    if scene.readout is not None and type(scene.readout) not in members_of(AnyReadout):
+        kind = getattr(scene.readout, "kind", type(scene.readout).__name__)
+        warnings.warn(
+            f"readout.kind {kind} is not among the readouts of lampest or of an installed package: this file can be "
+            "read again once it is (docs/adding.md)",
+            stacklevel=2,
+        )
+    return to_yaml(scene)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
-from lampest.files.document import parse_document, to_yaml, validated
+from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
 from lampest.recording.readings import Readings, check_all_positive, check_recorded
 
@@ -147,7 +147,7 @@ class Recording:
         entry = file.create_group("entry")
         circuit, axes = self.scene.circuit, ("time", "row", "column")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
-        hdf5.write_text(entry, "scene", to_yaml(self.scene))
+        hdf5.write_text(entry, "scene", scene_text(self.scene))
         group = self._frames_group(entry, group_of(circuit), circuit.signal)
         hdf5.write_dataset(group, circuit.signal, self.recorded, circuit.unit, circuit.signal_name, axes)
         if self.sigma is not None:

@@ -105,6 +105,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
             for method in methods:
+                _check_readout(document, source, method)
                 method.estimator.data(source.readings, Background(source.scene))
                 cases.append(_case(source, method))
     return Run(_distinct(cases), published, executor)
@@ -194,6 +195,14 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
+
+
+def _check_readout(document: Document, source: "_Source", method: "_Method") -> None:
+    """Raise InputError where an estimator cannot serve a recording's readout: that is no matter of its values."""
+    try:
+        method.estimator.check(source.scene)
+    except InputError as error:
+        raise InputError(f"{document.source}: {method.name} × {source.path.stem}: {error}") from error
 
 
 def _affected(run: RunFile, assignments: dict[str, Any]) -> list[str]:

@@ -17,13 +17,15 @@ from pathlib import Path
 
 import pytest
 
-from lampest import read_run
+import lampest
+from lampest import read_run, read_scene
 
 REPOSITORY = Path(__file__).parents[2]
 README = REPOSITORY / "README.md"
 ADDING = REPOSITORY / "docs" / "adding.md"
 ARCHITECTURE = REPOSITORY / "docs" / "architecture.md"
 GLOSSARY = REPOSITORY / "docs" / "glossary.md"
+READOUTS = REPOSITORY / "docs" / "readouts.md"
 PAGES = (
     README,
     REPOSITORY / "CONTRIBUTING.md",
@@ -221,3 +223,20 @@ def test_glossary_says_truly_where_things_are_defined() -> None:
         text = (REPOSITORY / path).read_text(encoding="utf-8")
         for name in re.findall(r"`([^`]+)`", names):
             assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
+
+
+@pytest.mark.parametrize("heading", [heading for heading, fences in sections(READOUTS).items() if fences])
+def test_a_scene_of_the_readouts_page_is_one(heading: str, tmp_path: Path) -> None:
+    for number, fence in enumerate(sections(READOUTS)[heading]):
+        file = tmp_path / f"{number}.yaml"
+        file.write_text(fence.text, encoding="utf-8")
+        assert read_scene(file).readout is not None
+
+
+def test_the_readouts_page_has_every_kind_and_its_drawings() -> None:
+    """Kinds as lampest's face has them; drawings that are there."""
+    page = READOUTS.read_text(encoding="utf-8")
+    kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
+    assert len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
+    drawings = re.findall(r"\]\((circuits/\w+\.svg)\)", page)
+    assert drawings and all((READOUTS.parent / drawing).is_file() for drawing in drawings)

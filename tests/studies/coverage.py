@@ -26,9 +26,8 @@ METHODS = {
 }
 
 
-def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
-    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows, columns)."""
-    side, noise = int(rng.integers(6, 17)), float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
+def mouth_cells(rng: np.random.Generator, side: int) -> Array:
+    """The cells (2, side, side) ohm of a panel, unloaded and with an attached mouth."""
     panel, place = Panel(side, side), rng.uniform(0.2, 0.8, 2) * (side - 1) * 10
     load = OralDisc(
         kind="oral_disc",
@@ -39,7 +38,13 @@ def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
         rim_kpa=float(rng.uniform(50, 110)),
     )
     resting = 3050 * np.exp(0.2 * rng.standard_normal(panel.shape))
-    cells = np.stack([resting, resting * ratio_from_pressure(sum(load.mean_pressure(panel, 6.0)))])
+    return np.stack([resting, resting * ratio_from_pressure(sum(load.mean_pressure(panel, 6.0)))])
+
+
+def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
+    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows, columns)."""
+    side, noise = int(rng.integers(6, 17)), float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
+    panel, cells = Panel(side, side), mouth_cells(rng, side)
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * rng.standard_normal(exact.shape))
     role = np.array([0, 1], dtype=np.uint8)

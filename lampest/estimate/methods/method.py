@@ -39,6 +39,9 @@ class Method(ABC):
     def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
         """Raise InputError where the method cannot minimise these terms."""
 
+    def check_readout(self, readout: Readout) -> None:  # noqa: B027 - most methods take any readout
+        """Raise InputError where the method cannot serve recordings of this readout."""
+
     def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return Newton(cost, settings)

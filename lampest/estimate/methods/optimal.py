@@ -26,6 +26,11 @@ class OptimalMethod(Method):
     joint: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
 
+    def check_readout(self, readout: Readout) -> None:
+        """Raise InputError where the formulation cannot say what the readout reads."""
+        if self.kind in FORMULATIONS:
+            FORMULATIONS[self.kind].check(readout)
+
     def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
         """per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated.
 

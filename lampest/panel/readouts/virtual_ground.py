@@ -122,10 +122,11 @@ class VirtualGroundReadout(Readout):
         return np.asarray(np.minimum(super().nearly_shorted(measured), LEAST_SHARE * self.uniform_start(measured)))
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
-        """With every line's channel in its drive or sense resistance."""
+        """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
         driven, sensed = of_side(self.driven, row_ohm, column_ohm)
         drive = with_channels("drive_ohm", self.drive_ohm, driven)
-        actual = replace(self, drive_ohm=drive, sense_ohm=with_channels("sense_ohm", self.sense_ohm, sensed))
+        sense = with_channels("sense_ohm", self.sense_ohm, sensed) if self.sense_ohm else 0.0
+        actual = replace(self, drive_ohm=drive, sense_ohm=sense)
         return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
 
     def off_by(self, fraction: float) -> Self:

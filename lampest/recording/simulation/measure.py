@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import of_side
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
@@ -31,10 +32,15 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
 
 
 def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
-    """δ + δ_j and δ_k: what is in series beyond what the scene tells, channels included; (rows) and (columns) ohm."""
+    """What is in series beyond what the scene tells: (rows) and (columns) ohm, δ_j of rows and δ_k of columns.
+
+    The series resistance that the scene is silent about stands on the driven side.
+    """
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
-    return unmodelled.series_resistance_ohm + channel[:rows], channel[rows:]
+    driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
+    row_ohm, column_ohm = of_side(scene.circuit.noisy_side, unmodelled.series_resistance_ohm + driven, sensed)
+    return row_ohm, column_ohm
 
 
 def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:

@@ -49,11 +49,10 @@ def detect(
     """
     found: list[Detection] = []
     total = len(results.recordings()) + len(results.cases)
-    for recording in results.recordings():
-        cases = results.of(recording)
-        scene = GivenRecording.of(cases[0], settings)
-        for source in (None, *cases):
-            found.append(detected(scene, source))
+    given = {name: GivenRecording.of(results.of(name)[0], settings) for name in results.recordings()}
+    for name, recording in given.items():
+        for source in (None, *results.of(name)):
+            found.append(detected(recording, source))
             on_case(len(found), total)
     return tuple(found)
 

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterable
 import h5py
 
 from lampest.files import hdf5
-from lampest.files.document import parse_document, to_yaml, validated
+from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, SeriesPerLine, Water
+from lampest.panel.scene import Scene, SeriesPerLine, Water, scene_text
 
 ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
     "pitch_mm": lambda scene: scene.panel.pitch_mm,
@@ -21,7 +21,7 @@ def write_scene(group: h5py.Group, scene: Scene) -> None:
     """Write the scene and its attributes into a recording's group."""
     numbers = {name: number(scene) for name, number in ATTRIBUTES.items()}
     hdf5.set_attributes(group, **{name: float(number) for name, number in numbers.items() if number is not None})
-    hdf5.write_dataset(group, "scene", hdf5.ascii_array(to_yaml(scene)), "1", "what was measured, YAML")
+    hdf5.write_dataset(group, "scene", hdf5.ascii_array(scene_text(scene)), "1", "what was measured, YAML")
 
 
 def stored_scene(file: h5py.File, base: str, measured: str) -> Scene:

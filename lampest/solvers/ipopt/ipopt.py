@@ -43,18 +43,12 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class Ipopt:
-    """One cost, readout and formulation on one panel shape; the program is built once and kept.
-
-    Raises InputError where the formulation does not know the readout.
-    """
+    """One cost, readout and formulation on one panel shape; the program is built once and kept."""
 
     cost: Cost
     readout: Readout
     formulation: Formulation
     settings: Settings
-
-    def __post_init__(self) -> None:
-        self.formulation.check(self.readout)
 
     def prepare(self) -> None:
         """Build the program, so that the first solve is not charged for it."""
