@@ -27,7 +27,7 @@ def from_board(folder: Path, cells: np.ndarray, *options: object, frames: int = 
 
 
 def series(found: Calibration) -> float:
-    return found.found[0].ohm
+    return found.found[0].value
 
 
 def test_shorted_lines_give_the_two_multiplexers(tmp_path: Path) -> None:

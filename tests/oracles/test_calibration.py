@@ -10,6 +10,7 @@ from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, T
 from lampest.files.document import parse_document, validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
+from lampest.panel.readouts.loaded_columns.diode import Diode
 from lampest.recording.calibration.calibrate import Calibration, calibrate
 from lampest.recording.calibration.text import calibrated_scene, calibrated_scene_text
 from tests.oracles.netlist import Resistor, potentials
@@ -98,9 +99,9 @@ def pulls(found: Calibration, board: Board) -> list[float]:
     """(found − true)/σ of every mean."""
     if board.kind == "two_point":
         (one,) = found.found
-        return [(one.ohm - board.rows.mean() - board.columns.mean()) / one.sigma_ohm]
+        return [(one.value - board.rows.mean() - board.columns.mean()) / one.sigma]
     return [
-        (one.ohm - true.mean()) / one.sigma_ohm
+        (one.value - true.mean()) / one.sigma
         for one, true in zip(found.found, (board.rows, board.columns), strict=True)
     ]
 
@@ -121,7 +122,7 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
     read = validated(parse_document(calibrated_scene_text(found), "scene.yaml"), Scene)
     assert read == calibrated_scene(found)
     mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()  # type: ignore[union-attr]
-    assert mean == pytest.approx(found.found[0].ohm, abs=0.01)
+    assert mean == pytest.approx(found.found[0].value, abs=0.01)
 
 
 @pytest.mark.slow
@@ -151,8 +152,8 @@ def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
     true[0, :3] = printed[0, :3] * rng.uniform(0.99, 1.01, 3)
     found = calibrate([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
     drive, load = found.found
-    assert abs(drive.ohm - board.rows[0]) < 3 * drive.sigma_ohm < 90
-    assert abs(load.ohm - board.columns[:3].mean()) < 3 * load.sigma_ohm < 1000
+    assert abs(drive.value - board.rows[0]) < 3 * drive.sigma < 90
+    assert abs(load.value - board.columns[:3].mean()) < 3 * load.sigma < 1000
     assert np.isnan(drive.lines[0].off_ohm[1:]).all() and np.isnan(load.lines[0].off_ohm[3:]).all()
     assert found.readings == 3
 
@@ -173,7 +174,7 @@ def test_the_same_resistors_moved_from_line_to_line_tell_each_line() -> None:
     together = calibrate(recordings, known)
     assert max(map(abs, pulls(together, board))) < 4
     alone = calibrate(recordings[:1], known[:1])
-    assert together.found[1].sigma_ohm < alone.found[1].sigma_ohm
+    assert together.found[1].sigma < alone.found[1].sigma
 
 
 def test_noise_of_every_driven_line_is_found() -> None:
@@ -249,7 +250,7 @@ def test_a_series_resistance_beyond_two_channels_is_refused_unless_the_scene_exp
         calibrate([recording(scene, board, np.full((4, 4), SHORT), rng)])
     expected = replace(scene, series_resistance_ohm=500.0)
     (series,) = calibrate([recording(expected, board, np.full((4, 4), SHORT), rng)]).found
-    assert series.ohm == pytest.approx(530, abs=4 * series.sigma_ohm)
+    assert series.value == pytest.approx(530, abs=4 * series.sigma)
 
 
 def test_one_resistor_does_not_tell_load_from_drive() -> None:
@@ -267,3 +268,33 @@ def test_impossible_resistors_are_refused(known: float, sentence: str) -> None:
     board, scene = some_board("two_point", (2, 2), rng), told("two_point", (2, 2))
     with pytest.raises(InputError, match=sentence):
         calibrate([recording(scene, board, np.full((2, 2), SHORT), rng)], [known])
+
+
+def test_three_resistors_tell_a_diode_too() -> None:
+    """One after the other from row 0 to column 0, so that its current changes; the scene says that there is a diode."""
+    rng = np.random.default_rng(15)
+    slope, drop, drive, load = 0.05, 0.63, 70.0, 1000.0
+    saturation = 1e-3 / np.expm1(drop / slope)
+    readout = LoadedColumnsReadout(load_ohm=load, diode=Diode(drop_volt=0.5, slope_volt=slope), adc_bits=12)
+    scene = Scene(Panel(2, 2), readout)
+    recordings, known = [], []
+    for resistor in (100.0, 1000.0, 10_000.0):
+        low, high = 0.0, SUPPLY / (drive + load + resistor)
+        for _ in range(80):
+            current = (low + high) / 2
+            over = current * (drive + load + resistor) + slope * np.log1p(current / saturation) > SUPPLY
+            low, high = (low, current) if over else (current, high)
+        table = np.full((2, 2), np.inf)
+        table[0, 0] = resistor
+        known.append(table)
+        noisy = current * load / readout.lsb_volt + 0.7 * rng.standard_normal((10, readout.readings))
+        recorded = np.zeros((10, 2, 2))
+        recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
+        recordings.append(Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r"))
+    found = calibrate(recordings, known, tolerance=1e-4)
+    for one, true in zip(found.found, (drive, load, drop), strict=True):
+        assert abs(one.value - true) < 4 * one.sigma
+    assert found.found[2].sigma < 0.15
+    written = calibrated_scene(found).readout
+    assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
+    assert written.diode.drop_volt == pytest.approx(found.found[2].value, abs=1e-3)

@@ -14,17 +14,18 @@ Side = Literal["rows", "columns"]
 
 @dataclass(frozen=True)
 class LineNumber:
-    """A resistance of the electronics that known resistors in place of the cells determine.
+    """A number of the electronics that known resistors in place of the cells determine.
 
-    name : its key in a scene. sides : whose lines have one each; where both have, a reading has their sum. channel :
-    whether it is a multiplexer's channel, or with one, rather than a resistor. in_scene : whether the key is the
-    scene's, and not the readout's.
+    name : its key in a scene, dotted where it is a part's. sides : whose lines have one each; where both have, a
+    reading has their sum; none: it is one for all. channel : whether it is a multiplexer's channel, or with one, rather
+    than a resistor. in_scene : whether the key is the scene's, and not the readout's.
     """
 
     name: str
     sides: tuple[Side, ...]
     channel: bool = False
     in_scene: bool = False
+    unit: Literal["ohm", "volt"] = "ohm"
 
 
 # Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.calibration.repeats import Repeats
 
 SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
-MOST_OHM = 1e8  # where a fit to what is no calibration may wander, and no farther: scenes end at 1e9
+MOST_OHM, DROP_VOLT = 1e8, (0.05, 5.0)  # scenes end at 1e9 ohm; from a Schottky diode to a blue LED
 TYPICAL_OHM = 70.0  # of a channel of a CD74HC4067 at 5 V: its data sheet
 CHANNEL_SPREAD_OHM = 30.0  # by which channels differ: a third of 160 - 70 ohm, worst less typical, same sheet
 RESISTOR_SPREAD = 0.05 / 3**0.5  # by which loads differ: evenly within the 5 % of ordinary resistors
@@ -110,12 +111,12 @@ class Circuit:
         return found
 
     def told(self, number: LineNumber) -> float:
-        """What the scene says of a number, ohm, the mean where it lists one for each line."""
-        value = self.scene.series_ohm if number.in_scene else getattr(self.readout, number.name)
+        """What the scene says of a number, the mean where it lists one for each line."""
+        value = self.scene.series_ohm if number.in_scene else attrgetter(number.name)(self.readout)
         return float(np.mean(np.asarray(value)))
 
     def common(self, unknowns: Array, number: int) -> tuple[float, float]:
-        """(c, ∂c/∂q) of a number, ohm."""
+        """(c, ∂c/∂q) of a number, in its unit."""
         one, at = self.numbers[number], float(unknowns[number])
         if one.channel:
             return TYPICAL_OHM * at, TYPICAL_OHM
@@ -138,10 +139,9 @@ class Circuit:
                 for side, ohm in off.items():
                     channels[side] = common / len(number.sides) + ohm
             else:
-                (ohm,) = off.values()
-                each = np.clip(common + ohm, 0.0 if number.channel else SHORT_OHM, MOST_OHM)
-                fields[number.name] = tuple(float(value) for value in each)
-        circuit: Any = replace(self.readout, **fields)
+                each = np.clip(common + sum(off.values()), *_limits(number))
+                fields[number.name] = tuple(float(value) for value in each) if off else float(each)
+        circuit: Any = with_numbers(self.readout, fields)
         bare = replace(self.scene, readout=circuit, series_resistance_ohm=0.0)
         recorded = circuit.simulated(cells, bare, channels["rows"], channels["columns"])
         return np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
@@ -150,3 +150,18 @@ class Circuit:
     def _lengths(self) -> dict[Side, int]:
         rows, columns = self.scene.panel.shape
         return {"rows": rows, "columns": columns}
+
+
+def _limits(number: LineNumber) -> tuple[float, float]:
+    """Where a fit to what is no calibration may wander, and no farther."""
+    if number.unit == "volt":
+        return DROP_VOLT
+    return 0.0 if number.channel else SHORT_OHM, MOST_OHM
+
+
+def with_numbers(part: Any, numbers: dict[str, Any]) -> Any:
+    """A readout, or a part of one, with other numbers by their names; dotted names are those of its parts."""
+    for name, value in numbers.items():
+        first, _, rest = name.partition(".")
+        part = replace(part, **{first: with_numbers(getattr(part, first), {rest: value}) if rest else value})
+    return part

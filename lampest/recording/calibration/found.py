@@ -1,4 +1,4 @@
-"""What a fit says of one resistance: its mean over the lines, what single lines add, uncertainties."""
+"""What a fit says of one number: its mean over the lines, what single lines add, uncertainties."""
 
 from dataclasses import dataclass
 
@@ -25,15 +25,15 @@ class LineOffsets:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A resistance of the electronics.
+    """A number of the electronics, in its unit.
 
-    ohm, sigma_ohm : mean over the lines that were measured (of two channels' sum where a reading has two), and its
-    standard deviation. lines : what single lines add to it.
+    value, sigma : mean over the lines that were measured (of two channels' sum where a reading has two), and its
+    standard deviation. lines : what single lines add to it; none where it is one for all.
     """
 
     number: LineNumber
-    ohm: float
-    sigma_ohm: float
+    value: float
+    sigma: float
     lines: tuple[LineOffsets, ...]
 
     @property
@@ -46,22 +46,22 @@ class Found:
 
     def on(self, lines: LineOffsets) -> Array:
         """(lines) ohm of every line of a side, its share of the sum where readings have two; the mean where unknown."""
-        return np.asarray(self.ohm / len(self.lines) + np.nan_to_num(lines.off_ohm))
+        return np.asarray(self.value / len(self.lines) + np.nan_to_num(lines.off_ohm))
 
 
 def found_number(fit: CircuitFit, index: int) -> Found:
     """The number of that index, with its covariance to first order in the unknowns."""
     circuit = fit.problem.circuit
-    ohm, sides = circuit.common(fit.unknowns, index)[0], []
+    value, sides = circuit.common(fit.unknowns, index)[0], []
     slope = np.zeros(circuit.size)
     slope[index] = circuit.common(fit.unknowns, index)[1]
     for part in circuit.parts:
         if part.number == index:
             off, slopes = _of_lines(fit, part)
             measured = _measured(fit, part.side)
-            ohm, slope = ohm + float(off[measured].mean()), slope + slopes[measured].mean(axis=0)
+            value, slope = value + float(off[measured].mean()), slope + slopes[measured].mean(axis=0)
             sides.append(_lines(fit, part.side, off, slopes, measured))
-    return Found(circuit.numbers[index], ohm, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
+    return Found(circuit.numbers[index], value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
 
 
 def _of_lines(fit: CircuitFit, part: LineUnknowns) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.calibration.calibrate import Calibration
+from lampest.recording.calibration.circuit import with_numbers
 from lampest.recording.calibration.found import Found
 
 DIGITS = 3  # of an ohm: below what any contact repeats to
@@ -22,11 +23,11 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     for found in calibration.found:
         each = {lines.side: rounded(found.on(lines)) for lines in found.lines}
         if found.number.in_scene:
-            series = SeriesPerLine(**each) if found.differ else round(found.ohm, DIGITS)
+            series = SeriesPerLine(**each) if found.differ else round(found.value, DIGITS)
             scene = replace(scene, series_resistance_ohm=series)
         else:
-            (listed,) = each.values()
-            readout = replace(readout, **{found.number.name: listed if found.differ else round(found.ohm, DIGITS)})
+            value = next(iter(each.values())) if found.differ else round(found.value, DIGITS)
+            readout = with_numbers(readout, {found.number.name: value})
     if calibration.noise is not None:
         readout = replace(readout, noise_lsb=calibration.noise)
     return replace(scene, readout=readout)
@@ -51,19 +52,27 @@ def calibrated_scene_text(calibration: Calibration) -> str:
 
 def summary(calibration: Calibration) -> str:
     """'drive resistance 70.7 ± 0.3 ohm, load resistance 9987 ± 15 ohm from 64 readings'."""
-    each = (f"{spoken(found.number)} {found.ohm:.3f} ± {found.sigma_ohm:.3f} ohm" for found in calibration.found)
+    each = (
+        f"{spoken(found.number)} {found.value:.3f} ± {found.sigma:.3f} {found.number.unit}"
+        for found in calibration.found
+    )
     return f"{', '.join(each)} from {calibration.readings} readings"
 
 
 def spoken(number: LineNumber) -> str:
-    """'drive resistance'."""
+    """'drive resistance', 'diode drop'."""
+    if number.unit == "volt":
+        return number.name.removesuffix("_volt").replace(".", " ")
     return f"{number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
+
+
+def _certain(found: Found, sign: str) -> str:
+    return f"{found.value:.{DIGITS}f} {sign} {found.sigma:.{DIGITS}f} {found.number.unit}"
 
 
 def _remarks(calibration: Calibration, found: Found) -> list[str]:
     remarks = [
-        f"{found.number.name}: {found.ohm:.3f} +- {found.sigma_ohm:.3f} ohm (one standard deviation), from "
-        f"{calibration.readings} readings"
+        f"{found.number.name}: {_certain(found, '+-')} (one standard deviation), from {calibration.readings} readings"
     ]
     if not found.differ:
         return remarks

@@ -173,5 +173,7 @@ class LoadedColumnsReadout(Readout):
         return replace(self, load_ohm=scaled(self.load_ohm, 1 + fraction))
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """The drive resistances, which may be channels alone, and the loads."""
-        return (LineNumber("drive_ohm", (self.driven,), channel=True), LineNumber("load_ohm", (opposite(self.driven),)))
+        """The drive resistances, which may be channels alone, the loads, and the drop of a diode that is there."""
+        drive = LineNumber("drive_ohm", (self.driven,), channel=True)
+        diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
+        return drive, LineNumber("load_ohm", (opposite(self.driven),)), *diode
