@@ -45,6 +45,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	@$(PIP) --editable '.[dev,cluster]'
+	@$(PIP) --no-deps badcrossbar # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
 	@touch $@
 
 # What the tests of the board need besides Python: a cross compiler, a simulated microcontroller and a browser.

@@ -67,6 +67,9 @@ if TYPE_CHECKING:
     from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
     from lampest.panel.readouts.loaded_columns.diode import Diode as Diode
     from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
+    from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
+    from lampest.panel.readouts.wiring import Contacts as Contacts
+    from lampest.panel.readouts.wiring import Lines as Lines
     from lampest.panel.scene import Faults as Faults
     from lampest.panel.scene import Scene as Scene
     from lampest.panel.scene import SeriesPerLine as SeriesPerLine

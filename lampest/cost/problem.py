@@ -15,6 +15,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.wiring import Wiring
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +24,16 @@ class Data:
 
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
-    readout : how readings follow from cells.
+    readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
+    whether σ is.
     """
 
     given: Given
     lower: Array
     upper: Array
     readout: Readout = TwoPointReadout()
+    wiring: Wiring | None = None
+    noise_known: bool = False
 
     @property
     def measured(self) -> Array:
@@ -82,7 +86,7 @@ class Data:
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
-        return self.readout.network(cell_resistance, self.ties[frame])
+        return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +144,8 @@ class Evaluation:
         return direct.reshape(shape), through.reshape(shape)
 
     def log_gradient(self, dual: Array) -> Array:
-        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form."""
-        direct, through = self.partials(dual)
+        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form; duals held to |z| ≤ 1."""
+        direct, through = self.partials(np.clip(dual, -1, 1))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             gradient[frame] += network.adjoint(through[frame])
@@ -162,15 +166,15 @@ class Evaluation:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
         return float(np.sum(self.cost.slope * (np.abs(self.rough) - dual * self.rough)))
 
-    def kkt_residual(self, dual: Array) -> float:
+    def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.
 
         Zero exactly at a point that satisfies the first-order optimality conditions. The duals of absolute losses
-        come from the solver and are held to |z| ≤ 1 here.
+        come from the solver and are held to |z| ≤ 1 here. log_gradient : for these duals, where it is known already.
         """
         dual = np.clip(dual, -1, 1)
         gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
-        return self.projected_gradient(self.log_gradient(dual)) + gap
+        return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
 
     def projected_gradient(self, log_gradient: Array) -> float:
         """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""

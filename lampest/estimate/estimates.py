@@ -12,6 +12,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.step import Step
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
+from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
 from lampest.recording.recording import Recording
 
@@ -35,6 +36,7 @@ class Estimates:
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     baseline_bars : the baseline's error bars, or None.
     joint_start : whether the first frame was solved together with the baseline.
+    contacts : of the lines, as far as they are known afterwards; None where the scene names none.
     """
 
     recording: Recording
@@ -49,6 +51,7 @@ class Estimates:
     baseline_bars: Certainty | None
     steps: tuple[Step, ...]
     joint_start: bool
+    contacts: Contacts | None = None
 
     def __repr__(self) -> str:
         solved, status = int(self.solved.sum()), self.status[0]

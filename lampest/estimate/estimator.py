@@ -17,6 +17,7 @@ from lampest.estimate.methods import Method, MethodName, named_method
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings
@@ -47,15 +48,23 @@ class Bounds:
             if not isinstance(value, str) and not (isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be a word or a positive, finite number of ohm")
 
-    def limits(self, readout: Readout, measured: Array, sigma: Array | None) -> tuple[Array, Array]:
+    def limits(
+        self, readout: Readout, measured: Array, sigma: Array | None, wiring: Wiring | None = None
+    ) -> tuple[Array, Array]:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
+
+        What a reading says of the least cell it says of the cell with its wire: of the one path that leads through no
+        other cell, which all others only bypass (Rayleigh).
 
         Raises InputError where 'resolution' is asked for and σ is unknown, or where no room is left between them.
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
             native = self.lower == "measured"
-            lower = readout.least_cells(measured, sigma) if native else readout.nearly_shorted(measured)
+            least = readout.nearly_shorted(measured)
+            lower = readout.least_cells(measured, sigma) if native else least
+            if native and wiring is not None:
+                lower = np.maximum(lower - wiring.path_ohm(measured.shape[-2:]), least)
         else:
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution":
@@ -192,8 +201,8 @@ class Estimator:
         return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError where the formulation cannot serve what the scene's readout reads."""
-        self.method.check_readout(scene.circuit)
+        """Raise InputError where the formulation cannot serve the scene."""
+        self.method.check_scene(scene)
 
     def data(self, readings: Readings, background: Background) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
@@ -202,7 +211,7 @@ class Estimator:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        lower, upper = self.bounds.limits(scene.circuit, measured, sigma)
+        lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
             nearly_shorted = scene.circuit.nearly_shorted(measured)
@@ -216,11 +225,11 @@ class Estimator:
             )
             for broken, factor in faults:
                 lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        return Data(Given.of(readings, background), lower, upper, scene.circuit)
+        return Data(Given.of(readings, background), lower, upper, scene.circuit, scene.wiring, sigma is not None)
 
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""
-        return self.method.solver(self.cost(scene, frames, partial), scene.circuit, self.solver, period)
+        return self.method.solver(self.cost(scene, frames, partial), scene, self.solver, period)
 
     def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
         """The terms over one frame, or over two jointly; broken cells are left out.

@@ -47,6 +47,7 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
         None if stream.track is None else stream.track.baseline,
         tuple(steps),
         estimator.joint_start,
+        stream.scene.contacts,
     )
 
 

@@ -6,7 +6,7 @@ from lampest.loads.recognition.direct import OralDiscFit
 from lampest.panel.panel import Array
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars
-from lampest.solvers.solution import Solution, Status
+from lampest.solvers.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,6 @@ class Step:
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""
         solution = self.solution
-        if solution.status is not Status.OPTIMUM or solution.at is None or solution.dual is None:
+        if not solution.optimum or solution.at is None or solution.dual is None:
             return None
         return LinearModel(solution.at, solution.dual)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.estimate.contacts import with_contacts
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
@@ -91,23 +92,26 @@ class Stream:
         """The stream after a baseline that is solved alone; for methods."""
         alone = self.without_comparisons() if self.estimator.weighs_previous else self
         baseline = alone.solve(*alone.given(self.resting))
-        stream = self
+        settled, baseline = with_contacts(alone, self.resting, baseline)
+        stream = replace(self, scene=settled.scene, track=settled.track)
         with suppress(*BROKEN):
             model = baseline.surroundings()
-            if self.track is not None and model is not None:
-                track = self.track.resting(model, remembered=self.estimator.relative)
-                stream = replace(self, track=track, previous_deviation=track.deviation)
+            if stream.track is not None and model is not None:
+                track = stream.track.resting(model, remembered=self.estimator.relative)
+                stream = replace(stream, track=track, previous_deviation=track.deviation)
         return stream.with_baseline(baseline)
 
     def after_frame(self, readings: Readings) -> tuple["Stream", Step]:
         """The stream after a frame's readings (rows, columns), and how they were solved; for methods."""
         data, start = self.given(readings)
-        step = self.solve(data, start)
+        step, stream = self.solve(data, start), self
+        if len(data.measured) == 2:
+            stream, step = with_contacts(self, readings, step)
         found = step.estimate(-1)
-        track, step = self._barred(step)
+        track, step = stream._barred(step)
         step = replace(step, solution=replace(step.solution, at=None, dual=None))
         return replace(
-            self,
+            stream,
             baseline=step if len(data.measured) == 2 else self.baseline,
             previous=self.previous if found is None else found,
             previous_deviation=self.previous_deviation if found is None else _deviation(track, step),

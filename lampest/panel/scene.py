@@ -13,6 +13,7 @@ from lampest.files.tagged import members_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import PerLine, check_lines, lines_text, per_line
+from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Faults:
     ----------
     open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
     dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
+    joined_rows, joined_columns : groups of lines that touch each other at their terminals: they are one node, either is
+        read alike, and of their cells on one crossing only the sum of conductances is ever seen.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -30,6 +33,8 @@ class Faults:
     shorted: tuple[tuple[int, int], ...] = ()
     dead_rows: tuple[int, ...] = ()
     dead_columns: tuple[int, ...] = ()
+    joined_rows: tuple[tuple[int, ...], ...] = ()
+    joined_columns: tuple[tuple[int, ...], ...] = ()
 
     def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
         """(rows, columns) where a cell carries nothing."""
@@ -58,13 +63,27 @@ class Faults:
         readings[:, list(self.dead_columns)] = True
         return readings
 
+    def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
+        """Groups of lines that are one node, by the numbers of lines, rows first."""
+        columns = tuple(tuple(panel.rows + line for line in group) for group in self.joined_columns)
+        return self.joined_rows + columns
+
     def check(self, panel: Panel) -> None:
         """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
         for row, column in (*self.open, *self.shorted):
             if not (0 <= row < panel.rows and 0 <= column < panel.columns):
                 raise ValueError(f"faults: there is no cell [{row}, {column}]")
-        for lines, count, name in ((self.dead_rows, panel.rows, "row"), (self.dead_columns, panel.columns, "column")):
-            for line in lines:
+        sides = (
+            (self.dead_rows, self.joined_rows, panel.rows, "row"),
+            (self.dead_columns, self.joined_columns, panel.columns, "column"),
+        )
+        for dead, joined, count, name in sides:
+            touching = [line for group in joined for line in group]
+            if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
+                raise ValueError(f"faults: joined_{name}s lists groups of two or more, each {name} once")
+            if set(touching) & set(dead):
+                raise ValueError(f"faults: a {name} cannot be dead and joined to another")
+            for line in (*dead, *touching):
                 if not 0 <= line < count:
                     raise ValueError(f"faults: there is no {name} {line}")
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
@@ -188,6 +207,10 @@ class Scene:
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
     systematic : how far off all readings may be together; None: not at all, or not known.
+    lines : the resistance of rows and columns themselves; None: none.
+    converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
+        see `lampest.panel.memory`. None: nothing.
+    contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
 
     Raises ValueError where a number is out of range.
     """
@@ -200,14 +223,21 @@ class Scene:
     water: Water | None = None
     temperature: Temperature | None = None
     systematic: Systematic | None = None
+    lines: Lines | None = None
+    converter_memory: float | None = None
+    contacts: Contacts | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.series_resistance_ohm, SeriesPerLine):
             self.series_resistance_ohm.ohm(self.panel)
         else:
             check_lines("series_resistance_ohm", self.series_resistance_ohm)
+        if self.converter_memory is not None and not 0 <= self.converter_memory < 1:
+            raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.faults is not None:
             self.faults.check(self.panel)
+        if self.contacts is not None:
+            self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
         self.circuit.check(self)
 
     @property
@@ -228,6 +258,14 @@ class Scene:
         if not isinstance(series, SeriesPerLine):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
+
+    @property
+    def wiring(self) -> Wiring | None:
+        """What lies between terminals and cells; None where there is nothing."""
+        joined = () if self.faults is None else self.faults.joined(self.panel)
+        lines = self.lines or Lines()
+        wired = joined or lines.resist or self.contacts is not None
+        return Wiring(lines, joined, self.contacts) if wired else None
 
 
 def scene_text(scene: Scene) -> str:

@@ -5,33 +5,51 @@ every frame. To first order the estimate moves by K·U·z with independent stand
 reference and one for each line: what each does to the readings. Changes against the baseline move by the difference.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.scene import Scene, Systematic
 
 
 @dataclass(frozen=True)
 class Shared:
-    """systematic : how large such errors are. scene : what they are errors of."""
+    """systematic : how large such errors are, or None. scene : what they are errors of.
 
-    systematic: Systematic
+    contact_root : (lines, n) ohm, a root of the covariance of the lines' contacts, or None.
+    """
+
+    systematic: Systematic | None
     scene: Scene
+    contact_root: Array | None = None
 
     @classmethod
-    def of(cls, scene: Scene) -> "Shared | None":
-        """None where the scene names no such error."""
-        return None if scene.systematic is None else cls(scene.systematic, scene)
+    def of(cls, scene: Scene, contact_root: Array | None = None) -> "Shared | None":
+        """None where the scene names no such error. Contacts are known as the scene says unless a root is given."""
+        if contact_root is None and scene.contacts is not None:
+            contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
+        if scene.systematic is None and contact_root is None:
+            return None
+        return cls(scene.systematic, scene, contact_root)
 
-    def columns(self, cells: Array, measured: Array) -> Array:
-        """U (frames · cells, 1 + rows + columns) in the readings' unit; cells, measured : (frames, rows, columns).
+    def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
+        """U (frames · cells, n) in the readings' unit.
 
-        A tolerance is the half width of a uniform distribution: its standard deviation is 1/√3 of it.
+        cells, measured : (frames, rows, columns). networks : one a frame.
         """
-        reference = self.systematic.reference_tolerance / np.sqrt(3)
-        circuit, channel = self.scene.circuit, self.systematic.channel_spread_ohm
+        parts = [] if self.systematic is None else [self._of_readings(cells, measured, self.systematic)]
+        if self.contact_root is not None:
+            parts.append(contact_responses(networks) @ self.contact_root)
+        return np.concatenate(parts, axis=1)
+
+    def _of_readings(self, cells: Array, measured: Array, systematic: Systematic) -> Array:
+        """1 + rows + columns of them. A tolerance is the half width of a uniform distribution, σ = 1/√3 of it."""
+        reference = systematic.reference_tolerance / np.sqrt(3)
+        circuit, channel = self.scene.circuit, systematic.channel_spread_ohm
         frames = [
             circuit.shared_errors(*pair, self.scene, reference, channel) for pair in zip(cells, measured, strict=True)
         ]

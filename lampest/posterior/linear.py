@@ -32,7 +32,7 @@ class LinearModel:
     @cached_property
     def gradient(self) -> Array:
         """∂φ/∂u."""
-        return self.at.log_gradient(np.clip(self.dual, -1, 1)).ravel()
+        return self.at.log_gradient(self.dual).ravel()
 
     @cached_property
     def at_lower(self) -> NDArray[np.bool_]:

@@ -69,7 +69,7 @@ class Track:
 
         Raises numpy.linalg.LinAlgError where the cost is flat.
         """
-        errors = _errors(model, None)
+        errors = errors_of(model, None)
         answer, own = self._answer(errors), Certainty.of(errors)
         return Track(
             self.shared,
@@ -82,7 +82,7 @@ class Track:
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
         relative = any(term.needs_previous for term in model.at.cost.terms)
-        errors = _errors(model, self.memory)
+        errors = errors_of(model, self.memory)
         answer, own = self._answer(errors), Certainty.of(errors)
         certainty = _widened(own, answer)
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
@@ -102,7 +102,7 @@ class Track:
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0))
-        columns = self.shared.columns(cells, model.at.data.measured)
+        columns = self.shared.columns(cells, model.at.data.measured, model.at.networks)
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer = np.zeros((cells.size, columns.shape[1]))
         answer[model.free] = errors.answer(np.asarray(model.through @ columns), last, baseline)
@@ -113,7 +113,8 @@ def _widened(certainty: Certainty, answer: Array) -> Certainty:
     return certainty.widened(np.sum(answer**2, axis=1).reshape(certainty.deviation.shape))
 
 
-def _errors(model: LinearModel, memory: DenseMemory | SampledMemory | None) -> DenseErrors | SampledErrors:
+def errors_of(model: LinearModel, memory: DenseMemory | SampledMemory | None) -> DenseErrors | SampledErrors:
+    """The errors of an estimate, as matrices or from samples; memory : of the frame before, or None."""
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MOST_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None)
     return DenseErrors(model, memory)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.panel.memory import without_memory
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -47,6 +48,10 @@ class Readings:
         """
         _check(scene, recorded, sigma, dataset)
         circuit, sigma = scene.circuit, _noise(scene, recorded, sigma)
+        if scene.converter_memory is not None:
+            if scene.readout is None or sigma is None:
+                raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
+            recorded, sigma = without_memory(circuit, scene.converter_memory, recorded, sigma)
         within, side = _within_rails(scene, recorded)
         network, seen = circuit.from_recorded(within, scene), np.ones(recorded.shape)
         side = side * circuit.direction

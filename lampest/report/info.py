@@ -7,8 +7,10 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest.panel.readouts.lines import lines_text
+from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.touching import touching_columns, touching_rows
 from lampest.runs.results import FORMAT, Results, read_results
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
@@ -45,11 +47,32 @@ def _recording_lines(recording: Recording) -> list[str]:
     return [
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
         *_scene_lines(recording.scene),
+        *_touching_lines(recording),
         f"readings  {recorded.min():.4g} to {recorded.max():.4g} {circuit.unit} ({circuit.signal_name})",
         f"besides   {held or 'nothing'}",
         f"readings of frame 0 ({first}) in {circuit.unit}:",
         *text_map(recorded[0]),
     ]
+
+
+def _touching_lines(recording: Recording) -> list[str]:
+    """What seems to touch and the scene does not name."""
+    try:
+        readings = recording.readings()
+    except InputError:  # said where an estimate is asked for; a look at the file is free
+        return []
+    faults, lines = recording.scene.faults or Faults(), []
+    for name, told, found in (
+        ("rows", faults.joined_rows, touching_rows(readings)),
+        ("columns", faults.joined_columns, touching_columns(readings)),
+    ):
+        lines += [
+            f"alike     {name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
+            f"{{joined_{name}: [{list(group)}]}} says so"
+            for group in found
+            if not any(set(group) <= set(known) for known in told)
+        ]
+    return lines
 
 
 def _scene_lines(scene: Scene) -> list[str]:
@@ -61,6 +84,18 @@ def _scene_lines(scene: Scene) -> list[str]:
         lines.append(f"readout   {readout.description()}")
     if scene.circuit.unit == "ohm":
         lines.append(f"series    {scene.series_text}")
+    if scene.lines is not None:
+        wire = scene.lines
+        lines.append(
+            f"lines     rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}; "
+            f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
+        )
+    if scene.contacts is not None:
+        sides = (("rows", scene.contacts.rows), ("columns", scene.contacts.columns))
+        known = "; ".join(f"{name} {lines_text(side.mean_ohm)} ± {lines_text(side.sd_ohm)}" for name, side in sides)
+        lines.append(f"contacts  {known}")
+    if scene.converter_memory is not None:
+        lines.append(f"memory    {100 * scene.converter_memory:g} % of the channel converted before")
     if scene.systematic is not None:
         off = scene.systematic
         lines.append(

@@ -40,6 +40,7 @@ class CaseResult:
     status : (frames) how each solve ended, a sentence.
     iterations, solve_time, objective, kkt_residual : (frames), solve_time in s.
     costs, weights : term → (frames). disc : an oral disc's number → (frames), where the cells follow from one.
+    contacts : line → its contact's resistance (frames) ohm, and with `_errors` behind it the standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     joint_start : whether the first frame was solved together with the baseline.
     solved : (frames) False where a frame failed.
@@ -82,6 +83,7 @@ class CaseResult:
     truth: Array | None = None
     truth_baseline: Array | None = None
     disc: dict[str, Array] = field(default_factory=dict)
+    contacts: dict[str, Array] = field(default_factory=dict)
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     cell_resistance_errors: Array | None = None

@@ -17,7 +17,8 @@ LAST_STEPS = Settings(max_iterations=20)
 # Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled: at
 # 1e-8 of it cells may still be off by 1e-5.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
-EASY = 6
+SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
+EASY, EASY_INTERIOR = 6, 20  # iterations; warm frames take 2 to 5 and 3 to 6, and a good start 9 of the latter
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 
@@ -26,8 +27,9 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     """The solution from the cheapest start; where the cost has several minima and the solve is hard, of all starts.
 
     The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
-    the convex one. A solve is hard that has no previous frame, fails or takes many iterations; it is then begun from
-    all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others.
+    the convex one. A solve is hard that fails, takes many iterations, or compares with a previous frame where there is
+    none; it is then begun from all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far
+    from all others; what is verified is a local minimum, the best of these.
     Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
     stand in the same minimum. Where these terms are convex
@@ -40,7 +42,7 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
 
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     comparing = [term for term in solver.cost.terms if term.needs_previous]
-    relative, patience = bool(comparing), float("inf") if all(term.convex_in_log for term in comparing) else EASY
+    relative = bool(comparing)
     if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
@@ -52,12 +54,16 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     if not points:
         return _broken(solver.cost, data)
     found = solved_from(solver, points[0])
-    if found.solved and not (relative and (previous is None or found.iterations > patience)):
+    easy = EASY if isinstance(solver, Newton) else EASY_INTERIOR
+    one_minimum = (plain and data.readout.unique) or (relative and all(term.convex_in_log for term in comparing))
+    hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
+    if found.solved and not hard:
         return found
     more = [] if previous is None else [uniform, convex(data, None)]
     more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
     others = [solved_from(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
-    return min((other for other in (found, *others) if other.solved), key=lambda one: one.objective, default=found)
+    best = min((other for other in others if other.solved), key=lambda one: one.objective, default=found)
+    return best if not found.solved or best.objective < found.objective * (1 - SAME) else found
 
 
 def convex(data: Data, near: Array | None) -> Array:
@@ -77,7 +83,9 @@ def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
 
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:
-    """Solve from one start, and, where an interior-point method stopped short of its bounds, take the last steps."""
+    """Solve from one start, and, where an interior-point method stopped short of an optimum or its bounds, take the
+    last steps from there; where these do not reach one either, from the start.
+    """
     with suppress(*BROKEN):
         return _solved(solver, start)
     return _broken(solver.cost, start.data)
@@ -86,14 +94,18 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
 def _solved(solver: Solver, start: Evaluation) -> Solution:
     outcome = solver.solve(start.data, start)
     solution = check(start, outcome)
-    reached = solution.kkt_residual <= POLISHED and start.data.readout.unique
-    if reached or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
+    settled = solution.status is Status.OPTIMUM and solution.kkt_residual <= POLISHED
+    if (settled and start.data.readout.unique) or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
         return solution
-    near = evaluated(solver.cost, start.data, outcome.cell_resistance)
-    steps = LAST_STEPS if start.data.readout.unique else FINE_STEPS
-    finished = Newton(solver.cost, steps).solve(start.data, near)
-    polished = check(start, replace(finished, iterations=outcome.iterations))
-    return polished if polished.solved else solution
+    newton = Newton(solver.cost, LAST_STEPS if start.data.readout.unique else FINE_STEPS)
+    reached = [solution]
+    for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
+        polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
+        reached.append(polished)
+        if polished.status is Status.OPTIMUM:
+            break
+    solved = [one for one in reached if one.solved]
+    return min(solved, key=lambda one: (one.status is not Status.OPTIMUM, one.objective), default=solution)
 
 
 def _evaluable(cost: Cost, data: Data, starts: Iterable[Array]) -> Iterable[Evaluation]:

@@ -10,23 +10,33 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
+from lampest.solvers.certificate import Bend, Certificate, certificate
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.smoothing import Smoothing
 
 VERIFIED = 1e-6
 OPEN_FRACTION = 0.99
+SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its kink
 
 
 class Status(Enum):
-    """Sentences; only the first three stand for an estimate."""
+    """Sentences; only the first five stand for an estimate."""
 
     OPTIMUM = "optimum verified"
+    FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
+    ROUNDED = "an optimum within rounding: double precision leaves some cells less certain than the data would"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
     FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
+    SADDLE = "the optimality conditions hold, but at a saddle: the cost falls from there"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
     ITERATIONS = "the iteration limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
     BREAKDOWN = "the solver broke down numerically"
     UNAVAILABLE = "the solver or its linear solver is not available"
+
+
+OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.ROUNDED)
 
 
 @dataclass(frozen=True)
@@ -51,13 +61,15 @@ class Settings:
 class Outcome:
     """What a solver hands back before anybody checked it.
 
-    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1.
+    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
+    these cells, where the solver asked for one.
     """
 
     cell_resistance: Array
     dual: Array
     status: Status
     iterations: int
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +96,12 @@ class Solution:
     @property
     def solved(self) -> bool:
         """Whether there is an estimate."""
-        return self.status in (Status.OPTIMUM, Status.APPROXIMATE, Status.FITTED)
+        return self.optimum or self.status in (Status.APPROXIMATE, Status.FITTED)
+
+    @property
+    def optimum(self) -> bool:
+        """Whether it is an optimum over the cells, as far as double precision tells."""
+        return self.status in OPTIMA
 
 
 class Solver(Protocol):
@@ -113,12 +130,25 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
     evaluation = Evaluation.at(cost, data, cells)
-    residual = evaluation.kkt_residual(outcome.dual)
+    gradient = evaluation.log_gradient(outcome.dual)
+    residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
     if residual <= VERIFIED and not worse:
-        return _solution(evaluation, residual, outcome)
+        certified = _certified(evaluation, gradient, outcome)
+        if certified is Status.SADDLE:
+            return failure(cost, data, certified, residual, outcome)
+        return _solution(evaluation, residual, outcome, certified)
     fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
     return failure(cost, data, fault if outcome.status is Status.OPTIMUM else outcome.status, residual, outcome)
+
+
+def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Status:
+    """What second derivatives make of a point where the first-order conditions hold."""
+    smoothing = Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
+    found = outcome.certificate or certificate(Curvature(evaluation, smoothing), gradient.ravel())
+    if found.settled:
+        return Status.OPTIMUM
+    return {Bend.UP: Status.ROUNDED, Bend.FLAT: Status.FLAT, Bend.DOWN: Status.SADDLE}[found.bend]
 
 
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:

@@ -4,6 +4,7 @@ A kind that joins the union, or that an installed package names, is seen here wi
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import casadi
@@ -11,16 +12,27 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest.estimate.estimator import Bounds
 from lampest.files.tagged import members_of
-from lampest.panel.kirchhoff import laplacian
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.scene import Scene
+from lampest.panel.readouts import AnyReadout
+from lampest.panel.readouts.wired import contact_responses
+from lampest.panel.readouts.wiring import Contacts, Lines
+from lampest.panel.scene import Faults, Scene
 from tests.laws.samples import examples
+from tests.netlist import impedance_of
 
 KINDS = members_of(AnyReadout)
 PANELS = ((4, 6), (5, 3))
+WIRES = {
+    "wire": (Lines(30.0, 70.0), None),
+    "from the right, to the top": (Lines(30.0, 70.0, "right", "top"), None),
+    "rows of wire": (Lines(row_ohm_per_cell=50.0), None),
+    "columns of wire": (Lines(column_ohm_per_cell=50.0, columns_leave="top"), None),
+    "joined": (None, Faults(joined_rows=((0, 2),), joined_columns=((1, 2),))),
+    "wire and joined": (Lines(30.0, 0.1), Faults(joined_rows=((1, 2),))),
+}
 STEP = 1e-4  # of ln r; a Taylor remainder falls with its square, a wrong derivative with itself
 
 
@@ -39,6 +51,19 @@ def scenes() -> Iterator[Any]:
                 scene = fits((Panel(rows, columns), readout))
                 if scene is not None:
                     yield pytest.param(scene, id=f"{kind.__name__}-{number}-{rows}x{columns}")
+        yield from (pytest.param(scene, id=f"{kind.__name__}-{name}") for name, scene in wired_scenes(kind))
+
+
+def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
+    """The first configuration of a kind that fits, with every sort of wire and with lines that touch."""
+    for rows, columns in PANELS:
+        panel = Panel(rows, columns)
+        readout = next(one for one in examples(kind) if fits((panel, one)) is not None)
+        contacts = Contacts.of(np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows)
+        for name, (lines, faults) in WIRES.items():
+            yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
+        yield f"contacts-{rows}x{columns}", Scene(panel, readout, contacts=contacts)
+        yield f"contacts and wire-{rows}x{columns}", Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts)
 
 
 every_scene = pytest.mark.parametrize("scene", tuple(scenes()))
@@ -50,9 +75,9 @@ def cells_of(scene: Scene) -> Array:
     return np.asarray(np.log(3000) + rng.normal(size=scene.panel.shape))
 
 
-def network_of(readout: Readout, logarithm: Array, ties: Array | None = None) -> Network:
-    cells = np.exp(logarithm)
-    return readout.network(cells, readout.ties(cells) if ties is None else ties)
+def network_of(scene: Scene, logarithm: Array, ties: Array | None = None) -> Network:
+    cells, readout = np.exp(logarithm), scene.circuit
+    return readout.network(cells, readout.ties(cells) if ties is None else ties, scene.wiring)
 
 
 def size(values: Array) -> float:
@@ -67,7 +92,7 @@ def test_some_configuration_fits(kind: type) -> None:
 @every_scene
 def test_adjoint_is_the_transpose(scene: Scene) -> None:
     """⟨w, J·p⟩ = ⟨Jᵀ·w, p⟩."""
-    network, rng = network_of(scene.circuit, cells_of(scene)), np.random.default_rng(1)
+    network, rng = network_of(scene, cells_of(scene)), np.random.default_rng(1)
     step, weights = rng.normal(size=(2, *scene.panel.shape))
     there, back = np.sum(weights * network.forward(step)), np.sum(network.adjoint(weights) * step)
     assert there == pytest.approx(back, rel=1e-9, abs=1e-12 * size(network.reading()))
@@ -79,11 +104,11 @@ def test_forward_is_the_derivative(scene: Scene) -> None:
     readout, logarithm = scene.circuit, cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
     step = np.random.default_rng(2).normal(size=scene.panel.shape)
-    network = network_of(readout, logarithm, ties)
+    network = network_of(scene, logarithm, ties)
     first, slope = network.reading(), network.forward(step)
 
     def remainder(length: float) -> float:
-        return size(network_of(readout, logarithm + length * step, ties).reading() - first - length * slope)
+        return size(network_of(scene, logarithm + length * step, ties).reading() - first - length * slope)
 
     large = remainder(100 * STEP)
     assert large < 0.05 * 100 * STEP * size(slope)
@@ -96,19 +121,19 @@ def test_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
     readout, logarithm = scene.circuit, cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
     step, weights = np.random.default_rng(3).normal(size=(2, *scene.panel.shape))
-    network = network_of(readout, logarithm, ties)
+    network = network_of(scene, logarithm, ties)
     second = network.second_order(weights)
     forward, bent = second.products(step)
     assert_allclose(forward, network.forward(step), rtol=1e-9, atol=1e-12 * size(forward))
     assert_allclose((second.matrix() @ step.ravel()).reshape(bent.shape), bent, atol=1e-9 * size(bent))
-    ends = [network_of(readout, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)]
+    ends = [network_of(scene, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)]
     expected = (ends[0] - ends[1]) / (2 * STEP)
     assert_allclose(bent - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected))
 
 
 @every_scene
 def test_parts_of_the_sensitivity(scene: Scene) -> None:
-    network, cells = network_of(scene.circuit, cells_of(scene)), np.array([2, 3, 11])
+    network, cells = network_of(scene, cells_of(scene)), np.array([2, 3, 11])
     readings = np.array([0, 5, 9])
     whole = network.sensitivity()
     step = np.random.default_rng(4).normal(size=scene.panel.shape)
@@ -122,34 +147,48 @@ def test_parts_of_the_sensitivity(scene: Scene) -> None:
 def test_a_changed_block_is_the_network_of_the_changed_cells(scene: Scene) -> None:
     readout, logarithm, block = scene.circuit, cells_of(scene), (slice(1, 3), slice(0, 2))
     ties = readout.ties(np.exp(logarithm))
-    network = network_of(readout, logarithm, ties)
+    network = network_of(scene, logarithm, ties)
     moved = logarithm.copy()
     moved[block] -= 1.5
-    expected = network_of(readout, moved, ties).reading()
+    expected = network_of(scene, moved, ties).reading()
     assert_allclose(network.changed(block, np.exp(-moved[block])).reading(), expected, atol=1e-9 * size(expected))
+
+
+@pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
+def test_what_contacts_do_is_the_derivative(scene: Scene) -> None:
+    """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
+    assert scene.contacts is not None
+    readout, logarithm, shape = scene.circuit, cells_of(scene), scene.panel.shape
+    ties, ohm = readout.ties(np.exp(logarithm)), scene.contacts.mean(shape)
+    response = contact_responses([network_of(scene, logarithm, ties)]).reshape(*shape, -1)
+    for line in range(sum(shape)):
+        step = 0.1 * np.eye(sum(shape))[line]
+        ends = [replace(scene, contacts=Contacts.of(ohm + sign * step, ohm, shape[0])) for sign in (1, -1)]
+        high, low = (network_of(end, logarithm, ties).reading() for end in ends)
+        assert_allclose(response[..., line], (high - low) / 0.2, atol=1e-5 * size(response))
 
 
 @every_scene
 def test_the_equation_says_what_the_network_reads(scene: Scene) -> None:
-    """The symbolic form of the reading, at the impedances of a matrix that is inverted here."""
+    """The symbolic form of the reading, at the impedances of a netlist that is solved here."""
     readout, cells = scene.circuit, np.exp(cells_of(scene))
     rows, columns = scene.panel.shape
-    impedance = np.linalg.inv(laplacian(1 / cells) + np.diag(readout.ties(cells)))
+    impedance = impedance_of(cells, scene, readout.ties(cells))
     diagonal = np.diag(impedance)
     own_row, own_column = np.tile(diagonal[:rows, None], columns), np.tile(diagonal[None, rows:], (rows, 1))
     entries = (own_row, own_column, impedance[:rows, rows:])
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
     expected = np.array(equation(*entries))
-    assert_allclose(network_of(readout, np.log(cells)).reading(), expected, atol=1e-9 * size(expected))
-    assert_allclose(readout.exact_reading(cells), expected, atol=1e-9 * size(expected))
+    assert_allclose(network_of(scene, np.log(cells)).reading(), expected, atol=1e-9 * size(expected))
+    assert_allclose(readout.exact_reading(cells, scene.wiring), expected, atol=1e-9 * size(expected))
 
 
 @every_scene
 def test_there_and_back(scene: Scene) -> None:
     """network ↔ recorded ↔ volt; what is recorded moves as `direction` says; σ is positive; bounds hold the cells."""
     readout, cells = scene.circuit, np.exp(cells_of(scene))
-    reading = readout.exact_reading(cells)
+    reading = readout.exact_reading(cells, scene.wiring)
     recorded = readout.to_recorded(reading, scene)
     near = 1e-9 * size(recorded)
     assert_allclose(readout.from_recorded(recorded, scene), reading, rtol=1e-9, atol=near)
@@ -157,7 +196,8 @@ def test_there_and_back(scene: Scene) -> None:
     more = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
     assert np.all(np.sign(more) == readout.direction)
     assert np.all(readout.sigma(recorded) >= 0)
-    assert np.all(readout.least_cells(reading, None) <= cells * (1 + 1e-9))
+    least, _ = Bounds(upper="none").limits(readout, reading, None, scene.wiring)
+    assert np.all(least <= cells * (1 + 1e-9))
     assert np.all(readout.start(reading, np.full(cells.shape, np.inf)) > 0)
 
 

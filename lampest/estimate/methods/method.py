@@ -8,6 +8,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Settings, Solution, Solver
@@ -39,10 +40,10 @@ class Method(ABC):
     def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
         """Raise InputError where the method cannot minimise these terms."""
 
-    def check_readout(self, readout: Readout) -> None:  # noqa: B027 - most methods take any readout
-        """Raise InputError where the method cannot serve recordings of this readout."""
+    def check_scene(self, scene: Scene) -> None:  # noqa: B027 - most methods know all that a network knows
+        """Raise InputError where the method has no model of what the scene names, or cannot serve its readout."""
 
-    def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
+    def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return Newton(cost, settings)
 

@@ -7,8 +7,10 @@ from typing import Any, ClassVar, Literal
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.newton.newton import Newton
@@ -26,20 +28,30 @@ class OptimalMethod(Method):
     joint: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
 
-    def check_readout(self, readout: Readout) -> None:
-        """Raise InputError where the formulation cannot say what the readout reads."""
-        if self.kind in FORMULATIONS:
-            FORMULATIONS[self.kind].check(readout)
+    def check_scene(self, scene: Scene) -> None:
+        """Raise InputError where the formulation cannot say what the readout reads, or the panel is wired.
 
-    def solver(self, cost: Cost, readout: Readout, settings: Settings, period: float) -> Solver:
+        Node voltages inside a wired panel would be unknowns, too.
+        """
+        if self.kind not in FORMULATIONS:
+            return
+        FORMULATIONS[self.kind].check(scene.circuit)
+        if scene.wiring is not None:
+            raise InputError(
+                f"formulation: {self.kind} knows neither lines, contacts nor faults.joined_rows and joined_columns; "
+                "take reduced"
+            )
+
+    def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated.
 
-        auto : nodal on panels of up to 144 cells with at most two frames a second, else reduced.
+        auto : nodal on panels of up to 144 cells without wire with at most two frames a second, else reduced.
         """
         kind = self.kind
         if kind == "auto":
-            kind = "nodal" if cost.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD else "reduced"
-        return _solver(cost, readout, kind, settings)
+            slow = cost.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
+            kind = "nodal" if slow and scene.wiring is None else "reduced"
+        return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The best optimum of all starts that a frame deserves."""

@@ -22,7 +22,7 @@ from lampest.loads.recognition.frame import Direct, counting
 from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
@@ -86,9 +86,13 @@ class OralDiscMethod(Method):
         if not all(term.reads_measurement for term in terms):
             raise InputError("formulation: oral_disc has the term misfit alone; the disc leaves nothing to penalise")
 
-    def check_readout(self, readout: Readout) -> None:
-        """Raise InputError unless it is two_point, which recognition is about."""
-        if not isinstance(readout, TwoPointReadout):
+    def check_scene(self, scene: Scene) -> None:
+        """Raise InputError unless its readout is two_point, which recognition is about, and nothing is wired."""
+        if scene.wiring is not None:
+            raise InputError(
+                "formulation: oral_disc knows neither lines, contacts nor faults.joined_rows and joined_columns"
+            )
+        if not isinstance(scene.circuit, TwoPointReadout):
             raise InputError("formulation: oral_disc knows readout.kind: two_point only; nodal and reduced know all")
 
     def begin(self, stream: "Stream") -> "Stream":

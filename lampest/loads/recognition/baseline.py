@@ -44,6 +44,8 @@ class Baseline:
         """
         if not isinstance(scene.circuit, TwoPointReadout):
             raise ValueError("recognition knows readout.kind: two_point only")
+        if scene.wiring is not None:
+            raise ValueError("recognition knows neither lines, contacts nor faults.joined_rows and joined_columns")
         series_ohm = scene.series_ohm
         rows, columns = measured.shape
         cells, lines = measured.size, rows + columns + 1

@@ -154,7 +154,7 @@ class GroundedReadout(Readout):
         drive = with_channels("drive_ohm", self.drive_ohm, driven)
         sense = with_channels("sense_ohm", self.sense_ohm, sensed) if self.sense_ohm else 0.0
         actual = replace(self, drive_ohm=drive, sense_ohm=sense)
-        return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
+        return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""

@@ -16,6 +16,8 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
 from lampest.panel.readouts.lines import LineNumber, PerLine, Side, along, check_lines, lines_text, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
+from lampest.panel.readouts.wired import WiredNetwork
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
@@ -108,17 +110,22 @@ class Readout(ABC):
 
     # What follows from the circuit.
 
-    def network(self, cell_resistance: Array, ties: Array) -> Network:
-        """The solved network of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is loose."""
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """The solved network of cells (rows, columns) ohm; wiring : what lies between them and the terminals, or None.
+
+        Raises numpy.linalg.LinAlgError where a line is loose.
+        """
+        if wiring is not None:
+            return WiredNetwork.solve(cell_resistance, ties, self, wiring)
         conductance = 1 / cell_resistance
         return TiedNetwork(cell_resistance, conductance, inverse_of(conductance, ties), self)
 
-    def exact_reading(self, cell_resistance: Array) -> Array:
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
         if cell_resistance.ndim == 3:
-            return np.stack([self.exact_reading(frame) for frame in cell_resistance])
+            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         with np.errstate(divide="ignore"):
-            return self.network(cell_resistance, self.ties(cell_resistance)).reading()
+            return self.network(cell_resistance, self.ties(cell_resistance), wiring).reading()
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells (rows, columns) ohm to begin a search at, from readings, upper bounds, an earlier estimate or None."""
@@ -171,6 +178,11 @@ class Readout(ABC):
 
     # Between what is recorded and what the network is read by.
 
+    @property
+    def by_columns(self) -> bool:
+        """Whether a scan goes column by column: kinds that drive the lines of one side say which, others go by rows."""
+        return bool(getattr(self, "driven", "rows") == "columns")
+
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
         return self.supply_volt - recorded if self.mirrored else recorded
@@ -193,7 +205,7 @@ class Readout(ABC):
 
         row_ohm, column_ohm : what every line's channel has in series beyond what the scene tells, ohm.
         """
-        return self.to_recorded(self.exact_reading(cell_resistance), scene)
+        return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 
     def off_by(self, fraction: float) -> Self:
         """The same circuit with its reference resistor larger by a fraction."""
@@ -210,9 +222,9 @@ class Readout(ABC):
         resistor is off, see `off_by`. channel : by so many ohm one line's channel is, rows first, see `simulated`.
         """
         rows, columns = cells.shape
-        errors, still = np.zeros((1 + rows + columns, rows, columns)), self.exact_reading(cells)
+        errors, still = np.zeros((1 + rows + columns, rows, columns)), self.exact_reading(cells, scene.wiring)
         if reference:
-            errors[0] = self.off_by(reference).exact_reading(cells) - still
+            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - still
         for line, more in enumerate(channel * np.eye(rows + columns) if channel else ()):
             recorded = self.simulated(cells, scene, more[:rows], more[rows:])
             errors[1 + line] = self.from_recorded(recorded, scene) - still

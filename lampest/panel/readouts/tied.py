@@ -147,15 +147,19 @@ class TiedSecondOrder:
         network, impedance = self.network, self.network._impedance
         injected = network._injected(network.conductance * step, impedance)
         change = impedance @ injected
-        row, column, mutual = network._read(change)
-        moved = network._loading(
+        moved = self.moved(change)
+        twice = 2 * network._differences(self._twice, injected, symmetric=False)
+        once = network._differences(impedance, moved @ impedance, symmetric=True)
+        return network.read_change(change), network.conductance * (twice + once)
+
+    def moved(self, change: Array) -> Array:
+        """W' (lines, lines): what a change of Z does to W through the slopes of h."""
+        row, column, mutual = self.network._read(change)
+        return self.network._loading(
             self._bent("pp") * row + self._bent("pq") * column + self._bent("pt") * mutual,
             self._bent("pq") * row + self._bent("qq") * column + self._bent("qt") * mutual,
             self._bent("pt") * row + self._bent("qt") * column + self._bent("tt") * mutual,
         )
-        twice = 2 * network._differences(self._twice, injected, symmetric=False)
-        once = network._differences(impedance, moved @ impedance, symmetric=True)
-        return network.read_change(change), network.conductance * (twice + once)
 
     def matrix(self) -> Array:
         """2 g (BᵀZB ∘ BᵀKB) g + Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i; the latter as far as h bends at all."""
@@ -163,8 +167,12 @@ class TiedSecondOrder:
         conductance = network.conductance.ravel()
         matrix = 2 * network._between_cells(network._impedance) * network._between_cells(self._twice)
         matrix *= conductance[:, None] * conductance
-        row, column, mutual = network.entry_responses()
-        flat = mutual.reshape(len(conductance), -1)
+        return self.bent(matrix)
+
+    def bent(self, matrix: Array) -> Array:
+        """A matrix (cells, cells) with Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i added to it in its place."""
+        row, column, mutual = self.network.entry_responses()
+        flat = mutual.reshape(len(matrix), -1)
         pieces = (
             ("pp", lambda bend: row.T @ (bend.sum(axis=1)[:, None] * row)),
             ("qq", lambda bend: column.T @ (bend.sum(axis=0)[:, None] * column)),

@@ -1,11 +1,15 @@
 """What the electronics make of cells: their circuit, multiplexers, converter → recorded readings."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
+from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
@@ -22,13 +26,26 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
     """
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
+    if scene.contacts is not None:
+        scene = replace(scene, contacts=true_contacts(scene, seed))
     total = actual.simulated(cells, scene, *channel_errors(scene, unmodelled, seed))
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
         return total, None
+    if scene.converter_memory is not None:
+        volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
+        total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def true_contacts(scene: Scene, seed: int) -> Contacts:
+    """Contacts drawn as the scene says what is known of them; none is below zero."""
+    contacts, shape = scene.contacts or Contacts(), scene.panel.shape
+    normal = random_stream(seed, "contacts").standard_normal(sum(shape))
+    ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
+    return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
 
 
 def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:

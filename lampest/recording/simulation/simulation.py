@@ -95,6 +95,8 @@ class Simulation:
         electronic = self.unmodelled.reference_tolerance or self.unmodelled.outlier_probability
         if self.scene.readout is None and electronic:
             raise ValueError("reference_tolerance and outlier_probability need a readout in the scene")
+        if self.scene.readout is None and self.scene.converter_memory is not None:
+            raise ValueError("converter_memory needs a readout in the scene")
 
     @property
     def values(self) -> int:

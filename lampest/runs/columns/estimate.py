@@ -116,7 +116,29 @@ def _disc(done: Estimates) -> dict[str, Array]:
     return numbers
 
 
+def _contacts(done: Estimates) -> dict[str, Array]:
+    """Every line's contact and its standard deviation, the same in every frame; none where the scene names none."""
+    if done.contacts is None:
+        return {}
+    shape, every = done.recording.scene.panel.shape, np.ones(len(done.steps))
+    lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
+    ohm, errors = done.contacts.mean(shape), done.contacts.deviation(shape)
+    return dict(zip(lines, np.outer(ohm, every), strict=True)) | {
+        f"{line}_errors": error * every for line, error in zip(lines, errors, strict=True)
+    }
+
+
 FIGURES = (
+    Figures(
+        "contacts",
+        "contact",
+        _contacts,
+        lambda name: "ohm",
+        lambda name: (
+            f"{'standard deviation of the ' if name.endswith('_errors') else ''}contact resistance of "
+            f"{name.removesuffix('_errors').replace('_', ' ')}"
+        ),
+    ),
     Figures("costs", "cost", _costs, lambda name: "1", lambda name: f"cost of the term {name}"),
     Figures("weights", "weight", _weights, lambda name: "1", lambda name: f"weight of the term {name}"),
     Figures(

@@ -41,7 +41,12 @@ class Curvature:
     @cached_property
     def through(self) -> Array:
         """Jᵀ·∂φ/∂y."""
-        return self.adjoint(self._partials[1])
+        return self.adjoint(self.by_reading)
+
+    @property
+    def by_reading(self) -> Array:
+        """∂φ/∂y, (frames, rows, columns)."""
+        return self._partials[1]
 
     def forward(self, step: Array) -> Array:
         """J·p, the change of the readings, (frames, rows, columns)."""
@@ -56,7 +61,7 @@ class Curvature:
     @cached_property
     def _second_orders(self) -> list[SecondOrder]:
         """N of every frame."""
-        pairs = zip(self.at.networks, self._partials[1], strict=True)
+        pairs = zip(self.at.networks, self.by_reading, strict=True)
         return [network.second_order(slope) for network, slope in pairs]
 
     @cached_property

@@ -1,5 +1,7 @@
 """Newton directions: (∇²φ + μ·diag) s = −∇φ on the free cells, by Cholesky or by conjugate gradients."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -15,10 +17,39 @@ LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
 REACH, TINY = 2.5, 0.1  # changes of log r
 
 
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Of ∇²φ over some cells by Cholesky, and where it was taken: cell_resistance (frames, rows, columns) ohm."""
+
+    cells: NDArray[np.intp]
+    cell_resistance: Array
+    triangle: Array
+
+    def serves(self, free: NDArray[np.intp], cell_resistance: Array, reach: float) -> bool:
+        """Whether it is of the same cells, none of which has moved by more than `reach` in log r since."""
+        return np.array_equal(free, self.cells) and bool(
+            np.abs(np.log(cell_resistance / self.cell_resistance)).max() <= reach
+        )
+
+    def solve(self, right: Array) -> Array:
+        """(∇²φ)⁻¹·right."""
+        solved: Array = lapack.dpotrs(self.triangle, right)[0]
+        return solved
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """step : (cells) of log r. damping : with which it was made. factor : of ∇²φ where nothing was added to it."""
+
+    step: Array
+    damping: float
+    factor: Factor | None = None
+
+
 def direction(
     curvature: Curvature, free: NDArray[np.bool_], known: Array, damping: float, accuracy: float
-) -> tuple[Array, float]:
-    """(step, damping): `known` at cells that are not free, a Newton step at the others given that.
+) -> Direction:
+    """`known` at cells that are not free, a Newton step at the others given that.
 
     The damping is raised where the matrix is not positive definite, unless that leaves no step worth the name.
     accuracy : relative residual at which conjugate gradients stop.
@@ -26,32 +57,30 @@ def direction(
     slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
     chosen = np.flatnonzero(free)
     if len(chosen) == 0:
-        return known, damping
+        return Direction(known, damping)
     if len(free) <= DENSE_UNKNOWNS:
-        found, damping = _by_factorisation(curvature, chosen, slope[chosen], damping)
+        found = _by_factorisation(curvature, chosen, slope[chosen], damping)
     else:
-        found, damping = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy)
+        found = Direction(*_by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy))
     step = known.copy()
-    step[chosen] = found
-    return step, damping
+    step[chosen] = found.step
+    return replace(found, step=step)
 
 
-def _by_factorisation(
-    curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float
-) -> tuple[Array, float]:
+def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float) -> Direction:
     matrix = curvature.matrix if len(free) == len(curvature.gradient) else curvature.matrix[np.ix_(free, free)]
     if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(slope))):
-        return np.zeros_like(slope), damping
+        return Direction(np.zeros_like(slope), damping)
     size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
     failed, used = 1, damping
     while failed:
         shifted = matrix + np.diag(used * size) if used else matrix
-        _, step, failed = lapack.dposv(shifted.T, -slope)
+        triangle, step, failed = lapack.dposv(shifted.T, -slope)
         used = raised(used) if failed else used
     # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
     if used > damping and np.abs(step).max() < TINY:
-        return within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping
-    return step, used
+        return Direction(within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping)
+    return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, triangle))
 
 
 def _by_conjugate_gradients(

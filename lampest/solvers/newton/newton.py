@@ -7,6 +7,7 @@ Source: Bertsekas, SIAM J. Control Optim. 20, 1982 (projection); Chan, Golub & M
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from scipy.sparse.csgraph import connected_components
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
+from lampest.solvers.certificate import Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import direction, raised
+from lampest.solvers.newton.directions import Factor, direction, raised
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -27,15 +29,19 @@ DECREASE = 1e-4
 MOST_STOPS = 6
 TIGHT = 0.5
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
+MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Where the iteration stands: an evaluation with its curvature, and the damping for the next step."""
+    """Where the iteration stands: an evaluation with its curvature, the damping for the next step, and a factor of the
+    second derivatives where the last step began, if there is one.
+    """
 
     curvature: Curvature
     objective: float
     damping: float
+    factor: Factor | None = None
 
     @property
     def at(self) -> Evaluation:
@@ -56,6 +62,11 @@ class Iterate:
         smoothing = replace(self.curvature.smoothing, width=self.curvature.smoothing.width / 10)
         return Iterate(Curvature(self.at, smoothing), smoothing.objective(self.at), 0.0)
 
+    @cached_property
+    def certificate(self) -> Certificate:
+        """What one more step would do."""
+        return certificate(self.curvature, self.curvature.gradient, self.factor)
+
 
 @dataclass(frozen=True)
 class Newton:
@@ -72,16 +83,19 @@ class Newton:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         smoothing = Smoothing.start(start)
         point = Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0)
+        unsettled = 0
         for iteration in range(self.settings.max_iterations):
             residual, gap = point.residual(), point.gap()
-            if residual <= max(self.settings.tolerance, 0.1 * gap):
-                if gap <= self.settings.tolerance:
-                    return outcome(point, Status.OPTIMUM, iteration)
+            near = residual <= max(self.settings.tolerance, 0.1 * gap)
+            if near and gap > self.settings.tolerance:
                 point = point.sharpened()
                 continue
+            if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
+                return replace(outcome(point, Status.OPTIMUM, iteration), certificate=point.certificate)
+            unsettled += near
             moved = advance(point, data, residual)
             if moved is None:
-                return outcome(point, Status.BREAKDOWN, iteration)
+                return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
             point = moved
         return outcome(point, Status.ITERATIONS, self.settings.max_iterations)
 
@@ -96,12 +110,13 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
     """The next point, or None where no damping makes a step that lowers the cost."""
     lower, upper = (bound.ravel() for bound in data.log_bounds)
     position, slope = np.log(point.at.cell_resistance).ravel(), point.curvature.gradient
-    free = (lower < upper) & ~(((position <= lower) & (slope > 0)) | ((position >= upper) & (slope < 0)))
+    free = free_cells(point.at, slope)
     damping, accuracy = point.damping, min(0.1, residual**0.5)
     while damping <= LARGEST_DAMPING:
         moving, known = free, np.zeros(len(position))
         for left in reversed(range(MOST_STOPS)):
-            step, damping = direction(point.curvature, moving, known, damping, accuracy)
+            towards = direction(point.curvature, moving, known, damping, accuracy)
+            step, damping = towards.step, towards.damping
             reached = np.clip(position + step, lower, upper)
             beyond = moving & (reached != position + step)
             again = left > 0 and np.any(beyond)
@@ -109,7 +124,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
                 target = np.clip(position + np.clip(length * step, -LONGEST_STEP, None), lower, upper)
                 moved = trial(point, data, target, damping, residual)
                 if moved is not None:
-                    return moved
+                    return replace(moved, factor=towards.factor)
             if not again:
                 break
             # A cell that stops at its bound leaves its partners' steps wrong: let it stop there and ask them again.

@@ -260,7 +260,7 @@ def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:
     parts = {
         name: pick(value[0])[None] if sources[name].per_frame else pick(value) for name, value in data.given.named()
     }
-    return Data(Given(**parts), pick(data.lower[0])[None], pick(data.upper[0])[None], data.readout)
+    return Data(Given(**parts), pick(data.lower[0])[None], pick(data.upper[0])[None], data.readout, data.wiring)
 
 
 @lru_cache(maxsize=64)

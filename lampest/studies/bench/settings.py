@@ -16,6 +16,7 @@ from lampest.files.document import read_document, validated
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
@@ -87,6 +88,7 @@ class BenchFile:
     estimators : methods by name, their terms as in a run's file; the paper's five by default.
     frames, repeats : frames after the first, solved in sequence, and how often each is solved by every solver.
     seed, readout, unmodelled : of the simulated recordings, as in a simulation's file.
+    lines : of their scenes; nodal does not know wire and is left out then.
     solver : tolerance and iterations, the same for all.
     limits : the largest side for each solver.
     memory : sides of panels on which the peak memory of a fresh process is measured.
@@ -103,6 +105,7 @@ class BenchFile:
     seed: int = 1
     readout: TwoPointReadout = TwoPointReadout()
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
+    lines: Lines | None = None
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
@@ -125,7 +128,9 @@ class BenchFile:
 
     def solvers(self, shape: tuple[int, int]) -> tuple[str, ...]:
         """The names of the solvers that run on a panel."""
-        return tuple(name for name in SOLVERS if max(shape) <= getattr(self.limits, name))
+        wired = self.lines is not None and self.lines.resist
+        names = tuple(name for name in SOLVERS if not (wired and name == "nodal"))
+        return tuple(name for name in names if max(shape) <= getattr(self.limits, name))
 
     def estimator(self, name: str, formulation: MethodName) -> Estimator:
         """A method in a formulation."""
@@ -145,7 +150,7 @@ class BenchFile:
             tilt=0.25,
             tilt_direction_deg=60,
         )
-        scene = Scene(Panel(rows, columns), self.readout, 140)
+        scene = Scene(Panel(rows, columns), self.readout, 140, lines=self.lines)
         simulation = Simulation(
             1, self.seed, scene, frames=self.frames + 1, loads=(disc,), course=BREATHING, unmodelled=self.unmodelled
         )

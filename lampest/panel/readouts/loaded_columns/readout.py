@@ -166,7 +166,7 @@ class LoadedColumnsReadout(Readout):
         """With the driven lines' channels in the drive resistance; the sensed lines have none."""
         driven, _ = of_side(self.driven, row_ohm, column_ohm)
         actual = replace(self, drive_ohm=with_channels("drive_ohm", self.drive_ohm, driven))
-        return actual.to_recorded(actual.exact_reading(cell_resistance), scene)
+        return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""

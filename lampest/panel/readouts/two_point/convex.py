@@ -17,16 +17,18 @@ from lampest.panel.readouts.two_point.stencil import Stencil
 
 MOST_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 LEAST_LENGTH = 1e-6  # of a step: below, no length lowers the cost in double precision
+REPRODUCED = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
 DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimization, 2006, section 3.1
 FITTED, ROUNDING = 1e-9, 1e-14  # relative misfit of a block's readings, and what double precision leaves of the cost
 LENGTHS = tuple(0.5**power for power in range(20))  # down to LEAST_LENGTH
 
 
-def convex_start(measured: Array, upper: Array, near: Array | None = None, tolerance: float = 1e-3) -> Array:
+def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
     """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
 
-    Stops when no reading is missed by more than the tolerance, relative, or after 30 steps; the result is a start, not
-    an estimate. Starts at `near`, an earlier frame's answer, or at R_m·MN/(M + N − 1).
+    Starts at `near`, an earlier frame's answer, or at R_m·MN/(M + N − 1). Stops when no reading is missed by more than
+    REPRODUCED, relative, or after 30 steps; the result is a start, not an estimate, unless the readings are attainable:
+    then it is what plain least squares seeks, with more digits.
     """
     tie = grounding(measured)
     least: Array = 1 / upper
@@ -36,7 +38,7 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None, toler
     for _ in range(MOST_ITERATIONS):
         gradient = measured - network.reading()
         free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
-        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < tolerance:
+        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < REPRODUCED:
             break
         step = _step(network, measured, gradient, free)
         length = 1.0

@@ -14,6 +14,7 @@ from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
@@ -72,14 +73,18 @@ class TwoPointReadout(Readout):
         """R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
         return row + column - 2 * mutual
 
-    def network(self, cell_resistance: Array, ties: Array) -> FloatingNetwork:
-        """The arithmetic of floating lines, which costs less than that of any reading."""
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Without wire the arithmetic of floating lines, which costs less than that of any reading."""
+        if wiring is not None:
+            return super().network(cell_resistance, ties, wiring)
         conductance = 1 / cell_resistance
         return FloatingNetwork(cell_resistance, conductance, inverse_of(conductance, ties))
 
-    def exact_reading(self, cell_resistance: Array) -> Array:
-        """R = f(r) with at least ten digits at any contrast."""
-        return two_point_resistance(cell_resistance)
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """R = f(r), without wire with at least ten digits at any contrast."""
+        return (
+            two_point_resistance(cell_resistance) if wiring is None else super().exact_reading(cell_resistance, wiring)
+        )
 
     def apparent_resistance(self, measured: Array) -> Array:
         """R itself."""
@@ -96,7 +101,7 @@ class TwoPointReadout(Readout):
 
     def exact_start(self, measured: Array, upper: Array) -> Array:
         """The same to a millionth of every reading."""
-        return convex_start(measured, upper, tolerance=1e-6)
+        return convex_start(measured, upper)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
@@ -127,7 +132,8 @@ class TwoPointReadout(Readout):
         self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
     ) -> Network:
         """Of floating lines by a convex function; see `lampest.panel.readouts.two_point.convex`."""
-        assert isinstance(network, FloatingNetwork)
+        if not isinstance(network, FloatingNetwork):
+            return super().fitted_block(network, block, measured, least, chosen)
         return fitted_block(network, block, measured, least, chosen)
 
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
@@ -164,7 +170,7 @@ class TwoPointReadout(Readout):
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """R + R_series + what both channels have more."""
-        total = self.to_recorded(self.exact_reading(cell_resistance), scene)
+        total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
     def shared_errors(self, cells: Array, measured: Array, scene: "Scene", reference: float, channel: float) -> Array:

@@ -1,0 +1,229 @@
+"""What lies between the terminals of the lines and the cells: wire, contacts, lines that touch. All exact.
+
+A row is a chain of cells at equal distances; every cell takes one segment of wire more than the one before it, the
+first included, so that a row of N cells has N segments from its terminal to its last cell and none beyond. Columns are
+alike. This is the convention of badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in series with the
+first segment. Lines that touch do so at their terminals, beyond the contacts.
+
+With e = Bᵀp the potential differences that terminals at potentials p put on the cells, currents i flow through them:
+
+    K·i = e,   K = diag(r) + T,   T_cd = Σ of the wire that cells c and d have in common on their ways to the terminals.
+
+K is solved exactly, without building it and without a large conductance in it: wire of no resistance is no special
+case. Along the lines of one side, c and d of the same line, K is a matrix of that line; from line to line the currents
+add up like in a ladder: the cells passed so far are a source with an internal conductance, to which each line adds its
+own and each segment of wire its resistance (block elimination). Costs long·short³ for M·N = long·short cells.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+
+RELAXED = 3.0  # standard deviations that a contact may be larger where it must not make a bound wrong
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Resistance of the lines themselves (conductive thread, ITO), in ohm for the way from one cell to the next.
+
+    Parameters
+    ----------
+    row_ohm_per_cell, column_ohm_per_cell : of a row from column to column, and of a column from row to row; the way
+        from the terminal to the first cell counts as one more. Zero: none.
+    rows_enter : the side at which the rows' terminals are; at the left, column 0 is the nearest.
+    columns_leave : the side at which the columns' terminals are; at the bottom, the last row is the nearest.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    row_ohm_per_cell: float = 0.0
+    column_ohm_per_cell: float = 0.0
+    rows_enter: Literal["left", "right"] = "left"
+    columns_leave: Literal["bottom", "top"] = "bottom"
+
+    def __post_init__(self) -> None:
+        for name in ("row_ohm_per_cell", "column_ohm_per_cell"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be zero or positive, and finite")
+
+    @property
+    def resist(self) -> bool:
+        """Whether there is any resistance."""
+        return self.row_ohm_per_cell > 0 or self.column_ohm_per_cell > 0
+
+
+@dataclass(frozen=True)
+class ContactPrior:
+    """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
+
+    Parameters
+    ----------
+    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    mean_ohm: PerLine = 0.0
+    sd_ohm: PerLine = 0.0
+
+    def __post_init__(self) -> None:
+        check_lines("mean_ohm", self.mean_ohm)
+        check_lines("sd_ohm", self.sd_ohm)
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Resistance between every line and its terminal, the same in all frames, as far as it is known.
+
+    Parameters
+    ----------
+    rows, columns : of the lines of either side.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    rows: ContactPrior = ContactPrior()
+    columns: ContactPrior = ContactPrior()
+
+    def mean(self, shape: tuple[int, ...]) -> Array:
+        """(lines) ohm. Raises ValueError where a list has another length."""
+        return self._of_lines("mean_ohm", shape)
+
+    def deviation(self, shape: tuple[int, ...]) -> Array:
+        """(lines) ohm. Raises ValueError where a list has another length."""
+        return self._of_lines("sd_ohm", shape)
+
+    def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
+        sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
+        return np.concatenate(
+            [per_line(f"contacts.{side}.{name}", getattr(prior, name), count) for side, prior, count in sides]
+        )
+
+    @classmethod
+    def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
+        """Of (lines) ohm each, rows first."""
+        sides = (
+            ContactPrior(*(tuple(map(float, part)) for part in both))
+            for both in ((mean[:rows], deviation[:rows]), (mean[rows:], deviation[rows:]))
+        )
+        return cls(*sides)
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """lines : their wire. joined : groups of lines that touch, by their numbers, rows first. contacts : or None."""
+
+    lines: Lines = Lines()
+    joined: tuple[tuple[int, ...], ...] = ()
+    contacts: Contacts | None = None
+
+    def contact_ohm(self, shape: tuple[int, ...]) -> Array:
+        """(lines) ohm, as far as it is known."""
+        return np.zeros(sum(shape)) if self.contacts is None else self.contacts.mean(shape)
+
+    def path_ohm(self, shape: tuple[int, ...]) -> Array:
+        """Wire from terminal to terminal through every cell, (rows, columns) ohm; of contacts as much as may be."""
+        rows, columns = shape
+        along, down = np.arange(1, columns + 1), np.arange(1, rows + 1)
+        if self.lines.rows_enter == "right":
+            along = along[::-1]
+        if self.lines.columns_leave == "bottom":
+            down = down[::-1]
+        wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
+        if self.contacts is None:
+            return np.asarray(wire)
+        most = self.contacts.mean(shape) + RELAXED * self.contacts.deviation(shape)
+        return np.asarray(wire + most[:rows, None] + most[rows:])
+
+    def nodes(self, count: int) -> Array:
+        """E (lines, nodes): 1 where a line belongs to a node; lines that touch are one."""
+        first = np.arange(count)
+        for group in self.joined:
+            first[list(group)] = min(group)
+        return np.asarray(first[:, None] == np.unique(first), dtype=float)
+
+    def factor(self, cell_resistance: Array) -> "Ladder":
+        """K for cells (rows, columns) ohm, ready to be solved."""
+        rows, columns = cell_resistance.shape
+        lines = self.lines
+        flip_rows, flip_columns = lines.columns_leave == "top", lines.rows_enter == "right"
+        contact = np.split(self.contact_ohm((rows, columns)), [rows])
+        ohm = (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
+        if columns <= rows:
+            return Ladder.of(cell_resistance, False, (flip_rows, flip_columns), ohm, contact)
+        return Ladder.of(cell_resistance, True, (not flip_columns, not flip_rows), ohm[::-1], contact[::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """K⁻¹ of a wired panel, in an order where rungs are chains that enter at their first cell, rails leave at the last.
+
+    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in that order.
+    rung : (rungs, n, n) siemens, of every rung's own K⁻¹. passed : (rungs, n, n), the share of the current that gets
+    through the next segment of the rails. shown : (rungs, n, n) siemens, the conductance that all rungs so far show
+    beyond that segment. segment_ohm : (rungs, n) of the rails, the contacts in the last.
+    """
+
+    swapped: bool
+    outer: slice
+    inner: slice
+    rung: Array
+    passed: Array
+    shown: Array
+    segment_ohm: Array
+
+    @classmethod
+    def of(
+        cls,
+        cells: Array,
+        swapped: bool,
+        flipped: tuple[bool, bool],
+        ohm: tuple[float, float],
+        contact_ohm: Sequence[Array],
+    ) -> "Ladder":
+        """Of cells (rows, columns) ohm in the panel's order.
+
+        flipped : whether rungs, and cells of a rung, come from the last to the first. ohm, contact_ohm : of a segment,
+        and of every line's contact, of the rungs and of the rails.
+        """
+        outer, inner = (slice(None, None, -1 if flip else 1) for flip in flipped)
+        turned = (cells.T if swapped else cells)[outer, inner]
+        along, across = ohm
+        count, size = turned.shape
+        steps, every = np.arange(1, size + 1), np.arange(size)
+        matrix = np.tile(along * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
+        matrix += contact_ohm[0][outer, None, None]
+        matrix[:, every, every] += turned
+        segment = np.full((count, size), across)
+        segment[-1] += contact_ohm[1][inner]
+        rung = np.linalg.inv(matrix)
+        passed, shown = np.empty_like(rung), np.empty_like(rung)
+        before, one = np.zeros((size, size)), np.eye(size)
+        for number in range(count):
+            total = before + rung[number]
+            passed[number] = np.linalg.inv(one + total * segment[number])
+            before = shown[number] = passed[number] @ total
+        return cls(swapped, outer, inner, rung, passed, shown, segment)
+
+    def solve(self, differences: Array) -> Array:
+        """i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
+        turned = (differences.swapaxes(0, 1) if self.swapped else differences)[self.outer, self.inner]
+        own = self.rung @ turned
+        source, potential = np.empty_like(own), np.empty_like(own)
+        before = np.zeros(own.shape[1:])
+        for number in range(len(own)):
+            before = source[number] = self.passed[number] @ (before + own[number])
+        after = np.zeros(own.shape[1:])
+        for number in reversed(range(len(own))):
+            current = source[number] - self.shown[number] @ after
+            after = potential[number] = after + self.segment_ohm[number, :, None] * current
+        current = (own - self.rung @ potential)[self.outer, self.inner]
+        return current.swapaxes(0, 1) if self.swapped else current

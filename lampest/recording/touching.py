@@ -1,0 +1,64 @@
+"""Lines that seem to touch each other, told from readings alone: they are read alike, and no others are.
+
+Two rows that are one node are read alike by every column, whatever the cells are, as far as their channels are alike.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+
+BY_CHANCE = 4.0  # standard deviations of the mean of squares by which lines that touch may seem to differ
+APART = 25.0  # mean square of the difference in σ from which the panel's other lines count as unlike each other
+FEWEST = 4  # readings of two lines
+
+
+def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
+    """Groups of rows that are read alike in all frames (frames, rows, columns); none where the noise is unknown."""
+    if readings.sigma is None:
+        return ()
+    unlike, count = _differences(readings)
+    alike = (unlike <= 1 + BY_CHANCE * np.sqrt(2 / np.maximum(count, 1))) & (count >= FEWEST)
+    others = np.where(alike | (count < FEWEST), np.nan, unlike)
+    with np.errstate(invalid="ignore"):
+        told = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > APART
+    return tuple(_groups(alike & told & told[:, None]))
+
+
+def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:
+    """The same of columns."""
+    value, side, seen = (part.swapaxes(-1, -2) for part in (readings.value, readings.side, readings.seen))
+    sigma = None if readings.sigma is None else readings.sigma.swapaxes(-1, -2)
+    return touching_rows(Readings(value, sigma, side, seen))
+
+
+def _differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
+    """(mean square difference of every two rows in units of their noise, of how many readings), each (rows, rows)."""
+    sigma = readings.sigma_of_values
+    assert sigma is not None
+    rows = readings.value.shape[-2]
+    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
+    mean, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
+    for row in range(rows):
+        spread = np.hypot(noise[:, [row]], noise)
+        plain = np.isfinite(spread)
+        square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
+        count[row] = plain.sum(axis=0)
+        mean[row] = square.sum(axis=0) / np.maximum(count[row], 1)
+    return mean, count
+
+
+def _groups(alike: NDArray[np.bool_]) -> Iterator[tuple[int, ...]]:
+    """Rows that are alike, directly or through others, two or more at a time."""
+    left = set(range(len(alike)))
+    while left:
+        group = [left.pop()]
+        for row in group:  # grows while it is walked through
+            near = {int(other) for other in np.flatnonzero(alike[row])} & left
+            left -= near
+            group += near
+        if len(group) > 1:
+            yield tuple(sorted(group))

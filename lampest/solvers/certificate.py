@@ -1,0 +1,168 @@
+"""Whether a point is a strict local minimum, cell by cell: what one more Newton step would do there, and what bends.
+
+With g and H the first and second derivatives of the cost φ in u = log r over the cells that no bound holds, a Newton
+step is s = −H⁻¹ g and its decrement δ = √(gᵀ H⁻¹ g). Where cost/s₀² stands for −2·log probability, √2·s₀·√(H⁻¹)_cc is
+the posterior deviation of u_c, so that δ/(√2·s₀) bounds |s_c| over it for all cells at once (Cauchy and Schwarz). No
+scale of the cost enters, and no large reading hides a small one.
+Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vandenberghe, Convex Optimization, 2004,
+section 9.5 (the decrement).
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from lampest.cost.problem import Evaluation
+from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.panel.panel import Array
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.directions import Factor, local_inverse, misfit_inverse
+
+MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
+SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
+NEARBY = 0.01  # of log r: second derivatives change by about as much, and a predicted step with them
+ACCURACY = 0.1  # of a predicted step on large panels
+ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
+
+
+class Bend(Enum):
+    """What second derivatives say."""
+
+    UP = "a strict minimum"
+    FLAT = "no digit of double precision tells whether the cost rises"
+    DOWN = "the cost falls"
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """bend : of the cost over the free cells. step : (cells) of log r by which a Newton step would move each, within
+    its bounds. decrement : √(gᵀ H⁻¹ g). curvature : where.
+    """
+
+    bend: Bend
+    step: Array
+    decrement: float
+    curvature: Curvature
+
+    @property
+    def settled(self) -> bool:
+        """Whether a strict minimum is so near that no cell would notice."""
+        if self.bend is not Bend.UP:
+            return False
+        return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
+
+    @property
+    def deviations(self) -> float:
+        """δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: what |s_c| is at most of its cell's
+        posterior deviation; infinite where the noise is not known.
+        """
+        data = self.curvature.at.data
+        bend = self.curvature.terms.diagonal()[data.measured.size :]
+        counting = bend > 0
+        if not (data.noise_known and counting.any()):
+            return float("inf")
+        return self.decrement / float(np.sqrt(np.mean(bend[counting] * data.sigma.ravel()[counting] ** 2)))
+
+
+def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
+    """(cells) those that have room and are not pressed against a bound by the gradient, flat."""
+    lower, upper = (bound.ravel() for bound in at.data.log_bounds)
+    position = np.log(at.cell_resistance).ravel()
+    free: NDArray[np.bool_] = (lower < upper) & ~(
+        ((position <= lower) & (gradient > 0)) | ((position >= upper) & (gradient < 0))
+    )
+    return free
+
+
+def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = None) -> Certificate:
+    """Of a point with the gradient g (cells): from its second derivatives, or from a factor taken near enough."""
+    if (exact := _of_reproduced(curvature)) is not None:
+        return exact
+    free = np.flatnonzero(free_cells(curvature.at, gradient))
+    if factor is not None and factor.serves(free, curvature.at.cell_resistance, NEARBY):
+        bend, step = Bend.UP, factor.solve(-gradient[free])
+    elif len(gradient) <= DENSE_UNKNOWNS:
+        bend, step = _by_factorisation(curvature, gradient[free], free)
+    else:
+        bend, step = _by_conjugate_gradients(curvature, gradient[free], free)
+    decrement = float(np.sqrt(max(-float(gradient[free] @ step), 0.0)))
+    return Certificate(bend, _within_bounds(curvature.at, free, step), decrement, curvature)
+
+
+def _of_reproduced(curvature: Curvature) -> Certificate | None:
+    """Where nothing but the readings enters and every one is reproduced, φ is nearly zero, its least: s = −J⁻¹ e.
+
+    e : how far each reading is off, relative. J alone has the digits that H = JᵀΩJ loses. None elsewhere.
+    """
+    if not all(term.reads_measurement for term in curvature.at.cost.terms) or not curvature.only_misfit:
+        return None
+    bend, reading = curvature.terms.diagonal()[curvature.at.reading.size :], curvature.at.reading.ravel()
+    if not np.all(bend > 0):
+        return None
+    missed = curvature.by_reading.ravel() / bend / reading
+    if float(np.abs(missed).max()) > MILLIONTH or len(reading) > DENSE_UNKNOWNS:
+        return None
+    sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
+    _, _, step, singular = lapack.dgesv(sensitivity, -missed)
+    if singular or not np.all(np.isfinite(step)):
+        return Certificate(Bend.FLAT, np.zeros(len(reading)), np.inf, curvature)
+    decrement = float(np.sqrt(np.sum(bend * (missed * reading) ** 2)))
+    return Certificate(Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement, curvature)
+
+
+def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
+    """Where it cannot be factored, the step leaves out what is flat."""
+    if not len(free):
+        return Bend.UP, np.zeros(0)
+    matrix = curvature.matrix[np.ix_(free, free)]
+    least = ROUNDING * _usual_bend(curvature)[free]
+    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
+    unit = matrix / size[:, None] / size
+    if not np.all(np.isfinite(unit)):
+        return Bend.FLAT, np.full(len(free), np.inf)
+    if np.all(np.diag(matrix) > least):
+        _, step, failed = lapack.dposv(unit, -slope / size)
+        if not failed:
+            return Bend.UP, step / size
+    values, vectors = np.linalg.eigh(unit)
+    solid = values > ROUNDING
+    step = -vectors[:, solid] @ ((vectors[:, solid].T @ (slope / size)) / values[solid]) / size
+    return Bend.DOWN if values[0] < -ROUNDING else Bend.FLAT, step
+
+
+def _usual_bend(curvature: Curvature) -> Array:
+    """(cells) what a cell's reading alone would make the cost bend, were it read as the others are."""
+    response = np.concatenate([network.own_response().ravel() for network in curvature.at.networks])
+    bend = curvature.terms.diagonal()[response.size :]
+    return np.asarray(np.median(bend[bend > 0]) * response**2 if np.any(bend > 0) else np.ones_like(response))
+
+
+def _by_conjugate_gradients(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
+    whole = np.zeros(curvature.at.cell_resistance.size)
+
+    def product(search: Array) -> Array:
+        whole[free] = search
+        return curvature.product(whole)[free]
+
+    if curvature.only_misfit:
+        precondition = misfit_inverse(curvature, free)
+    else:
+        precondition = local_inverse(curvature.local, np.zeros(len(whole)), free)
+    step, downhill = conjugate_gradients(product, precondition, -slope, ACCURACY)
+    if downhill is None:
+        return Bend.UP, step
+    size = np.abs(curvature.local.diagonal()[free])
+    flat = float(downhill @ product(downhill)) > -ROUNDING * float(downhill @ (size * downhill))
+    return Bend.FLAT if flat else Bend.DOWN, step
+
+
+def _within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
+    """(cells) the step as far as bounds let it."""
+    position = np.log(at.cell_resistance).ravel()
+    target = position.copy()
+    target[free] += step
+    lower, upper = (bound.ravel() for bound in at.data.log_bounds)
+    return np.asarray(np.clip(target, lower, upper) - position)
