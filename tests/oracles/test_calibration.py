@@ -298,3 +298,25 @@ def test_three_resistors_tell_a_diode_too() -> None:
     written = calibrated_scene(found).readout
     assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
     assert written.diode.drop_volt == pytest.approx(found.found[2].value, abs=1e-3)
+
+
+def test_an_open_column_tells_what_the_converter_remembers() -> None:
+    """Of every reading 3 % are of the one before, in scan order; the last of a frame stands before the first."""
+    rng = np.random.default_rng(16)
+    board = some_board("loaded_columns", (4, 5), rng)
+    printed, true = some_resistors((4, 5), rng)
+    printed[:, 3], true[:, 3] = np.inf, OPEN
+    clean = np.array([board.volt(true, j, k) for j, k in np.ndindex(4, 5)])
+    held, memory = clean.copy(), 0.03
+    for number in range(60):
+        held[number % 20] = (1 - memory) * clean[number % 20] + memory * held[(number - 1) % 20]
+    scene = replace(told("loaded_columns", (4, 5), readings=4), converter_memory=0.0)
+    readout = scene.circuit
+    draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
+    recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
+    made = Recording(scene, recorded, np.arange(12.0), np.ones(12, dtype=np.uint8), name="r")
+    found = calibrate([made], [printed])
+    assert max(map(abs, pulls(replace(found, found=found.found[:2]), board))) < 4
+    remembered = found.found[2]
+    assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
+    assert calibrated_scene(found).converter_memory == pytest.approx(remembered.value, abs=1e-5)

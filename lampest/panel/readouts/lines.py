@@ -25,7 +25,7 @@ class LineNumber:
     sides: tuple[Side, ...]
     channel: bool = False
     in_scene: bool = False
-    unit: Literal["ohm", "volt"] = "ohm"
+    unit: Literal["ohm", "volt", "1"] = "ohm"
 
 
 # Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.

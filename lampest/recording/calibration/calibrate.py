@@ -8,7 +8,7 @@ import numpy as np
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.calibration.circuit import Circuit, Trial
+from lampest.recording.calibration.circuit import MEMORY, Circuit, Trial
 from lampest.recording.calibration.fit import Problem, fit
 from lampest.recording.calibration.found import MOST_SIGMA_OF_LINES, Found, found_number
 from lampest.recording.calibration.plausible import check_fit, check_number
@@ -73,10 +73,11 @@ def calibrate(
     for other in recordings[1:]:
         if other.scene != scene:
             raise InputError(f"{other.name}: its scene is another than that of {name}")
-    numbers = scene.circuit.line_numbers()
+    numbers, remembers = scene.circuit.line_numbers(), scene.converter_memory is not None
     if not numbers:
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
-    trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
+    numbers += (MEMORY,) if remembers else ()
+    trials = tuple(_trial(one, ohm, remembers) for one, ohm in zip(recordings, known, strict=True))
     fitted = fit(Problem(Circuit(scene, numbers), trials, tolerance))
     check_fit(fitted)
     found = tuple(found_number(fitted, index) for index in range(len(numbers)))
@@ -87,14 +88,14 @@ def calibrate(
     return Calibration(scene, found, noise, seen, fitted.readings, misfit, tolerance)
 
 
-def _trial(recording: Recording, known: Array | float) -> Trial:
+def _trial(recording: Recording, known: Array | float, everywhere: bool) -> Trial:
     ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
     ohm = np.where(np.isinf(ohm), np.nan, ohm)
     if np.any(ohm < 0):
         raise InputError("known resistors must be zero or positive")
     if not np.isfinite(ohm).any():
         raise InputError(f"{recording.name}: no row line is joined to a column line by a known resistor")
-    return Trial(recording.name, repeats(recording), ohm)
+    return Trial(recording.name, repeats(recording), ohm, everywhere)
 
 
 def _noise(trials: list[Repeats]) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import LineNumber, Side
@@ -17,6 +18,9 @@ from lampest.recording.calibration.repeats import Repeats
 SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 MOST_OHM, DROP_VOLT = 1e8, (0.05, 5.0)  # scenes end at 1e9 ohm; from a Schottky diode to a blue LED
 TYPICAL_OHM = 70.0  # of a channel of a CD74HC4067 at 5 V: its data sheet
+# Of the channel converted before: 2.9 % were seen of a real board. It is a number to find where the scene names it.
+TYPICAL_MEMORY, MOST_MEMORY = 0.03, 0.9
+MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
 CHANNEL_SPREAD_OHM = 30.0  # by which channels differ: a third of 160 - 70 ohm, worst less typical, same sheet
 RESISTOR_SPREAD = 0.05 / 3**0.5  # by which loads differ: evenly within the 5 % of ordinary resistors
 STEP = 1e-5  # of the logarithm of a resistance, for differences: half of the digits
@@ -26,12 +30,14 @@ STEP = 1e-5  # of the logarithm of a resistance, for differences: half of the di
 class Trial:
     """One recording of known resistors: means of its readings, and what stood in place of the cells.
 
-    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor.
+    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of
+    lines without a resistor count too, because something of the channel before may be in them.
     """
 
     name: str
     readings: Repeats
     known: Array
+    everywhere: bool = False
 
     @cached_property
     def cells(self) -> Array:
@@ -41,9 +47,12 @@ class Trial:
     @cached_property
     def used(self) -> NDArray[np.bool_]:
         """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
-        there: NDArray[np.bool_] = np.isfinite(self.known)
-        rows, columns = there.any(axis=1, keepdims=True), there.any(axis=0, keepdims=True)
-        return np.asarray(rows & columns & np.isfinite(self.readings.volt))
+        rows, columns = self.led("rows")[:, None], self.led("columns")[None, :]
+        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.readings.volt))
+
+    def led(self, side: Side) -> NDArray[np.bool_]:
+        """(lines) of a side that lead to a resistor."""
+        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
 
     @cached_property
     def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
@@ -108,10 +117,21 @@ class Circuit:
         for index, number in enumerate(self.numbers):
             if number.channel:
                 found[index] = max(self.told(number) / TYPICAL_OHM, len(number.sides))
+            elif number == MEMORY:
+                found[index] = max(self.told(number), TYPICAL_MEMORY) / TYPICAL_MEMORY
+        return found
+
+    @property
+    def least(self) -> Array:
+        """(unknowns) below which none can be: channels and memories are not negative."""
+        found = np.full(self.size, -np.inf)
+        found[[index for index, number in enumerate(self.numbers) if number.channel or number == MEMORY]] = 0.0
         return found
 
     def told(self, number: LineNumber) -> float:
         """What the scene says of a number, the mean where it lists one for each line."""
+        if number == MEMORY:
+            return self.scene.converter_memory or 0.0
         value = self.scene.series_ohm if number.in_scene else attrgetter(number.name)(self.readout)
         return float(np.mean(np.asarray(value)))
 
@@ -120,6 +140,8 @@ class Circuit:
         one, at = self.numbers[number], float(unknowns[number])
         if one.channel:
             return TYPICAL_OHM * at, TYPICAL_OHM
+        if one == MEMORY:
+            return TYPICAL_MEMORY * at, TYPICAL_MEMORY
         value = self.told(one) * float(np.exp(at))
         return value, value
 
@@ -131,20 +153,23 @@ class Circuit:
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
         """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
         channels: dict[Side, Array] = {side: np.zeros(length) for side, length in self._lengths.items()}
-        fields: dict[str, Any] = {}
+        fields, memory = dict[str, Any](), 0.0
         for index, number in enumerate(self.numbers):
             common, spread = self.common(unknowns, index)[0], self.spread(unknowns, index)
             off = {part.side: spread * unknowns[part.lines] for part in self.parts if part.number == index}
-            if number.in_scene:
+            if number == MEMORY:
+                memory = min(common, MOST_MEMORY)
+            elif number.in_scene:
                 for side, ohm in off.items():
                     channels[side] = common / len(number.sides) + ohm
             else:
                 each = np.clip(common + sum(off.values()), *_limits(number))
                 fields[number.name] = tuple(float(value) for value in each) if off else float(each)
         circuit: Any = with_numbers(self.readout, fields)
-        bare = replace(self.scene, readout=circuit, series_resistance_ohm=0.0)
-        recorded = circuit.simulated(cells, bare, channels["rows"], channels["columns"])
-        return np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
+        # The panel is unplugged, with all that is its own.
+        recorded = circuit.simulated(cells, Scene(self.scene.panel, circuit), channels["rows"], channels["columns"])
+        volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
+        return with_memory(circuit, memory, volt) if memory else volt
 
     @cached_property
     def _lengths(self) -> dict[Side, int]:

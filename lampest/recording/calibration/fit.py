@@ -98,8 +98,6 @@ def fit(problem: Problem) -> CircuitFit:
     """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum."""
     circuit = problem.circuit
     unknowns, commons = circuit.start, len(circuit.numbers)
-    least = np.full(circuit.size, -np.inf)
-    least[[index for index, number in enumerate(circuit.numbers) if number.channel]] = 0.0
     for precision in ROUNDS:
         root = np.linalg.cholesky(problem.covariance(unknowns))
 
@@ -107,7 +105,7 @@ def fit(problem: Problem) -> CircuitFit:
             rest = solve_triangular(root, problem.measured - problem.expected(at), lower=True)
             return np.concatenate([rest, at[commons:]])
 
-        found = least_squares(whitened, unknowns, bounds=(least, np.inf), ftol=precision, max_nfev=MOST_STEPS)
+        found = least_squares(whitened, unknowns, bounds=(circuit.least, np.inf), ftol=precision, max_nfev=MOST_STEPS)
         unknowns = found.x
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)

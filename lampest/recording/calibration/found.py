@@ -85,5 +85,4 @@ def _lines(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: NDA
 
 def _measured(fit: CircuitFit, side: Side) -> NDArray[np.bool_]:
     """(lines) of a side that a reading with a resistor tells something of."""
-    across = 1 if side == "rows" else 0
-    return np.asarray(np.any([trial.used.any(axis=across) for trial in fit.problem.trials], axis=0))
+    return np.asarray(np.any([trial.led(side) for trial in fit.problem.trials], axis=0))

@@ -17,6 +17,7 @@ OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel
 SURE = 4.0  # σ that a number must be beyond
 # σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
 LEAST_TOLD = 0.3
+ENOUGH = {"volt": 0.2, "1": 0.01}  # of a diode's drop, and of a memory: a code is then off by what noise does
 
 
 def check_fit(fit: CircuitFit) -> None:
@@ -75,13 +76,13 @@ def _worst(fit: CircuitFit) -> str:
 def check_number(fit: CircuitFit, found: Found) -> None:
     """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
     name, where = found.number.name, f"{fit.problem.trials[0].name}: no calibration: "
-    enough = WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0
+    enough = ENOUGH.get(found.number.unit, WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0)
     if found.sigma > max(enough, LEAST_TOLD * found.value):
         raise InputError(
             f"{where}the readings do not tell {name} ({found.value:.4g} ± {found.sigma:.2g} {found.number.unit}); "
             f"known resistors of different values, on more lines, do"
         )
-    if found.number.in_scene:
+    if found.number.in_scene and found.number.channel:
         _check_channels(fit, found, where)
     for lines in found.lines:
         _check_spread(found, lines, where)

@@ -10,9 +10,10 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.calibration.calibrate import Calibration
-from lampest.recording.calibration.circuit import with_numbers
+from lampest.recording.calibration.circuit import MEMORY, with_numbers
 from lampest.recording.calibration.found import Found
 
+MEMORY_DIGITS = 5  # of a fraction: a hundredth of a code
 DIGITS = 3  # of an ohm: below what any contact repeats to
 
 
@@ -22,7 +23,9 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     readout: Any = scene.readout
     for found in calibration.found:
         each = {lines.side: rounded(found.on(lines)) for lines in found.lines}
-        if found.number.in_scene:
+        if found.number == MEMORY:
+            scene = replace(scene, converter_memory=round(found.value, MEMORY_DIGITS))
+        elif found.number.in_scene:
             series = SeriesPerLine(**each) if found.differ else round(found.value, DIGITS)
             scene = replace(scene, series_resistance_ohm=series)
         else:
@@ -60,14 +63,15 @@ def summary(calibration: Calibration) -> str:
 
 
 def spoken(number: LineNumber) -> str:
-    """'drive resistance', 'diode drop'."""
-    if number.unit == "volt":
-        return number.name.removesuffix("_volt").replace(".", " ")
+    """'drive resistance', 'diode drop', 'converter memory'."""
+    if number.unit != "ohm":
+        return number.name.removesuffix("_volt").replace(".", " ").replace("_", " ")
     return f"{number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
 
 
 def _certain(found: Found, sign: str) -> str:
-    return f"{found.value:.{DIGITS}f} {sign} {found.sigma:.{DIGITS}f} {found.number.unit}"
+    digits, unit = (MEMORY_DIGITS, "") if found.number == MEMORY else (DIGITS, f" {found.number.unit}")
+    return f"{found.value:.{digits}f} {sign} {found.sigma:.{digits}f}{unit}"
 
 
 def _remarks(calibration: Calibration, found: Found) -> list[str]:
