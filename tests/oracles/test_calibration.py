@@ -11,6 +11,7 @@ from lampest.files.document import parse_document, validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
 from lampest.panel.readouts.loaded_columns.diode import Diode
+from lampest.panel.readouts.wiring import Lines
 from lampest.recording.calibration.calibrate import Calibration, calibrate
 from lampest.recording.calibration.text import calibrated_scene, calibrated_scene_text
 from tests.oracles.netlist import Resistor, potentials
@@ -320,3 +321,40 @@ def test_an_open_column_tells_what_the_converter_remembers() -> None:
     remembered = found.found[2]
     assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
     assert calibrated_scene(found).converter_memory == pytest.approx(remembered.value, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["two_point", "loaded_columns"])
+def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
+    """2 ohm from cell to cell of a row, 3 of a column: every node of the wire stands in the netlist."""
+    rng, shape, (along_row, along_column) = np.random.default_rng(17), (3, 4), (2.0, 3.0)
+    rows, columns = shape
+    true = np.full(shape, 470.0) if kind == "two_point" else rng.choice([470.0, 1000.0, 2200.0], shape)
+    volt = np.zeros(shape)
+    second = 70.0 if kind == "two_point" else 10_000.0
+    for row, column in np.ndindex(shape):
+        net: list[Resistor] = []
+        for j, k in np.ndindex(shape):
+            net.append((("row", j, k - 1), ("row", j, k), along_row))
+            net.append((("column", j, k), ("column", j + 1, k), along_column))
+            net.append((("row", j, k), ("column", j, k), float(true[j, k])))
+        net.append(("supply", ("row", row, -1), 70.0))
+        if kind == "two_point":
+            net += [(("column", rows, column), "sense", second), ("sense", "ground", REFERENCE)]
+        else:
+            net += [(("column", rows, k), "ground", second) for k in range(columns)]
+        found = potentials(net, {"supply": SUPPLY, "ground": 0.0})
+        volt[row, column] = found["sense" if kind == "two_point" else ("column", rows, column)]
+    scene = replace(told(kind, shape, adc_bits=16), lines=Lines())
+    readout = scene.circuit
+    draws = volt / readout.lsb_volt + 0.7 * rng.standard_normal((20, 10, *shape))
+    recorded = readout.recorded_from_sums(np.floor(draws).astype(int).sum(axis=0), 20)
+    made = Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r")
+    if kind == "two_point":
+        # What a row's wire adds from column to column, channels of columns that differ add as well.
+        with pytest.raises(InputError, match="do not tell lines.row_ohm_per_cell"):
+            calibrate([made], [true], tolerance=1e-4)
+        return
+    *_, of_rows, of_columns = calibrate([made], [true], tolerance=1e-4).found
+    for one, expected in ((of_rows, along_row), (of_columns, along_column)):
+        assert one.value == pytest.approx(expected, abs=4 * one.sigma)
+        assert one.sigma < 1

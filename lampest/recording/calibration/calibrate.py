@@ -8,11 +8,12 @@ import numpy as np
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.calibration.circuit import MEMORY, Circuit, Trial
+from lampest.recording.calibration.circuit import Circuit
 from lampest.recording.calibration.fit import Problem, fit
 from lampest.recording.calibration.found import MOST_SIGMA_OF_LINES, Found, found_number
 from lampest.recording.calibration.plausible import check_fit, check_number
 from lampest.recording.calibration.repeats import Repeats, repeats
+from lampest.recording.calibration.trial import Trial
 from lampest.recording.recording import Recording
 
 TOLERANCE = 0.01  # of resistors as they are sold
@@ -73,14 +74,12 @@ def calibrate(
     for other in recordings[1:]:
         if other.scene != scene:
             raise InputError(f"{other.name}: its scene is another than that of {name}")
-    numbers, remembers = scene.circuit.line_numbers(), scene.converter_memory is not None
-    if not numbers:
+    if not scene.circuit.line_numbers():
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
-    numbers += (MEMORY,) if remembers else ()
-    trials = tuple(_trial(one, ohm, remembers) for one, ohm in zip(recordings, known, strict=True))
-    fitted = fit(Problem(Circuit(scene, numbers), trials, tolerance))
+    trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
+    fitted = fit(Problem(Circuit.of(scene), trials, tolerance))
     check_fit(fitted)
-    found = tuple(found_number(fitted, index) for index in range(len(numbers)))
+    found = tuple(found_number(fitted, index) for index in range(len(fitted.problem.circuit.numbers)))
     for one in found:
         check_number(fitted, one)
     misfit = fitted.chi_square / max(fitted.freedom, 1)
@@ -88,14 +87,14 @@ def calibrate(
     return Calibration(scene, found, noise, seen, fitted.readings, misfit, tolerance)
 
 
-def _trial(recording: Recording, known: Array | float, everywhere: bool) -> Trial:
+def _trial(recording: Recording, known: Array | float) -> Trial:
     ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
     ohm = np.where(np.isinf(ohm), np.nan, ohm)
     if np.any(ohm < 0):
         raise InputError("known resistors must be zero or positive")
     if not np.isfinite(ohm).any():
         raise InputError(f"{recording.name}: no row line is joined to a column line by a known resistor")
-    return Trial(recording.name, repeats(recording), ohm, everywhere)
+    return Trial(recording.name, repeats(recording), ohm, recording.scene.converter_memory is not None)
 
 
 def _noise(trials: list[Repeats]) -> tuple[Array, Array]:

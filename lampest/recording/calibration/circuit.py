@@ -6,67 +6,25 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.panel.scene import Scene
-from lampest.recording.calibration.repeats import Repeats
+from lampest.recording.calibration.trial import SHORT_OHM
 
-SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 MOST_OHM, DROP_VOLT = 1e8, (0.05, 5.0)  # scenes end at 1e9 ohm; from a Schottky diode to a blue LED
 TYPICAL_OHM = 70.0  # of a channel of a CD74HC4067 at 5 V: its data sheet
-# Of the channel converted before: 2.9 % were seen of a real board. It is a number to find where the scene names it.
-TYPICAL_MEMORY, MOST_MEMORY = 0.03, 0.9
+# Numbers to find where the scene names them, and what they are like: 2.9 % of the channel before were seen of a real
+# board, and an ohm from cell to cell of conductive thread.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
+WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
+TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
+MOST_MEMORY = 0.9
 CHANNEL_SPREAD_OHM = 30.0  # by which channels differ: a third of 160 - 70 ohm, worst less typical, same sheet
 RESISTOR_SPREAD = 0.05 / 3**0.5  # by which loads differ: evenly within the 5 % of ordinary resistors
 STEP = 1e-5  # of the logarithm of a resistance, for differences: half of the digits
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One recording of known resistors: means of its readings, and what stood in place of the cells.
-
-    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of
-    lines without a resistor count too, because something of the channel before may be in them.
-    """
-
-    name: str
-    readings: Repeats
-    known: Array
-    everywhere: bool = False
-
-    @cached_property
-    def cells(self) -> Array:
-        """(rows, columns) ohm with shorts and gaps as resistances."""
-        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
-
-    @cached_property
-    def used(self) -> NDArray[np.bool_]:
-        """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
-        rows, columns = self.led("rows")[:, None], self.led("columns")[None, :]
-        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.readings.volt))
-
-    def led(self, side: Side) -> NDArray[np.bool_]:
-        """(lines) of a side that lead to a resistor."""
-        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
-
-    @cached_property
-    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
-        """Where each resistor stands, by its value and its number among those of that value.
-
-        Resistors of one name in two recordings are taken for one that was moved.
-        """
-        count: dict[float, int] = {}
-        found = {}
-        for row, column in np.argwhere(np.isfinite(self.known) & (self.known > 0)):
-            value = float(self.known[row, column])
-            count[value] = count.get(value, -1) + 1
-            found[value, count[value]] = (int(row), int(column))
-        return found
 
 
 @dataclass(frozen=True)
@@ -89,6 +47,12 @@ class Circuit:
 
     scene: Scene
     numbers: tuple[LineNumber, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Circuit":
+        """All numbers that resistors tell: the readout's, and those of what else the scene names."""
+        memory = () if scene.converter_memory is None else (MEMORY,)
+        return cls(scene, scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ()))
 
     @property
     def readout(self) -> Readout:
@@ -117,22 +81,23 @@ class Circuit:
         for index, number in enumerate(self.numbers):
             if number.channel:
                 found[index] = max(self.told(number) / TYPICAL_OHM, len(number.sides))
-            elif number == MEMORY:
-                found[index] = max(self.told(number), TYPICAL_MEMORY) / TYPICAL_MEMORY
+            elif number in TYPICAL:
+                found[index] = max(self.told(number) / TYPICAL[number], 1.0)
         return found
 
     @property
     def least(self) -> Array:
-        """(unknowns) below which none can be: channels and memories are not negative."""
+        """(unknowns) below which none can be: channels, memories and wires are not negative."""
         found = np.full(self.size, -np.inf)
-        found[[index for index, number in enumerate(self.numbers) if number.channel or number == MEMORY]] = 0.0
+        found[[index for index, number in enumerate(self.numbers) if number.channel or number in TYPICAL]] = 0.0
         return found
 
     def told(self, number: LineNumber) -> float:
         """What the scene says of a number, the mean where it lists one for each line."""
-        if number == MEMORY:
-            return self.scene.converter_memory or 0.0
-        value = self.scene.series_ohm if number.in_scene else attrgetter(number.name)(self.readout)
+        if number.in_scene:
+            value = self.scene.series_ohm if number.channel else attrgetter(number.name)(self.scene)
+        else:
+            value = attrgetter(number.name)(self.readout)
         return float(np.mean(np.asarray(value)))
 
     def common(self, unknowns: Array, number: int) -> tuple[float, float]:
@@ -140,8 +105,8 @@ class Circuit:
         one, at = self.numbers[number], float(unknowns[number])
         if one.channel:
             return TYPICAL_OHM * at, TYPICAL_OHM
-        if one == MEMORY:
-            return TYPICAL_MEMORY * at, TYPICAL_MEMORY
+        if one in TYPICAL:
+            return TYPICAL[one] * at, TYPICAL[one]
         value = self.told(one) * float(np.exp(at))
         return value, value
 
@@ -153,12 +118,12 @@ class Circuit:
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
         """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
         channels: dict[Side, Array] = {side: np.zeros(length) for side, length in self._lengths.items()}
-        fields, memory = dict[str, Any](), 0.0
+        fields, of_scene = dict[str, Any](), dict[str, float]()
         for index, number in enumerate(self.numbers):
             common, spread = self.common(unknowns, index)[0], self.spread(unknowns, index)
             off = {part.side: spread * unknowns[part.lines] for part in self.parts if part.number == index}
-            if number == MEMORY:
-                memory = min(common, MOST_MEMORY)
+            if number in TYPICAL:
+                of_scene[number.name] = min(common, MOST_MEMORY) if number == MEMORY else common
             elif number.in_scene:
                 for side, ohm in off.items():
                     channels[side] = common / len(number.sides) + ohm
@@ -166,10 +131,12 @@ class Circuit:
                 each = np.clip(common + sum(off.values()), *_limits(number))
                 fields[number.name] = tuple(float(value) for value in each) if off else float(each)
         circuit: Any = with_numbers(self.readout, fields)
-        # The panel is unplugged, with all that is its own.
-        recorded = circuit.simulated(cells, Scene(self.scene.panel, circuit), channels["rows"], channels["columns"])
+        # Contacts and faults are the panel's, which is unplugged.
+        bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
+        scene: Scene = with_numbers(bare, of_scene)
+        recorded = circuit.simulated(cells, scene, channels["rows"], channels["columns"])
         volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
-        return with_memory(circuit, memory, volt) if memory else volt
+        return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
 
     @cached_property
     def _lengths(self) -> dict[Side, int]:

@@ -9,8 +9,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from lampest.panel.panel import Array
-from lampest.recording.calibration.circuit import STEP, Circuit, Trial
+from lampest.recording.calibration.circuit import STEP, Circuit
 from lampest.recording.calibration.repeats import within_rails
+from lampest.recording.calibration.trial import Trial
 
 # Of the cost, at which each round ends. Tolerances are weighed where the round before ended, which need not be exact;
 # the last round is off by less than a hundredth of σ.

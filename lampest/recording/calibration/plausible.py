@@ -4,9 +4,10 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from lampest.files.errors import InputError
-from lampest.recording.calibration.circuit import Trial
+from lampest.recording.calibration.circuit import MEMORY, WIRE
 from lampest.recording.calibration.fit import CircuitFit
 from lampest.recording.calibration.found import Found, LineOffsets
+from lampest.recording.calibration.trial import Trial
 
 BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
 # A channel of a CD74HC4067 at 5 V; typical and worst are its data sheet's.
@@ -17,7 +18,7 @@ OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel
 SURE = 4.0  # σ that a number must be beyond
 # σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
 LEAST_TOLD = 0.3
-ENOUGH = {"volt": 0.2, "1": 0.01}  # of a diode's drop, and of a memory: a code is then off by what noise does
+ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 
 
 def check_fit(fit: CircuitFit) -> None:
@@ -76,7 +77,7 @@ def _worst(fit: CircuitFit) -> str:
 def check_number(fit: CircuitFit, found: Found) -> None:
     """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
     name, where = found.number.name, f"{fit.problem.trials[0].name}: no calibration: "
-    enough = ENOUGH.get(found.number.unit, WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0)
+    enough = ENOUGH.get(found.number.name, WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0)
     if found.sigma > max(enough, LEAST_TOLD * found.value):
         raise InputError(
             f"{where}the readings do not tell {name} ({found.value:.4g} ± {found.sigma:.2g} {found.number.unit}); "

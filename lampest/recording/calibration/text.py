@@ -10,9 +10,11 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.calibration.calibrate import Calibration
-from lampest.recording.calibration.circuit import MEMORY, with_numbers
+from lampest.recording.calibration.circuit import MEMORY, TYPICAL, WIRE, with_numbers
 from lampest.recording.calibration.found import Found
 
+SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"}
+SPOKEN |= dict(zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True))
 MEMORY_DIGITS = 5  # of a fraction: a hundredth of a code
 DIGITS = 3  # of an ohm: below what any contact repeats to
 
@@ -23,8 +25,8 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     readout: Any = scene.readout
     for found in calibration.found:
         each = {lines.side: rounded(found.on(lines)) for lines in found.lines}
-        if found.number == MEMORY:
-            scene = replace(scene, converter_memory=round(found.value, MEMORY_DIGITS))
+        if found.number in TYPICAL:
+            scene = with_numbers(scene, {found.number.name: round(found.value, MEMORY_DIGITS)})
         elif found.number.in_scene:
             series = SeriesPerLine(**each) if found.differ else round(found.value, DIGITS)
             scene = replace(scene, series_resistance_ohm=series)
@@ -63,9 +65,9 @@ def summary(calibration: Calibration) -> str:
 
 
 def spoken(number: LineNumber) -> str:
-    """'drive resistance', 'diode drop', 'converter memory'."""
-    if number.unit != "ohm":
-        return number.name.removesuffix("_volt").replace(".", " ").replace("_", " ")
+    """'drive resistance', 'diode drop'."""
+    if number.name in SPOKEN:
+        return SPOKEN[number.name]
     return f"{number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
 
 
