@@ -19,12 +19,12 @@ static void emit(uint8_t byte) {
 }
 
 static void sayHello() {
-    uint8_t body[LAMPEST_HELLO_BYTES + LAMPEST_CRC_BYTES];
+    uint8_t body[LAMPEST_HELLO_BYTES + LAMPEST_HELLO_WIRING_BYTES + LAMPEST_CRC_BYTES];
     lampest_send(body, lampest_hello(&settings, body), emit);
 }
 
 static void obey(uint8_t length) {
-    uint8_t answer[LAMPEST_HELLO_BYTES + LAMPEST_CRC_BYTES];
+    uint8_t answer[LAMPEST_HELLO_BYTES + LAMPEST_HELLO_WIRING_BYTES + LAMPEST_CRC_BYTES];
     lampest_settings_t before = settings;
     uint8_t bytes = lampest_command(&settings, inbox.bytes, length, answer);
     bool stopped = before.running && !settings.running;

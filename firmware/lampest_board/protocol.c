@@ -200,11 +200,18 @@ uint8_t lampest_hello(const lampest_settings_t *settings, uint8_t *body) {
     lampest_put_u32(body + 14, lampest_shortest_period_us(settings));
     lampest_put_u16(body + 18, settings->settle_us);
     lampest_put_u16(body + 20, LAMPEST_SUPPLY_MILLIVOLT);
-    lampest_put_u32(body + 22, LAMPEST_REFERENCE_MILLIOHM);
     body[26] = LAMPEST_ADC_BITS;
-    body[27] = LAMPEST_MEASURED_ACROSS;
     body[28] = settings->running;
-    return LAMPEST_HELLO_BYTES;
+    if (LAMPEST_WIRING == LAMPEST_TWO_POINT) {
+        lampest_put_u32(body + 22, LAMPEST_REFERENCE_MILLIOHM);
+        body[27] = LAMPEST_MEASURED_ACROSS;
+        return LAMPEST_HELLO_BYTES;
+    }
+    lampest_put_u32(body + 22, LAMPEST_LOAD_MILLIOHM);
+    body[27] = LAMPEST_ACROSS_REFERENCE;
+    body[29] = LAMPEST_WIRING;
+    lampest_put_u32(body + 30, LAMPEST_DRIVE_MILLIOHM);
+    return LAMPEST_HELLO_BYTES + LAMPEST_HELLO_WIRING_BYTES;
 }
 
 void lampest_frame_header(const lampest_settings_t *settings, uint32_t sequence, uint32_t device_ms, uint16_t missed,

@@ -6,6 +6,9 @@
  *   HELLO    version, type, rows, columns, readings, most rows, most columns, most readings: u8
  *            firmware u16 (major, minor), period us u32, shortest period us u32, settle us u16,
  *            supply mV u16, reference mOhm u32, adc bits u8, measured across u8, running u8
+ *            and only where the wiring is not LAMPEST_TWO_POINT: wiring u8, drive mOhm u32. Boards without these two are
+ *            wired with two multiplexers. With loaded columns the reference is the load of every column, and the voltage
+ *            is taken across it.
  *   FRAME    version, type, rows, columns, readings: u8, sequence u32, device ms u32, missed ticks u16,
  *            sums u16[rows * columns], row by row
  *   ANSWER   version, type, command, tag, result: u8, value u32 (the value that now holds)
@@ -22,7 +25,7 @@ extern "C" {
 
 #define LAMPEST_PROTOCOL_VERSION 1
 #define LAMPEST_FIRMWARE_MAJOR 1
-#define LAMPEST_FIRMWARE_MINOR 0
+#define LAMPEST_FIRMWARE_MINOR 1
 #define LAMPEST_BAUD 500000UL
 
 #define LAMPEST_HELLO 1
@@ -47,6 +50,9 @@ extern "C" {
 #define LAMPEST_ACROSS_REFERENCE 0
 #define LAMPEST_ACROSS_SENSOR 1
 
+#define LAMPEST_TWO_POINT 0
+#define LAMPEST_LOADED_COLUMNS 1
+
 /* 64 readings of 1023 are the most that a u16 holds. */
 #define LAMPEST_MOST_ROWS 16
 #define LAMPEST_MOST_COLUMNS 16
@@ -55,6 +61,7 @@ extern "C" {
 #define LAMPEST_MOST_SETTLE_US 30000
 
 #define LAMPEST_HELLO_BYTES 29
+#define LAMPEST_HELLO_WIRING_BYTES 5
 #define LAMPEST_FRAME_HEADER_BYTES 15
 #define LAMPEST_ANSWER_BYTES 9
 #define LAMPEST_COMMAND_BYTES 7
@@ -99,7 +106,8 @@ uint8_t lampest_receive(lampest_inbox_t *inbox, uint8_t byte);
 /* Start values of pins.h. */
 lampest_settings_t lampest_start_settings(void);
 
-/* Carry out a command on the settings; writes the answer's body and returns its length. IDENTIFY is answered by HELLO. */
+/* Carry out a command on the settings; writes the answer's body and returns its length. IDENTIFY is answered by HELLO.
+ * The longest is a HELLO with its wiring. */
 uint8_t lampest_command(lampest_settings_t *settings, const uint8_t *body, uint8_t length, uint8_t *answer);
 
 uint8_t lampest_hello(const lampest_settings_t *settings, uint8_t *body);

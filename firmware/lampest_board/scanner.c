@@ -33,8 +33,19 @@ static uint8_t row, column, readings_left;
 static uint16_t sum;
 static uint8_t *sums;
 
+static void select_cell(void) {
+    uint8_t driven = (uint8_t)(row_channels[row] << LAMPEST_ROW_SHIFT), column_channel = column_channels[column];
+    if (LAMPEST_WIRING == LAMPEST_TWO_POINT) {
+        LAMPEST_SELECT_PORT = (uint8_t)(driven | column_channel << LAMPEST_COLUMN_SHIFT);
+        return;
+    }
+    LAMPEST_SELECT_PORT = driven;
+    ADMUX = _BV(REFS0) | (column_channel & 7);
+    ADCSRB = column_channel & 8 ? _BV(MUX5) : 0; /* A8 to A15 */
+}
+
 static void convert_when_settled(void) {
-    LAMPEST_SELECT_PORT = (uint8_t)(row_channels[row] << LAMPEST_ROW_SHIFT | column_channels[column] << LAMPEST_COLUMN_SHIFT);
+    select_cell();
     sum = 0;
     readings_left = scan.readings;
     if (scan.settle_us == 0) {
@@ -103,7 +114,9 @@ void scanner_begin(void) {
     power_usart0_enable();
     LAMPEST_SELECT_PORT = 0;
     LAMPEST_SELECT_DIRECTION = 0xFF;
-    DIDR0 = _BV(LAMPEST_ADC_CHANNEL);
+    /* No digital inputs where analog ones are read. */
+    DIDR0 = LAMPEST_WIRING == LAMPEST_TWO_POINT ? _BV(LAMPEST_ADC_CHANNEL) : 0xFF;
+    DIDR2 = LAMPEST_WIRING == LAMPEST_TWO_POINT ? 0 : 0xFF;
     ADCSRB = 0;
     ADMUX = _BV(REFS0) | LAMPEST_ADC_CHANNEL;
     ADCSRA = CONVERTER;

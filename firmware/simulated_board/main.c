@@ -26,6 +26,11 @@
 #define SAMPLE_CYCLES 192 /* the converter samples 1.5 of its own cycles after it was started */
 #define CONVERSION_CYCLES 1664
 #define PUMP_CYCLES 80000 /* 5 ms */
+/* Of an ATmega2560, in its data space: datasheet, register summary. */
+#define ADCSRB_ADDRESS 0x7B
+#define ADCSRB_MUX5 0x08
+#define MUX5_MODE 32 /* what MUX5 adds to the number of a multiplexer mode */
+#define ADMUX_ADDRESS 0x7C
 #define PAUSE_S 1e-3 /* no conversion for longer: what follows is another scan */
 #define MOST_UNPLUGGED 16
 
@@ -65,13 +70,26 @@ static void on_select(struct avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq;
     int row = bench->row_of_channel[value >> LAMPEST_ROW_SHIFT & 15];
     int column = bench->column_of_channel[value >> LAMPEST_COLUMN_SHIFT & 15];
+    if (LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS) {
+        /* The port is written for every cell, but where the row stays nothing is switched. */
+        if (row == bench->panel.row) return;
+        column = bench->panel.column;
+    }
     panel_select(&bench->panel, row, column, panel_s(bench));
+}
+
+/* The analog input that the firmware has chosen. */
+static int chosen_input(const bench_t *bench) {
+    return (bench->avr->data[ADMUX_ADDRESS] & 7) | (bench->avr->data[ADCSRB_ADDRESS] & ADCSRB_MUX5 ? 8 : 0);
 }
 
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
     bench_t *bench = param;
     (void)irq;
     (void)value;
+    int input = chosen_input(bench);
+    if (LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS)
+        panel_sense(&bench->panel, bench->column_of_channel[input]);
     int origin = bench->panel.row == 0 && bench->panel.column == 0;
     if (origin && (!bench->at_origin || board_s(bench) - bench->conversion_ended_s > PAUSE_S)) {
         double span = bench->conversion_ended_s - bench->scan_began_s;
@@ -85,7 +103,7 @@ static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
     }
     int code = panel_code(&bench->panel, panel_s(bench) + (double)SAMPLE_CYCLES / CLOCK_HZ);
     /* simavr turns millivolt into code by mV * 1023 / Vref, rounded down. */
-    avr_raise_irq(bench->adc + ADC_IRQ_ADC0 + LAMPEST_ADC_CHANNEL, (uint32_t)(code * 5000 + 1022) / 1023);
+    avr_raise_irq(bench->adc + ADC_IRQ_ADC0 + (input & 7), (uint32_t)(code * 5000 + 1022) / 1023);
     bench->conversion_ended_s = board_s(bench) + (double)CONVERSION_CYCLES / CLOCK_HZ;
     ++bench->conversions;
 }
@@ -112,6 +130,15 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) {
     (void)cycles;
 }
 
+/* simavr 1.6 has voltages for A0 to A7 only. Each is raised when its conversion begins, so A8 to A15 can share them. */
+static void give_more_inputs(avr_t *avr) {
+    for (avr_io_t *port = avr->io_port; port; port = port->next) {
+        if (strcmp(port->kind, "adc")) continue;
+        for (unsigned input = 0; input < 8; ++input)
+            ((avr_adc_t *)port)->muxmode[MUX5_MODE + input] = (avr_adc_mux_t)AVR_ADC_SINGLE(input);
+    }
+}
+
 static void bench_build(bench_t *bench, const char *firmware_path) {
     static const int row_channels[] = LAMPEST_ROW_CHANNELS, column_channels[] = LAMPEST_COLUMN_CHANNELS;
     elf_firmware_t firmware;
@@ -132,6 +159,7 @@ static void bench_build(bench_t *bench, const char *firmware_path) {
     avr->frequency = CLOCK_HZ;
     avr->vcc = avr->avcc = avr->aref = 5000;
     avr->run_cycle_limit = 1000;
+    give_more_inputs(avr);
     avr->sleep = no_sleep;
     avr_cycle_timer_register(avr, PUMP_CYCLES, on_pump_time, 0);
     uint32_t no_flags = 0;
@@ -198,8 +226,10 @@ static void parse_ohm(const char *text, double *ohm) {
 static const char usage[] =
     "simulated_board --firmware FILE --truth FILE [options]\n"
     "  --row-ohm R[,R...] --column-ohm R[,R...]  on-resistance of the multiplexers, per channel (70)\n"
+    "  --load-ohm R[,R...]  load of each column, where columns are loaded (what pins.h says)\n"
     "  --settle-us T      time constant of the selected line (2)\n"
     "  --noise-lsb S      noise of one reading (0.7)\n"
+    "  --memory F         share of the voltage converted before that the converter keeps (0)\n"
     "  --seed N           of noise and faults (1)\n"
     "  --loop             begin again after the last frame of the truth\n"
     "  --real-time        as slow as a real board; else as fast as the host reads\n"
@@ -212,12 +242,13 @@ static const char usage[] =
     "  --stop-after T     seconds of board time\n"
     "Prints 'port NAME'; at the end, on the error stream, figures as one line of JSON.\n";
 
-enum { OPT_FIRMWARE = 256, OPT_TRUTH, OPT_ROW, OPT_COLUMN, OPT_SETTLE, OPT_NOISE, OPT_SEED, OPT_LOOP, OPT_REAL_TIME,
+enum { OPT_FIRMWARE = 256, OPT_TRUTH, OPT_ROW, OPT_COLUMN, OPT_LOAD, OPT_SETTLE, OPT_NOISE, OPT_MEMORY, OPT_SEED, OPT_LOOP, OPT_REAL_TIME,
        OPT_FLIP, OPT_DROP, OPT_DUPLICATE, OPT_UNPLUG, OPT_RESET, OPT_NO_RESET, OPT_LINK, OPT_LOG, OPT_STOP };
 
 static const struct option options[] = {
     {"firmware", 1, 0, OPT_FIRMWARE}, {"truth", 1, 0, OPT_TRUTH}, {"row-ohm", 1, 0, OPT_ROW},
-    {"column-ohm", 1, 0, OPT_COLUMN}, {"settle-us", 1, 0, OPT_SETTLE}, {"noise-lsb", 1, 0, OPT_NOISE},
+    {"column-ohm", 1, 0, OPT_COLUMN}, {"load-ohm", 1, 0, OPT_LOAD}, {"settle-us", 1, 0, OPT_SETTLE},
+    {"noise-lsb", 1, 0, OPT_NOISE}, {"memory", 1, 0, OPT_MEMORY},
     {"seed", 1, 0, OPT_SEED}, {"loop", 0, 0, OPT_LOOP}, {"real-time", 0, 0, OPT_REAL_TIME}, {"flip", 1, 0, OPT_FLIP},
     {"drop", 1, 0, OPT_DROP}, {"duplicate", 1, 0, OPT_DUPLICATE}, {"unplug", 1, 0, OPT_UNPLUG},
     {"reset", 1, 0, OPT_RESET}, {"no-reset-on-open", 0, 0, OPT_NO_RESET}, {"link", 1, 0, OPT_LINK},
@@ -245,6 +276,8 @@ static void parse(int count, char **words, bench_t *bench, plan_t *plan) {
             case OPT_TRUTH: plan->truth = optarg; break;
             case OPT_ROW: parse_ohm(optarg, bench->panel.row_ohm); break;
             case OPT_COLUMN: parse_ohm(optarg, bench->panel.column_ohm); break;
+            case OPT_LOAD: parse_ohm(optarg, bench->panel.load_ohm); break;
+            case OPT_MEMORY: bench->panel.memory = atof(optarg); break;
             case OPT_SETTLE: bench->panel.settle_s = 1e-6 * atof(optarg); break;
             case OPT_NOISE: bench->panel.noise_lsb = atof(optarg); break;
             case OPT_SEED:
@@ -302,7 +335,10 @@ static void bench_run(bench_t *bench, const plan_t *plan, FILE *console) {
 int main(int count, char **words) {
     static bench_t bench;
     static plan_t plan;
-    for (int line = 0; line < 16; ++line) bench.panel.row_ohm[line] = bench.panel.column_ohm[line] = 70;
+    for (int line = 0; line < 16; ++line) {
+        bench.panel.row_ohm[line] = bench.panel.column_ohm[line] = 70;
+        bench.panel.load_ohm[line] = LAMPEST_LOAD_MILLIOHM / 1000.0;
+    }
     bench.panel.settle_s = 2e-6;
     bench.panel.noise_lsb = 0.7;
     bench.panel.random_state = 1;

@@ -7,6 +7,8 @@
 #include "pins.h"
 #include "protocol.h"
 
+#define LEAST_OHM 1e-6 /* of a channel that is said to have none: far below any contact */
+
 double random_uniform(uint64_t *state) { /* splitmix64 */
     uint64_t mixed = (*state += 0x9E3779B97F4A7C15u);
     mixed = (mixed ^ mixed >> 30) * 0xBF58476D1CE4E5B9u;
@@ -40,7 +42,7 @@ void panel_read(panel_t *panel, const char *path) {
             if (fscanf(file, "%lf", &panel->cells[(size_t)frame * cells + cell]) != 1) give_up(path, "ends too early");
     }
     fclose(file);
-    panel->known_frame = panel->row = panel->column = -1;
+    panel->known_frame = panel->row_before = panel->row = panel->column = -1;
 }
 
 static int frame_at(const panel_t *panel, double time_s) {
@@ -56,39 +58,59 @@ static int frame_at(const panel_t *panel, double time_s) {
     return frame;
 }
 
-static double resting_volt(panel_t *panel, double time_s) {
+static double two_point_volt(double resistance) {
     double supply = LAMPEST_SUPPLY_MILLIVOLT / 1000.0, reference = LAMPEST_REFERENCE_MILLIOHM / 1000.0;
-    double resistance = INFINITY;
-    int frame = frame_at(panel, time_s), cells = panel->rows * panel->columns;
-    if (frame != panel->known_frame) {
-        for (int cell = 0; cell < cells; ++cell)
-            panel->resistance[cell] = network_resistance(panel->cells + (size_t)frame * (size_t)cells, panel->rows,
-                                                         panel->columns, cell / panel->columns, cell % panel->columns);
-        panel->known_frame = frame;
-    }
-    if (panel->row >= 0 && panel->row < panel->rows && panel->column >= 0 && panel->column < panel->columns)
-        resistance = panel->resistance[panel->row * panel->columns + panel->column] + panel->row_ohm[panel->row] +
-                     panel->column_ohm[panel->column];
     double across_reference = isinf(resistance) ? 0 : supply * reference / (resistance + reference);
     return LAMPEST_MEASURED_ACROSS == LAMPEST_ACROSS_REFERENCE ? across_reference : supply - across_reference;
 }
 
+static double solved_volt(const panel_t *panel, const double *cells, int row, int column) {
+    if (LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS)
+        return LAMPEST_SUPPLY_MILLIVOLT / 1000.0 *
+               network_share(cells, panel->rows, panel->columns, row, column, fmax(panel->row_ohm[row], LEAST_OHM),
+                             panel->load_ohm);
+    return two_point_volt(network_resistance(cells, panel->rows, panel->columns, row, column) + panel->row_ohm[row] +
+                          panel->column_ohm[column]);
+}
+
+static double resting_volt(panel_t *panel, int row, int column, double time_s) {
+    int frame = frame_at(panel, time_s), cells = panel->rows * panel->columns;
+    if (frame != panel->known_frame) {
+        for (int cell = 0; cell < cells; ++cell)
+            panel->resting[cell] = solved_volt(panel, panel->cells + (size_t)frame * (size_t)cells,
+                                               cell / panel->columns, cell % panel->columns);
+        panel->known_frame = frame;
+    }
+    if (row >= 0 && row < panel->rows && column >= 0 && column < panel->columns)
+        return panel->resting[row * panel->columns + column];
+    return LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS ? 0 : two_point_volt(INFINITY);
+}
+
 static double volt_at(panel_t *panel, double time_s) {
-    double volt = resting_volt(panel, time_s);
+    double volt = resting_volt(panel, panel->row, panel->column, time_s);
     if (panel->settle_s <= 0) return volt;
-    return volt + (panel->volt_before - volt) * exp(-(time_s - panel->switched_s) / panel->settle_s);
+    /* Loaded column lines settle each on their own, from what the row before gave them. */
+    double before = LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS
+                        ? resting_volt(panel, panel->row_before, panel->column, time_s)
+                        : panel->volt_before;
+    return volt + (before - volt) * exp(-(time_s - panel->switched_s) / panel->settle_s);
 }
 
 void panel_select(panel_t *panel, int row, int column, double time_s) {
     double volt = volt_at(panel, time_s);
     panel->volt_before = volt;
     panel->switched_s = time_s;
+    panel->row_before = panel->row;
     panel->row = row;
     panel->column = column;
 }
 
+void panel_sense(panel_t *panel, int column) { panel->column = column; }
+
 int panel_code(panel_t *panel, double time_s) {
-    double steps = volt_at(panel, time_s) * (1 << LAMPEST_ADC_BITS) / (LAMPEST_SUPPLY_MILLIVOLT / 1000.0);
+    double volt = volt_at(panel, time_s);
+    panel->converted = volt += panel->memory * (panel->converted - volt);
+    double steps = volt * (1 << LAMPEST_ADC_BITS) / (LAMPEST_SUPPLY_MILLIVOLT / 1000.0);
     if (panel->noise_lsb > 0) steps += panel->noise_lsb * random_normal(&panel->random_state);
     int code = (int)floor(steps);
     int most = (1 << LAMPEST_ADC_BITS) - 1;

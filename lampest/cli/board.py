@@ -73,28 +73,43 @@ def repair(file: Annotated[Path, typer.Argument(help="A recording that was not c
 
 
 def calibrate(
-    file: Annotated[Path, typer.Argument(help="A recording of shorted lines or known resistors.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of shorted lines or resistors.")],
     known: Annotated[
-        str, typer.Option("--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them.")
-    ] = "0",
+        list[str] | None,
+        typer.Option(
+            "--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them; one for each file."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", help="By which fraction resistors may be off: 0.01 for those of 1 %.")
+    ] = 0.01,
     out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
 ) -> None:
-    """Find the resistance in series with every reading and write it into a scene, with its uncertainty."""
+    """Find the resistances of the electronics from known resistors and write them into a scene, with uncertainties."""
     from lampest.files.whole import write_whole
-    from lampest.recording.board.calibrate import calibrate as calibrate_recording
-    from lampest.recording.board.calibrate import calibrated_scene_text
-    from lampest.recording.board.known import known_resistors
+    from lampest.recording.calibration.calibrate import calibrate as calibrate_recordings
+    from lampest.recording.calibration.known import known_resistors
+    from lampest.recording.calibration.text import calibrated_scene_text, summary
     from lampest.recording.recording import Recording
 
-    recording = Recording.load(file)
-    found = calibrate_recording(recording, known_resistors(known, recording.scene.panel))
-    text = calibrated_scene_text(recording.scene, found)
+    if not 0 <= tolerance <= 0.5:
+        raise InputError("--tolerance must lie between 0 and 0.5")
+    words = known or ["0"]
+    if len(words) not in (1, len(files)):
+        raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
+    recordings = [Recording.load(file) for file in files]
+    tables = [
+        known_resistors(word, recording.scene.panel)
+        for recording, word in zip(recordings, words * (len(files) // len(words)), strict=True)
+    ]
+    found = calibrate_recordings(recordings, tables, tolerance)
+    text = calibrated_scene_text(found)
     if out is None:
         print(text, end="")
         return
     write_whole(out, text)
-    print(f"series resistance {found.series_ohm:.3f} ± {found.sigma_ohm:.3f} ohm from {found.cells} cells: {out}")
-    if found.lines_differ:
+    print(f"{summary(found)}: {out}")
+    if any(one.differ for one in found.found):
         print("lampest: the lines differ by more than their noise; the scene's comments say how much", file=sys.stderr)
 
 
@@ -143,9 +158,15 @@ def live(
 
 
 def report_recorded(done: "Recorded") -> None:
-    """Say what was recorded; a recording that was interrupted ends with 130."""
+    """Say what was recorded, and what no scene told; a recording that was interrupted ends with 130."""
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     print(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
+        print(
+            "lampest: no series resistance is assumed, because the scene names none; two multiplexer channels have "
+            "some 140 ohm, which lampest calibrate measures",
+            file=sys.stderr,
+        )
     if done.interrupted:
         raise typer.Exit(INTERRUPTED)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import Panel, Scene, TwoPointReadout
+from lampest import LoadedColumnsReadout, Panel, Scene, TwoPointReadout
 from lampest.panel.panel import Array
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -21,12 +21,12 @@ MULTIPLEXER_OHM = 70.0
 
 
 @cache
-def built() -> Path:
+def built(wiring: str = "two_point") -> Path:
     """The folder with what `make` in firmware/ builds; a missing package fails the test with the sentence about it."""
     done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
     if done.returncode:
         pytest.fail(done.stderr.strip(), pytrace=False)
-    return FIRMWARE / "build"
+    return FIRMWARE / "build" / ("" if wiring == "two_point" else wiring)
 
 
 @dataclass
@@ -54,9 +54,11 @@ def truth_file(folder: Path, cells: Array, period: float = 1.0) -> Path:
 
 
 @contextmanager
-def bench(folder: Path, cells: Array, *options: object, period: float = 1.0) -> Iterator[Bench]:
+def bench(
+    folder: Path, cells: Array, *options: object, period: float = 1.0, wiring: str = "two_point"
+) -> Iterator[Bench]:
     """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
-    words = [built() / "simulated_board", "--firmware", built() / "lampest_board.elf"]
+    words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / "lampest_board.elf"]
     words += ["--truth", truth_file(folder, cells, period), "--link", folder / "port", *options]
     with subprocess.Popen(
         [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -75,6 +77,12 @@ def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any)
     """What the simulated board is by default: two multiplexers of 70 ohm, noise of 0.7 LSB."""
     readout = TwoPointReadout(readings=readings, noise_lsb=0.7)
     return Scene(Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM))
+
+
+def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
+    """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at every column."""
+    known: dict[str, Any] = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10}
+    return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, noise_lsb=0.7, **(known | changes)))
 
 
 def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:

@@ -99,8 +99,9 @@ def test_the_numbers_are_the_same() -> None:
     assert [header[result.name] for result in protocol.RESULT_CODES] == list(range(len(Result)))
     for place, across in enumerate(protocol.ACROSS):
         assert header[f"ACROSS_{across.upper()}"] == place
-    sizes = (protocol._HELLO, protocol._FRAME, protocol._ANSWER, protocol._COMMAND)
-    names = ("HELLO_BYTES", "FRAME_HEADER_BYTES", "ANSWER_BYTES", "COMMAND_BYTES")
+    assert [header[wiring.upper()] for wiring in protocol.WIRINGS] == list(range(len(protocol.WIRINGS)))
+    sizes = (protocol._HELLO, protocol._HELLO_WIRING, protocol._FRAME, protocol._ANSWER, protocol._COMMAND)
+    names = ("HELLO_BYTES", "HELLO_WIRING_BYTES", "FRAME_HEADER_BYTES", "ANSWER_BYTES", "COMMAND_BYTES")
     assert [header[name] for name in names] == [layout.size for layout in sizes]
     assert "monitor_speed = " + str(protocol.BAUD) in (FIRMWARE / "platformio.ini").read_text()
 

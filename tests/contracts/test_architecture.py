@@ -38,7 +38,7 @@ DOORS = {
         "posterior.residuals",
         "studies.bench",
     ),
-    "scipy": ("panel.readouts", "loads", "solvers", "posterior", "studies"),
+    "scipy": ("panel.readouts", "loads", "recording.calibration", "solvers", "posterior", "studies"),
     "mpmath": ("studies.extremes",),
     "xarray": ("runs.labelled",),
     "pandas": ("runs.labelled", "recording.foreign"),

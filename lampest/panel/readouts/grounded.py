@@ -9,6 +9,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.readouts.held import at_ideal_drives, drives_of, held_start
 from lampest.panel.readouts.lines import (
+    LineNumber,
     PerLine,
     Side,
     along,
@@ -163,3 +164,7 @@ class GroundedReadout(Readout):
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""
         return replace(self, load_ohm=scaled(self.load_ohm, 1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """The drive resistances and the loads; the sense channels are taken as the scene tells them."""
+        return (LineNumber("drive_ohm", (self.driven,), channel=True), LineNumber("load_ohm", (opposite(self.driven),)))

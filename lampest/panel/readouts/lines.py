@@ -1,5 +1,6 @@
 """Numbers that hold for all lines of one side of the panel, or are given for each."""
 
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
@@ -9,6 +10,24 @@ from lampest.panel.panel import Array
 
 PerLine = float | tuple[float, ...]
 Side = Literal["rows", "columns"]
+
+
+@dataclass(frozen=True)
+class LineNumber:
+    """A number of the electronics that known resistors in place of the cells determine.
+
+    name : its key in a scene, dotted where it is a part's. sides : whose lines have one each; where both have, a
+    reading has their sum; none: it is one for all. channel : whether it is a multiplexer's channel, or with one, rather
+    than a resistor. in_scene : whether the key is the scene's, and not the readout's.
+    """
+
+    name: str
+    sides: tuple[Side, ...]
+    channel: bool = False
+    in_scene: bool = False
+    unit: Literal["ohm", "volt", "1"] = "ohm"
+
+
 # Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
 LEAST_OHM, MOST_OHM = 1e-6, 1e9
 

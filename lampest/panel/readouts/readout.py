@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
-from lampest.panel.readouts.lines import PerLine, Side, along, check_lines, lines_text, of_side, per_line
+from lampest.panel.readouts.lines import LineNumber, PerLine, Side, along, check_lines, lines_text, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wired import WiredNetwork
 from lampest.panel.readouts.wiring import Wiring
@@ -210,6 +210,10 @@ class Readout(ABC):
     def off_by(self, fraction: float) -> Self:
         """The same circuit with its reference resistor larger by a fraction."""
         return self
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """What known resistors in place of the cells determine of the circuit; none, unless a kind says so."""
+        return ()
 
     def shared_errors(self, cells: Array, measured: Array, scene: "Scene", reference: float, channel: float) -> Array:
         """What errors of all readings together do to them, (1 + rows + columns, rows, columns): secants of the model.

@@ -8,6 +8,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of, held_start
 from lampest.panel.readouts.lines import (
+    LineNumber,
     PerLine,
     Side,
     along,
@@ -135,3 +136,10 @@ class VirtualGroundReadout(Readout):
     def off_by(self, fraction: float) -> Self:
         """Every Rf·(1 + fraction)."""
         return replace(self, feedback_ohm=scaled(self.feedback_ohm, 1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """The drive and the feedback resistances; the sense channels are taken as the scene tells them."""
+        return (
+            LineNumber("drive_ohm", (self.driven,), channel=True),
+            LineNumber("feedback_ohm", (opposite(self.driven),)),
+        )

@@ -1,1 +1,1 @@
-"""From the board to the file: protocol (no I/O), port (the serial door), stream, journal, record, calibrate."""
+"""From the board to the file: protocol (no I/O), port (the serial door), stream, journal, record."""

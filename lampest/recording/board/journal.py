@@ -23,16 +23,18 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
 from lampest.recording.board.stream import Sample
-from lampest.recording.recording import FORMAT
+from lampest.recording.recording import FORMAT, group_of
 
 CHUNK_FRAMES = 16
 
 
 @dataclass(frozen=True)
 class Journal:
-    """An open, growing recording file."""
+    """An open, growing recording file; group and signal are those of the frames in it."""
 
     file: h5py.File
+    group: str
+    signal: str
 
     @classmethod
     @contextmanager
@@ -48,9 +50,9 @@ class Journal:
             file.flush()
             file.swmr_mode = True
             with _locked(path):
-                yield cls(file)
+                yield cls(file, group_of(scene.circuit), scene.circuit.signal)
 
-    def append(self, sample: Sample, resistance: Array, role: int) -> None:
+    def append(self, sample: Sample, recorded: Array, role: int) -> None:
         """Add one frame and flush it: from here on it survives. Raises InputError where the disk is full."""
         frame = sample.frame
         self._push(
@@ -62,9 +64,9 @@ class Journal:
                 "acquisition/lost": sample.lost,
                 "acquisition/session": sample.session,
                 "raw/sums": frame.sums,
-                "two_point/time": sample.time,
-                "two_point/role": role,
-                "two_point/resistance": resistance,
+                f"{self.group}/time": sample.time,
+                f"{self.group}/role": role,
+                f"{self.group}/{self.signal}": recorded,
             }
         )
 
@@ -115,12 +117,12 @@ def _locked(path: Path) -> Iterator[None]:
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
     entry = file.create_group("entry")
-    hdf5.set_attributes(entry, NX_class="NXentry", default="two_point")
+    circuit, shape = scene.circuit, scene.panel.shape
+    hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    frames = entry.create_group("two_point")
-    hdf5.set_attributes(frames, NX_class="NXdata", signal="resistance", axes=["time", "row", "column"])
-    shape = scene.panel.shape
-    _grow(frames, "resistance", "f8", "ohm", "two-point resistance, divider equation", shape)
+    frames = entry.create_group(group_of(circuit))
+    hdf5.set_attributes(frames, NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
+    _grow(frames, circuit.signal, "f8", circuit.unit, circuit.signal_name, shape)
     _grow(frames, "time", "f8", "s", "time of the frame")
     _grow(frames, "role", "u1", "1", "0 unloaded baseline, 1 measured")
     raw = entry.create_group("raw")

@@ -4,7 +4,7 @@ The same layouts and numbers stand in firmware/lampest_board/protocol.h; tests h
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ MOST_READINGS = 64
 MOST_CODE = 1023
 
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
+_HELLO_WIRING = struct.Struct("<BI")
 _FRAME = struct.Struct("<BBBBBIIH")
 _ANSWER = struct.Struct("<BBBBBI")
 _COMMAND = struct.Struct("<BBBI")
@@ -55,11 +56,16 @@ class Result(Enum):
 
 RESULT_CODES = tuple(Result)
 ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
+WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", "loaded_columns")
 
 
 @dataclass(frozen=True)
 class Hello:
-    """What the board is and how it is set; it says so after a reset, once a second while idle, and when asked."""
+    """What the board is and how it is set; it says so after a reset, once a second while idle, and when asked.
+
+    With loaded columns reference_milliohm is the load of every column, and drive_milliohm what stands before each row;
+    boards that say nothing of their wiring have two multiplexers.
+    """
 
     rows: int
     columns: int
@@ -76,6 +82,8 @@ class Hello:
     adc_bits: int
     measured_across: Literal["reference", "sensor"]
     running: bool
+    wiring: Literal["two_point", "loaded_columns"] = "two_point"
+    drive_milliohm: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +144,7 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
 
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
-    return _HELLO.pack(
+    body = _HELLO.pack(
         PROTOCOL_VERSION,
         Kind.HELLO,
         hello.rows,
@@ -155,6 +163,9 @@ def hello_body(hello: Hello) -> bytes:
         ACROSS.index(hello.measured_across),
         hello.running,
     )
+    if hello.wiring == "two_point":
+        return body
+    return body + _HELLO_WIRING.pack(WIRINGS.index(hello.wiring), hello.drive_milliohm)
 
 
 def frame_body(frame: Frame) -> bytes:
@@ -186,13 +197,15 @@ def _read_piece(piece: bytes) -> Message:
 
 
 def _read_hello(body: bytes) -> Hello | None:
-    if len(body) != _HELLO.size:
+    base, tail = body[: _HELLO.size], body[_HELLO.size :]
+    if len(base) != _HELLO.size or len(tail) not in (0, _HELLO_WIRING.size):
         return None
-    fields: list[Any] = list(_HELLO.unpack(body)[2:])
-    if fields[13] >= len(ACROSS):
+    fields: list[Any] = list(_HELLO.unpack(base)[2:])
+    wiring, drive = _HELLO_WIRING.unpack(tail) if tail else (0, 0)
+    if fields[13] >= len(ACROSS) or wiring >= len(WIRINGS):
         return None
     fields[6], fields[13], fields[14] = divmod(fields[6], 256), ACROSS[fields[13]], bool(fields[14])
-    return Hello(*fields)
+    return replace(Hello(*fields), wiring=WIRINGS[wiring], drive_milliohm=drive)
 
 
 def _read_frame(body: bytes) -> Frame | None:

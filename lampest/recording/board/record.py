@@ -27,7 +27,8 @@ FEWEST_REPEATS = 50
 class Recorded:
     """What `record` did: frames in the file, frames known to be missing, restarts of the board, ended by Ctrl-C or not.
 
-    noise_lsb : noise of one reading as the baseline's repeats show it, or None where they do not suffice.
+    noise_lsb : noise of one reading as the baseline's repeats show it, or None where they do not suffice. scene : what
+    board and user agreed on.
     """
 
     path: Path
@@ -36,6 +37,7 @@ class Recorded:
     restarts: int
     interrupted: bool
     noise_lsb: float | None
+    scene: Scene
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def record(
     on_progress: Callable[[Progress], None] = lambda progress: None,
     keys: Callable[[], str] = lambda: "",
 ) -> Recorded:
-    """R = divider equation of (sum/readings): frames from a board into the recording `out`.
+    """Frames from a board into the recording `out`: what the readout makes of sum/readings, ohm or volt.
 
     Parameters
     ----------
@@ -85,7 +87,7 @@ def record(
         state = sentence
 
     count = lost = restarts = 0
-    noise: float | None = None
+    finished: tuple[Recording, float | None] | None = None
     began = time.monotonic()
     try:
         with _interruptible(lambda: count > 0) as interrupted, contextlib.ExitStack() as stack:
@@ -107,10 +109,11 @@ def record(
     finally:
         # However it ended: what was recorded is left as a clean file.
         if count:
-            noise = _finish(out)[1]
-    if not count:
+            finished = _finish(out)
+    if finished is None:
         raise InputError(f"{out}: ended before the first frame; nothing is written")
-    return Recorded(out, count, lost, restarts, interrupted(), noise)
+    recording, noise = finished
+    return Recorded(out, count, lost, restarts, interrupted(), noise, recording.scene)
 
 
 def repair(path: Path) -> int:
@@ -122,11 +125,11 @@ def repair(path: Path) -> int:
         return len(Recording.load(path).time)
     if is_being_written(path):
         raise InputError(f"{path}: still being recorded")
-    return _finish(path)[0]
+    return len(_finish(path)[0].time)
 
 
-def _finish(path: Path) -> tuple[int, float | None]:
-    """Rewrite a journal as a clean recording; its number of frames and the noise that its baseline shows."""
+def _finish(path: Path) -> tuple[Recording, float | None]:
+    """Rewrite a journal as a clean recording; that, and the noise that its baseline shows."""
     recording = Recording.load(path)
     noise = noise_from_repeats(recording)
     readout = recording.scene.readout
@@ -134,7 +137,7 @@ def _finish(path: Path) -> tuple[int, float | None]:
         seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
         recording = dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
     recording.save(path)
-    return len(recording.time), noise
+    return recording, noise
 
 
 def noise_from_repeats(recording: Recording) -> float | None:

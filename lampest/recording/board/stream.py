@@ -2,12 +2,11 @@
 
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.recording.board.identity import scene_of
 from lampest.recording.board.port import Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Hello
 
@@ -33,39 +32,8 @@ class Sample:
     session: int
 
 
-def scene_of(hello: Hello, scene: Scene | None) -> Scene:
-    """The scene that the board's HELLO and the user's scene agree on; without a scene, what the board says.
-
-    Raises InputError where they contradict each other.
-    """
-    told = TwoPointReadout(
-        supply_volt=hello.supply_millivolt / 1000,
-        reference_ohm=hello.reference_milliohm / 1000,
-        measured_across=hello.measured_across,
-        adc_bits=hello.adc_bits,
-        readings=hello.readings,
-    )
-    if scene is None:
-        return Scene(Panel(hello.rows, hello.columns), told)
-    if scene.readout is None:
-        return replace(scene, readout=told)
-    if not isinstance(scene.readout, TwoPointReadout):
-        raise InputError("the firmware reads panels as readout.kind: two_point only")
-    for name in ("supply_volt", "reference_ohm", "measured_across", "adc_bits"):
-        ours, theirs = getattr(scene.readout, name), getattr(told, name)
-        if ours != theirs:
-            raise InputError(f"the scene's readout.{name} is {ours}, but the board says {theirs} (firmware pins.h)")
-    panel = scene.panel
-    most = (hello.most_rows, hello.most_columns, hello.most_readings)
-    asked = (panel.rows, panel.columns, scene.readout.readings)
-    for name, ours, theirs in zip(("panel.rows", "panel.columns", "readout.readings"), asked, most, strict=True):
-        if ours > theirs:
-            raise InputError(f"the scene's {name} is {ours}, but the board can do at most {theirs}")
-    return scene
-
-
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
-    """The agreed scene, and R of the mean code, (rows, columns) ohm, as the divider equation gives it.
+    """The agreed scene, and (rows, columns) what its readout makes of the mean code: ohm or volt.
 
     Raises InputError as `scene_of`.
     """

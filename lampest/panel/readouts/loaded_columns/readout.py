@@ -8,6 +8,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import (
+    LineNumber,
     PerLine,
     Side,
     along,
@@ -169,3 +170,9 @@ class LoadedColumnsReadout(Readout):
     def off_by(self, fraction: float) -> Self:
         """Every Rs·(1 + fraction)."""
         return replace(self, load_ohm=scaled(self.load_ohm, 1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """The drive resistances, which may be channels alone, the loads, and the drop of a diode that is there."""
+        drive = LineNumber("drive_ohm", (self.driven,), channel=True)
+        diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
+        return drive, LineNumber("load_ohm", (opposite(self.driven),)), *diode

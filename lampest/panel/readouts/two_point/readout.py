@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import along, check_resistors
+from lampest.panel.readouts.lines import LineNumber, along, check_resistors
 from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
@@ -183,6 +183,10 @@ class TwoPointReadout(Readout):
     def off_by(self, fraction: float) -> Self:
         """Rref·(1 + fraction)."""
         return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
+
+    def line_numbers(self) -> tuple[LineNumber, ...]:
+        """The series resistance: a row's channel and a column's."""
+        return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor; any shape, volt → ohm.

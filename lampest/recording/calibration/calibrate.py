@@ -1,0 +1,105 @@
+"""Resistances of the electronics from known resistors, with their uncertainty, or one sentence why not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.calibration.circuit import Circuit
+from lampest.recording.calibration.fit import Problem, fit
+from lampest.recording.calibration.found import MOST_SIGMA_OF_LINES, Found, found_number
+from lampest.recording.calibration.plausible import check_fit, check_number
+from lampest.recording.calibration.repeats import Repeats, repeats
+from lampest.recording.calibration.trial import Trial
+from lampest.recording.recording import Recording
+
+TOLERANCE = 0.01  # of resistors as they are sold
+FEWEST_REPEATS = 50  # of a line: they tell its noise to a tenth
+LEAST_VARIANCE = 1 / 12  # LSB²: below quantisation's own, lines that differ make no difference
+DIGITS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What known resistors say of the electronics.
+
+    scene : of the recordings. found : its resistances. noise_lsb : (driven lines) of one reading, as repeats show it;
+    repeats : of each line. readings : how many took part. misfit : χ² per degree of freedom. tolerance : of resistors.
+    """
+
+    scene: Scene
+    found: tuple[Found, ...]
+    noise_lsb: Array
+    repeats: Array
+    readings: int
+    misfit: float
+    tolerance: float
+
+    @property
+    def noise(self) -> float | tuple[float, ...] | None:
+        """Of one reading, LSB: one number, or one for each driven line where they differ; None: too few repeats.
+
+        The variance of n repeats is known to √(2/n) of itself. Lines with few repeats take the mean of the others.
+        """
+        enough = self.repeats >= FEWEST_REPEATS
+        if not enough.any():
+            return None
+        variance = self.noise_lsb**2
+        mean = float(np.average(variance[enough], weights=self.repeats[enough]))
+        off = np.abs(np.log((variance[enough] + LEAST_VARIANCE) / (mean + LEAST_VARIANCE)))
+        if np.all(off < MOST_SIGMA_OF_LINES * np.sqrt(2 / self.repeats[enough])):
+            return round(float(np.sqrt(mean)), DIGITS)
+        return tuple(round(float(one) ** 0.5, DIGITS) for one in np.where(enough, variance, mean))
+
+
+def calibrate(
+    recordings: Sequence[Recording], known: Sequence[Array | float] = (0.0,), tolerance: float = TOLERANCE
+) -> Calibration:
+    """The circuit's numbers that explain known resistors best, by weighted least squares through its equations.
+
+    Parameters
+    ----------
+    recordings : of one panel and readout; the frames of each are repeats.
+    known : ohm, for each recording (rows, columns) or one number for all cells; 0 where row and column lines are
+        shorted together; inf or NaN where there is no resistor.
+    tolerance : by which fraction the known resistors and the reference may be off, evenly.
+
+    Raises InputError where the scene's readout has no such numbers, the readings do not tell them, or are none of these
+    resistors'.
+    """
+    scene, name = recordings[0].scene, recordings[0].name
+    for other in recordings[1:]:
+        if other.scene != scene:
+            raise InputError(f"{other.name}: its scene is another than that of {name}")
+    if not scene.circuit.line_numbers():
+        raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
+    trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
+    fitted = fit(Problem(Circuit.of(scene), trials, tolerance))
+    check_fit(fitted)
+    found = tuple(found_number(fitted, index) for index in range(len(fitted.problem.circuit.numbers)))
+    for one in found:
+        check_number(fitted, one)
+    misfit = fitted.chi_square / max(fitted.freedom, 1)
+    noise, seen = _noise([trial.readings for trial in trials])
+    return Calibration(scene, found, noise, seen, fitted.readings, misfit, tolerance)
+
+
+def _trial(recording: Recording, known: Array | float) -> Trial:
+    ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
+    ohm = np.where(np.isinf(ohm), np.nan, ohm)
+    if np.any(ohm < 0):
+        raise InputError("known resistors must be zero or positive")
+    if not np.isfinite(ohm).any():
+        raise InputError(f"{recording.name}: no row line is joined to a column line by a known resistor")
+    return Trial(recording.name, repeats(recording), ohm, recording.scene.converter_memory is not None)
+
+
+def _noise(trials: list[Repeats]) -> tuple[Array, Array]:
+    """Noise of one reading of every driven line over all recordings, by its variance, and the number of repeats."""
+    seen = np.sum([trial.seen for trial in trials], axis=0)
+    weights = np.array([trial.seen for trial in trials]) + 1e-9
+    variance = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=weights)
+    return np.sqrt(variance), seen

@@ -1,0 +1,123 @@
+"""What the frames of one recording say of fixed resistors: mean voltages, each driven line's noise, steadiness."""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import PerLine
+from lampest.recording.recording import Recording
+
+ENDLESS = 65535  # readings: what is then left of σ does not average out
+BELIEF = 4.0  # the scene's noise counts as much as so many repeats: few frames with equal codes do not mean no noise
+WILD, FEWEST_FRAMES = 7.0, 5  # robust σ of a reading that is left out, and from how many frames on one can be told
+MOST_WILD = 0.02  # of all readings: spikes of a converter are some in ten thousand
+# Of the variance about the mean, in what stays from frame to frame. Resistors have none; what moves has nearly all.
+CHANGE = "change from frame to frame, which fixed resistors do not"
+MOST_LASTING, LEAST_LASTING_SHARE = 0.5, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Means over the frames of a recording.
+
+    volt, sigma_volt : (rows, columns) at the converter; σ is that of the mean, what quantisation leaves included.
+    noise_lsb : (driven lines) of one reading, with the scene's as if it had been seen BELIEF times; freedom : number of
+    repeats behind it. seen : (driven lines) repeats of each.
+    """
+
+    volt: Array
+    sigma_volt: Array
+    noise_lsb: Array
+    seen: Array
+
+    @property
+    def freedom(self) -> float:
+        """Of σ, all lines together."""
+        return float(BELIEF + self.seen.sum())
+
+
+def repeats(recording: Recording) -> Repeats:
+    """Means, with the noise of each driven line from differences between frames.
+
+    Raises InputError where the scene names no readout, or readings change from frame to frame as those of resistors do
+    not.
+    """
+    readout = recording.scene.readout
+    if readout is None:
+        raise InputError(f"{recording.name}: its scene names no readout, whose numbers a calibration could find")
+    volt, other = readout.volt_from_recorded(recording.recorded), 1 if readout.noisy_side == "rows" else 0
+    kept = _kept(recording, readout, volt, other)
+    counts = kept.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(kept, volt, 0.0).sum(axis=0) / counts
+    inside = within_rails(readout, mean)
+    rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
+    _check_steady(recording, readout, rest)
+    squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
+    declared = sigma_code(readout, readout.noise_lsb) ** 2 - sigma_code(readout, readout.noise_lsb, ENDLESS) ** 2
+    variance = (BELIEF * declared + squares) / (BELIEF + freedom)
+    noise = np.array([noise_of_variance(readout, value) for value in variance])
+    lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
+    total = np.expand_dims(variance, other) / np.maximum(counts, 1) + np.expand_dims(lasting, other) ** 2
+    return Repeats(mean, readout.lsb_volt * np.sqrt(total), noise, freedom)
+
+
+def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
+    """Where noise does not reach either end of the converter, so that a mean is not drawn away from it; any shape."""
+    margin = (2 + 3 * float(np.max(readout.noise_lsb))) * readout.lsb_volt
+    return np.asarray((volt > margin) & (volt < readout.supply_volt - margin))
+
+
+def sigma_code(readout: Readout, noise_lsb: PerLine, readings: int | None = None) -> Array:
+    """σ of the mean code for another noise, and another number of readings, LSB."""
+    changed = replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings)
+    return np.asarray(changed.sigma_code())
+
+
+def noise_of_variance(readout: Readout, variance: float) -> float:
+    """The noise with that variance = σ²(readings) − b², where b² = σ²(endlessly many readings); by bisection."""
+    low, high = 0.0, 2.0**readout.adc_bits
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        averaged = float(sigma_code(readout, middle)) ** 2 - float(sigma_code(readout, middle, ENDLESS)) ** 2
+        low, high = (middle, high) if averaged < variance else (low, middle)
+    return low
+
+
+def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> NDArray[np.bool_]:
+    """(frames, rows, columns) that were read and are not wild. Raises InputError where too many are, for spikes."""
+    kept = np.isfinite(volt)
+    if len(volt) < FEWEST_FRAMES:
+        return kept
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines
+        deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
+        robust = 1.4826 * np.nanmedian(np.abs(deviation), axis=(0, 1 + other))
+    # Codes come in steps, and where noise is smaller the median deviation is zero.
+    least = np.maximum(sigma_code(readout, readout.noise_lsb), 1 / readout.readings)
+    wild = np.abs(deviation) > WILD * np.expand_dims(np.maximum(np.nan_to_num(robust), least), other)
+    if wild.sum() > MOST_WILD * wild.size + 2:
+        raise InputError(f"{recording.name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")
+    return kept & ~wild
+
+
+def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
+    """Raise InputError where deviations (LSB) from the mean stay from one frame to the next, as noise does not.
+
+    Half the mean squared difference of successive frames is the variance of noise; of what moves slowly it is less.
+    Source: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
+    """
+    if len(rest) < FEWEST_FRAMES:
+        return
+    total = float((rest**2).sum()) / (len(rest) - 1)
+    quick = float((np.diff(rest, axis=0) ** 2).sum()) / 2 / (len(rest) - 1)
+    lasting = np.sqrt(max(total - quick, 0.0) / rest[0].size) / 2.0**readout.adc_bits
+    if quick < (1 - MOST_LASTING) * total and lasting > LEAST_LASTING_SHARE:
+        raise InputError(
+            f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
+        )

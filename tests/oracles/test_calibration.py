@@ -1,0 +1,360 @@
+"""Calibrations of circuits solved here resistor by resistor: what they find, how sure they are, what they refuse."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
+from lampest.files.document import parse_document, validated
+from lampest.panel.panel import Array
+from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
+from lampest.panel.readouts.loaded_columns.diode import Diode
+from lampest.panel.readouts.wiring import Lines
+from lampest.recording.calibration.calibrate import Calibration, calibrate
+from lampest.recording.calibration.text import calibrated_scene, calibrated_scene_text
+from tests.oracles.netlist import Resistor, potentials
+
+SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
+KINDS = ("two_point", "loaded_columns", "grounded", "virtual_ground")
+OPEN, SHORT = 1e13, 1e-4
+
+
+@dataclass(frozen=True)
+class Board:
+    """A circuit with its true numbers: of rows a channel, of columns a channel or a resistor."""
+
+    kind: str
+    rows: Array
+    columns: Array
+
+    def volt(self, cells: Array, row: int, column: int) -> float:
+        """At the converter while row and column are selected, by nodal analysis."""
+        net: list[Resistor] = [
+            (("row", j), ("column", k), float(cells[j, k])) for j, k in np.ndindex(cells.shape) if cells[j, k] < OPEN
+        ]
+        held = {"supply": SUPPLY, "ground": 0.0}
+        lines = range(cells.shape[0]), range(cells.shape[1])
+        if self.kind == "two_point":
+            net += [("supply", ("row", row), self.rows[row]), (("column", column), "sense", self.columns[column])]
+            net += [("sense", "ground", REFERENCE)]
+            return potentials([*net, *_loose(net, cells)], held)["sense"]
+        net.append(("supply", ("row", row), self.rows[row]))
+        if self.kind != "loaded_columns":
+            net += [("ground", ("row", j), self.rows[j]) for j in lines[0] if j != row]
+        if self.kind == "virtual_ground":
+            net += [(("column", k), "ground", SENSE) for k in lines[1]]
+            current = potentials([*net, *_loose(net, cells)], held)["column", column] / SENSE
+            return current * self.columns[column]
+        net += [(("column", k), "ground", self.columns[k]) for k in lines[1]]
+        return potentials([*net, *_loose(net, cells)], held)["column", column]
+
+
+def _loose(net: list[Resistor], cells: Array) -> list[Resistor]:
+    """Lines that nothing joins are held by an insulator, so that node equations have one solution."""
+    sides = zip(("row", "column"), cells.shape, strict=True)
+    return [("ground", (side, line), 1e14) for side, lines in sides for line in range(lines)]
+
+
+def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
+    """What the user knows: the circuit and what is printed on its resistors."""
+    known = {"supply_volt": SUPPLY, "adc_bits": 10, "readings": 20, "noise_lsb": 0.7} | converter
+    readouts: dict[str, Callable[..., AnyReadout]] = {
+        "two_point": lambda **k: TwoPointReadout(reference_ohm=REFERENCE, **k),
+        "loaded_columns": lambda **k: LoadedColumnsReadout(load_ohm=10_000.0, **k),
+        "grounded": lambda **k: GroundedReadout(load_ohm=1000.0, **k),
+        "virtual_ground": lambda **k: VirtualGroundReadout(feedback_ohm=400.0, sense_ohm=SENSE, **k),
+    }
+    return Scene(Panel(*shape), readouts[kind](**known))
+
+
+def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator, frames: int = 10) -> Recording:
+    """Codes of a noisy converter, averaged; cells (rows, columns), or one set for each frame."""
+    sets = cells if cells.ndim == 3 else cells[None]
+    volt = np.array([[board.volt(one, j, k) for j, k in np.ndindex(one.shape)] for one in sets]).reshape(sets.shape)
+    volt = np.broadcast_to(volt, (frames, *scene.panel.shape)) if len(sets) == 1 else volt
+    readout = scene.readout
+    assert readout is not None
+    noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), (len(board.rows),)), (-1, 1))
+    draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, *volt.shape))
+    codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
+    recorded = readout.recorded_from_sums(codes.sum(axis=0), readout.readings)
+    return Recording(scene, recorded, np.arange(float(len(recorded))), np.ones(len(recorded), dtype=np.uint8), name="r")
+
+
+def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
+    """Channels of 50 to 110 ohm, resistors within 1 %."""
+    nominal = {"two_point": None, "loaded_columns": 10_000.0, "grounded": 1000.0, "virtual_ground": 400.0}[kind]
+    channels = [float(rng.uniform(65, 95)) + rng.uniform(-15, 15, length) for length in shape]
+    return Board(kind, channels[0], channels[1] if nominal is None else nominal * rng.uniform(0.99, 1.01, shape[1]))
+
+
+def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Array, Array]:
+    """What is printed on them, and what they are, within 1 %."""
+    printed = rng.choice([220.0, 470.0, 1000.0, 2200.0, 4700.0], shape)
+    return printed, printed * rng.uniform(0.99, 1.01, shape)
+
+
+def pulls(found: Calibration, board: Board) -> list[float]:
+    """(found − true)/σ of every mean."""
+    if board.kind == "two_point":
+        (one,) = found.found
+        return [(one.value - board.rows.mean() - board.columns.mean()) / one.sigma]
+    return [
+        (one.value - true.mean()) / one.sigma
+        for one, true in zip(found.found, (board.rows, board.columns), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) -> None:
+    """Resistors and reference of 0.1 %: each line is found to what its σ says, and the scene says so."""
+    rng, shape = np.random.default_rng(KINDS.index(kind)), (4, 5)
+    board, scene = some_board(kind, shape, rng), told(kind, shape)
+    printed, _ = some_resistors(shape, rng)
+    true = printed * rng.uniform(0.999, 1.001, shape)
+    found = calibrate([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
+    assert max(map(abs, pulls(found, board))) < 4
+    lines = [line for one in found.found for line in one.lines]
+    for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
+        off = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
+        assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
+    read = validated(parse_document(calibrated_scene_text(found), "scene.yaml"), Scene)
+    assert read == calibrated_scene(found)
+    mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()  # type: ignore[union-attr]
+    assert mean == pytest.approx(found.found[0].value, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) -> None:
+    """50 boards and sets of resistors of 1 %, 3 to 12 frames: none is refused, and errors are as large as stated."""
+    found = []
+    for seed in range(50):
+        rng = np.random.default_rng([seed, KINDS.index(kind)])
+        shape = (int(rng.integers(3, 6)), int(rng.integers(3, 6)))
+        readings, noise = int(rng.choice([1, 4, 20])), float(rng.uniform(0.3, 2))
+        board, scene = some_board(kind, shape, rng), told(kind, shape, readings=readings, noise_lsb=noise)
+        printed, true = some_resistors(shape, rng)
+        frames = int(rng.integers(3, 12))
+        found += pulls(calibrate([recording(scene, board, true, rng, frames)], [printed]), board)
+    within = np.mean(np.abs(found) < 1.96)
+    assert within > 0.88
+    assert 0.7 < np.std(found) < 1.25
+
+
+def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
+    """From row 0 to three columns; lines that were not measured take the mean of those that were."""
+    rng = np.random.default_rng(5)
+    board = some_board("loaded_columns", (8, 8), rng)
+    printed, true = np.full((8, 8), np.inf), np.full((8, 8), OPEN)
+    printed[0, :3] = [1000, 3300, 10_000]
+    true[0, :3] = printed[0, :3] * rng.uniform(0.99, 1.01, 3)
+    found = calibrate([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
+    drive, load = found.found
+    assert abs(drive.value - board.rows[0]) < 3 * drive.sigma < 90
+    assert abs(load.value - board.columns[:3].mean()) < 3 * load.sigma < 1000
+    assert np.isnan(drive.lines[0].off_ohm[1:]).all() and np.isnan(load.lines[0].off_ohm[3:]).all()
+    assert found.readings == 3
+
+
+def test_the_same_resistors_moved_from_line_to_line_tell_each_line() -> None:
+    """Four recordings of a diagonal that wanders; a moved resistor's error does not average out."""
+    rng, size = np.random.default_rng(6), 4
+    board, scene = some_board("loaded_columns", (size, size), rng), told("loaded_columns", (size, size))
+    printed = np.array([470.0, 1000.0, 2200.0, 4700.0])
+    true = printed * rng.uniform(0.99, 1.01, size)
+    recordings, known = [], []
+    for shift in range(size):
+        where = np.arange(size), (np.arange(size) + shift) % size
+        cells, table = np.full((size, size), OPEN), np.full((size, size), np.inf)
+        cells[where], table[where] = true, printed
+        recordings.append(recording(scene, board, cells, rng))
+        known.append(table)
+    together = calibrate(recordings, known)
+    assert max(map(abs, pulls(together, board))) < 4
+    alone = calibrate(recordings[:1], known[:1])
+    assert together.found[1].sigma < alone.found[1].sigma
+
+
+def test_noise_of_every_driven_line_is_found() -> None:
+    rng, shape = np.random.default_rng(7), (6, 5)
+    board = some_board("loaded_columns", shape, rng)
+    printed, true = some_resistors(shape, rng)
+    noisy = (0.7, 7.0, 0.7, 0.7, 7.0, 0.7)
+    made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
+    found = calibrate([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
+    readout = calibrated_scene(found).readout
+    assert readout is not None
+    np.testing.assert_allclose(readout.noise_lsb, noisy, rtol=0.25)
+    quiet = calibrate([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
+    assert quiet.noise == pytest.approx(0.7, abs=0.05)
+
+
+def test_blanks_and_wild_readings_do_no_harm() -> None:
+    rng, shape = np.random.default_rng(8), (4, 4)
+    board = some_board("loaded_columns", shape, rng)
+    printed, true = some_resistors(shape, rng)
+    made = recording(told("loaded_columns", shape), board, true, rng, frames=20)
+    volt = made.recorded.copy()
+    volt[3, 1, 1], volt[5, 2, 2] = 4.9, 0.3
+    assert max(map(abs, pulls(calibrate([replace(made, recorded=volt)], [printed]), board))) < 4
+
+
+def panel_cells(rng: np.random.Generator, frames: int = 1) -> Array:
+    """A foam of some 3 kΩ, the same in all frames."""
+    return np.repeat(np.exp(rng.normal(np.log(3050), 0.3, (1, 4, 4))), frames, axis=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("known", ["shorted", "one value", "a table", "swapped"])
+def test_what_is_no_calibration_is_refused_in_one_sentence(kind: str, known: str) -> None:
+    """A panel said to be shorted, or equal resistors, or any table; and a table with rows and columns swapped."""
+    rng = np.random.default_rng(9)
+    board, scene = some_board(kind, (4, 4), rng), told(kind, (4, 4))
+    printed, true = some_resistors((4, 4), rng)
+    cells = true if known == "swapped" else panel_cells(rng)[0]
+    tables = {
+        "shorted": np.zeros((4, 4)),
+        "one value": np.full((4, 4), 3050.0),
+        "a table": printed,
+        "swapped": printed.T,
+    }
+    with pytest.raises(InputError, match=r"^r: no calibration: ") as refusal:
+        calibrate([recording(scene, board, cells, rng)], [tables[known]])
+    assert str(refusal.value).count("\n") == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pressed_frames_are_refused(kind: str) -> None:
+    rng = np.random.default_rng(10)
+    cells = panel_cells(rng, 12)
+    cells[:, 1:3, 1:3] *= np.exp(-0.1 * np.arange(12))[:, None, None]
+    with pytest.raises(InputError, match="frame to frame, which fixed resistors do not"):
+        calibrate([recording(told(kind, (4, 4)), some_board(kind, (4, 4), rng), cells, rng)], [3050.0])
+
+
+def test_channels_farther_apart_than_a_multiplexer_has_them_are_refused() -> None:
+    rng = np.random.default_rng(11)
+    rows = np.array([250.0, 70, 250, 70])
+    made = recording(told("two_point", (4, 4)), Board("two_point", rows, np.full(4, 70.0)), np.full((4, 4), SHORT), rng)
+    with pytest.raises(InputError, match=r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"):
+        calibrate([made])
+
+
+def test_a_series_resistance_beyond_two_channels_is_refused_unless_the_scene_expects_it() -> None:
+    rng = np.random.default_rng(12)
+    board, scene = Board("two_point", np.full(4, 270.0), np.full(4, 260.0)), told("two_point", (4, 4))
+    with pytest.raises(InputError, match=r"530.* ohm is more than the 320 ohm that 2 channels have at worst"):
+        calibrate([recording(scene, board, np.full((4, 4), SHORT), rng)])
+    expected = replace(scene, series_resistance_ohm=500.0)
+    (series,) = calibrate([recording(expected, board, np.full((4, 4), SHORT), rng)]).found
+    assert series.value == pytest.approx(530, abs=4 * series.sigma)
+
+
+def test_one_resistor_does_not_tell_load_from_drive() -> None:
+    rng = np.random.default_rng(13)
+    board, scene = some_board("loaded_columns", (3, 3), rng), told("loaded_columns", (3, 3))
+    with pytest.raises(InputError, match=r"no calibration: .*known resistors"):
+        cells, table = np.full((3, 3), OPEN), np.full((3, 3), np.inf)
+        cells[1, 1] = table[1, 1] = 1000.0
+        calibrate([recording(scene, board, cells, rng)], [table])
+
+
+@pytest.mark.parametrize(("known", "sentence"), [(np.inf, "no row line is joined"), (-5.0, "zero or positive")])
+def test_impossible_resistors_are_refused(known: float, sentence: str) -> None:
+    rng = np.random.default_rng(14)
+    board, scene = some_board("two_point", (2, 2), rng), told("two_point", (2, 2))
+    with pytest.raises(InputError, match=sentence):
+        calibrate([recording(scene, board, np.full((2, 2), SHORT), rng)], [known])
+
+
+def test_three_resistors_tell_a_diode_too() -> None:
+    """One after the other from row 0 to column 0, so that its current changes; the scene says that there is a diode."""
+    rng = np.random.default_rng(15)
+    slope, drop, drive, load = 0.05, 0.63, 70.0, 1000.0
+    saturation = 1e-3 / np.expm1(drop / slope)
+    readout = LoadedColumnsReadout(load_ohm=load, diode=Diode(drop_volt=0.5, slope_volt=slope), adc_bits=12)
+    scene = Scene(Panel(2, 2), readout)
+    recordings, known = [], []
+    for resistor in (100.0, 1000.0, 10_000.0):
+        low, high = 0.0, SUPPLY / (drive + load + resistor)
+        for _ in range(80):
+            current = (low + high) / 2
+            over = current * (drive + load + resistor) + slope * np.log1p(current / saturation) > SUPPLY
+            low, high = (low, current) if over else (current, high)
+        table = np.full((2, 2), np.inf)
+        table[0, 0] = resistor
+        known.append(table)
+        noisy = current * load / readout.lsb_volt + 0.7 * rng.standard_normal((10, readout.readings))
+        recorded = np.zeros((10, 2, 2))
+        recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
+        recordings.append(Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r"))
+    found = calibrate(recordings, known, tolerance=1e-4)
+    for one, true in zip(found.found, (drive, load, drop), strict=True):
+        assert abs(one.value - true) < 4 * one.sigma
+    assert found.found[2].sigma < 0.15
+    written = calibrated_scene(found).readout
+    assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
+    assert written.diode.drop_volt == pytest.approx(found.found[2].value, abs=1e-3)
+
+
+def test_an_open_column_tells_what_the_converter_remembers() -> None:
+    """Of every reading 3 % are of the one before, in scan order; the last of a frame stands before the first."""
+    rng = np.random.default_rng(16)
+    board = some_board("loaded_columns", (4, 5), rng)
+    printed, true = some_resistors((4, 5), rng)
+    printed[:, 3], true[:, 3] = np.inf, OPEN
+    clean = np.array([board.volt(true, j, k) for j, k in np.ndindex(4, 5)])
+    held, memory = clean.copy(), 0.03
+    for number in range(60):
+        held[number % 20] = (1 - memory) * clean[number % 20] + memory * held[(number - 1) % 20]
+    scene = replace(told("loaded_columns", (4, 5), readings=4), converter_memory=0.0)
+    readout = scene.circuit
+    draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
+    recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
+    made = Recording(scene, recorded, np.arange(12.0), np.ones(12, dtype=np.uint8), name="r")
+    found = calibrate([made], [printed])
+    assert max(map(abs, pulls(replace(found, found=found.found[:2]), board))) < 4
+    remembered = found.found[2]
+    assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
+    assert calibrated_scene(found).converter_memory == pytest.approx(remembered.value, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["two_point", "loaded_columns"])
+def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
+    """2 ohm from cell to cell of a row, 3 of a column: every node of the wire stands in the netlist."""
+    rng, shape, (along_row, along_column) = np.random.default_rng(17), (3, 4), (2.0, 3.0)
+    rows, columns = shape
+    true = np.full(shape, 470.0) if kind == "two_point" else rng.choice([470.0, 1000.0, 2200.0], shape)
+    volt = np.zeros(shape)
+    second = 70.0 if kind == "two_point" else 10_000.0
+    for row, column in np.ndindex(shape):
+        net: list[Resistor] = []
+        for j, k in np.ndindex(shape):
+            net.append((("row", j, k - 1), ("row", j, k), along_row))
+            net.append((("column", j, k), ("column", j + 1, k), along_column))
+            net.append((("row", j, k), ("column", j, k), float(true[j, k])))
+        net.append(("supply", ("row", row, -1), 70.0))
+        if kind == "two_point":
+            net += [(("column", rows, column), "sense", second), ("sense", "ground", REFERENCE)]
+        else:
+            net += [(("column", rows, k), "ground", second) for k in range(columns)]
+        found = potentials(net, {"supply": SUPPLY, "ground": 0.0})
+        volt[row, column] = found["sense" if kind == "two_point" else ("column", rows, column)]
+    scene = replace(told(kind, shape, adc_bits=16), lines=Lines())
+    readout = scene.circuit
+    draws = volt / readout.lsb_volt + 0.7 * rng.standard_normal((20, 10, *shape))
+    recorded = readout.recorded_from_sums(np.floor(draws).astype(int).sum(axis=0), 20)
+    made = Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r")
+    if kind == "two_point":
+        # What a row's wire adds from column to column, channels of columns that differ add as well.
+        with pytest.raises(InputError, match="do not tell lines.row_ohm_per_cell"):
+            calibrate([made], [true], tolerance=1e-4)
+        return
+    *_, of_rows, of_columns = calibrate([made], [true], tolerance=1e-4).found
+    for one, expected in ((of_rows, along_row), (of_columns, along_column)):
+        assert one.value == pytest.approx(expected, abs=4 * one.sigma)
+        assert one.sigma < 1
