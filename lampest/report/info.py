@@ -95,6 +95,8 @@ def _results_lines(results: Results) -> list[str]:
             f"readings  {first.measured.min():.4g} to {first.measured.max():.4g} {first.scene.circuit.unit} "
             "(as the network is read, series resistance taken off)",
         ]
+        if first.model_mark:
+            lines.append(f"model     {first.model_mark}: {first.model_sentence}")
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(

@@ -46,6 +46,9 @@ class CaseResult:
     truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
     sigma, sigma_baseline : standard deviations of what was measured, same shapes and unit; None where unknown, infinite
     where a reading is a bound or says nothing.
+    misfit : chi_square, degrees_of_freedom and what else is said of the residuals against their noise → (frames).
+    model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
+    where an older file does not say), and the sentence that says so.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
@@ -82,6 +85,9 @@ class CaseResult:
     truth: Array | None = None
     truth_baseline: Array | None = None
     disc: dict[str, Array] = field(default_factory=dict)
+    misfit: dict[str, Array] = field(default_factory=dict)
+    model_mark: str = ""
+    model_sentence: str = ""
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     cell_resistance_errors: Array | None = None

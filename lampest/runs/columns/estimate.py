@@ -116,6 +116,16 @@ def _disc(done: Estimates) -> dict[str, Array]:
     return numbers
 
 
+MISFIT = {
+    "chi_square": "sum of squared residuals over their noise",
+    "degrees_of_freedom": "readings less what the estimate follows of them",
+    "tail": "probability of as large a chi square by noise alone",
+    "worst_row": "row that holds most of chi square",
+    "worst_row_share": "share of that row",
+    "worst_column": "column that holds most of chi square",
+    "worst_column_share": "share of that column",
+}
+
 FIGURES = (
     Figures("costs", "cost", _costs, lambda name: "1", lambda name: f"cost of the term {name}"),
     Figures("weights", "weight", _weights, lambda name: "1", lambda name: f"weight of the term {name}"),
@@ -126,4 +136,5 @@ FIGURES = (
         lambda name: next((unit for end, unit in UNITS.items() if name.removesuffix("_errors").endswith(end)), "1"),
         lambda name: f"oral disc: {name.replace('_', ' ')}",
     ),
+    Figures("misfit", "model_check", lambda done: done.misfit, lambda name: "1", lambda name: MISFIT.get(name, name)),
 )

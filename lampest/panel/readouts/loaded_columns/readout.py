@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, lines_text, per_line
 from lampest.panel.readouts.loaded_columns.start import kirchhoff_start
 from lampest.panel.readouts.readout import LEAST_SHARE, Readout
@@ -123,6 +124,39 @@ class LoadedColumnsReadout(Readout):
         current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=along, keepdims=True))
         least = np.maximum(self.supply_volt - drive * current, 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """max_j V_ij ≤ Vcc − Rd_i I_i, I_i = Σ_j V_ij/Rs_j: no sensed line stands above the one that is driven."""
+        shape = measured.shape[-2:]
+        load, drive = np.broadcast_to(self._loads(shape), shape), np.broadcast_to(self._drives(shape), shape)
+        value, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0)
+        along = -1 if self.driven == "rows" else -2
+        fall = drive * (value / load).sum(axis=along, keepdims=True)
+        spread = np.sqrt(noise**2 + drive**2 * ((noise / load) ** 2).sum(axis=along, keepdims=True))
+        excess = (value + fall - self.supply_volt) / np.where(noise > 0, spread, np.inf)
+        law = f"no sensed line stands above the driven one behind its {lines_text(self.drive_ohm)}"
+        return (FreeTest(law, excess.max(axis=(-2, -1)), measured[0].size),)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """Rd ≤ min_i (Vcc − max_j V_ij)/I_i."""
+        along = -1 if self.driven == "rows" else -2
+        value = np.where(np.isfinite(sigma), measured, 0.0)
+        current = (value / self._loads(measured.shape[-2:])).sum(axis=along)
+        left = self.supply_volt - value.max(axis=along)
+        return float(np.min(left / np.maximum(current, 1e-300)))
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """As the drive resistance of all lines."""
+        return replace(scene, readout=replace(self, drive_ohm=ohm))
+
+    def in_series(self, scene: "Scene") -> float:
+        """The mean drive resistance."""
+        return float(np.mean(as_tuple(self.drive_ohm)))
+
+    @property
+    def series_name(self) -> str:
+        """The readout's own."""
+        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: Any, row_ohm: Array, column_ohm: Array) -> Array:
         """With the driven lines' channels in the drive resistance; the sensed lines have none."""

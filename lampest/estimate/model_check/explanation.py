@@ -1,0 +1,187 @@
+"""How well one circuit explains an unloaded panel and one frame together."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check.circuit_fit import CircuitFit, fitted
+from lampest.estimate.model_check.rivals import Rival
+from lampest.estimate.model_check.stillness import PRICE, moved_score
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.solvers.search import BROKEN
+
+LARGEST_NOISE = 0.05  # of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian
+LARGEST_SHIFT = 0.1  # σ of a mean by which the same curvature may shift it
+LEVEL = 1e-3  # of each of a handful of tests, so that all together call a right circuit wrong in less than 1 %
+NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
+GRID, HALVINGS = 5, 4  # of the search for it: to a sixtieth of the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What a circuit is asked to explain.
+
+    told : the circuit as the scene has it. resting : the numbers of the unloaded frames. frame : that of the one to
+    explain beside them, or None. widening : factor on every σ, where repeats scatter by more than it.
+    """
+
+    told: Rival
+    resting: NDArray[np.intp]
+    frame: int | None
+    widening: float = 1.0
+
+    def readings(self, rival: Rival) -> tuple[Readings, ...]:
+        """The mean of the unloaded frames, and the frame. Raises InputError where values are none of the circuit."""
+        read, count = self._read(rival), len(self.resting)
+        assert read.sigma is not None
+        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable)
+        return (read[:count].mean(),) if self.frame is None else (read[:count].mean(), read[count])
+
+    def _read(self, rival: Rival) -> Readings:
+        """The frames that are asked for, as a circuit reads them."""
+        sigma = rival.sigma if rival.sigma is None or rival.sigma.ndim == 2 else rival.sigma[self._chosen]
+        return Readings.of(rival.scene, rival.recorded[self._chosen], sigma)
+
+    @cached_property
+    def _usable(self) -> Array:
+        """Readings that are asked for of every circuit alike; see `nearly_gaussian`."""
+        return nearly_gaussian(self.told, len(self.resting))[self._chosen]
+
+    @property
+    def _chosen(self) -> NDArray[np.intp]:
+        return np.append(self.resting, [] if self.frame is None else self.frame).astype(int)
+
+
+def nearly_gaussian(told: Rival, frames: int) -> Array:
+    """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
+
+    frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation makes
+    of them is while noise is small.
+    """
+    sigma = Readings.of(told.scene, told.recorded, told.sigma).sigma
+    if told.scene.circuit.unit != "ohm" or sigma is None:
+        return np.ones(told.recorded.shape)
+    most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
+    return np.where(sigma <= most * told.recorded, 1.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moved : of `moved_score`.
+
+    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
+
+    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    """
+
+    rival: Rival
+    fits: tuple[CircuitFit, ...]
+    score: float
+    moved: int
+
+    @classmethod
+    def of(cls, told: Rival, question: Question) -> "Explanation | None":
+        """Of the told circuit; None where no fit is found."""
+        fits = [fitted(told.scene, readings, patient=True) for readings in question.readings(told)]
+        done = tuple(fit for fit in fits if fit is not None)
+        return cls.scored(told, done) if len(done) == len(fits) else None
+
+    @classmethod
+    def tried(cls, rival: Rival, question: Question, near: "Explanation | None" = None) -> "Explanation | None":
+        """Of another circuit, given up as soon as it fails; near : of one much like it, or None."""
+        done: list[CircuitFit] = []
+        try:
+            for number, readings in enumerate(question.readings(rival)):
+                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells)
+                if fit is None or fit.tail < LEVEL:
+                    return None
+                done.append(fit)
+            return cls.scored(rival, tuple(done))
+        except (InputError, *BROKEN):
+            return None
+
+    @classmethod
+    def scored(cls, rival: Rival, fits: tuple[CircuitFit, ...]) -> "Explanation":
+        """With its score."""
+        if len(fits) < 2 or fits[0].sensitivity is None:
+            return cls(rival, fits, 0.0, 0)
+        score, moved = moved_score(*fits)
+        bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
+        return cls(rival, fits, score + PRICE * bounds, moved)
+
+    @property
+    def tail(self) -> float:
+        """The smaller of the fits' tails."""
+        return min(fit.tail for fit in self.fits)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the circuit explains both."""
+        return self.tail >= LEVEL
+
+    @property
+    def sparse(self) -> bool:
+        """Whether it leaves more than half of the cells where they were."""
+        return 2 * self.moved < self.fits[0].cells.size
+
+
+def best_in_series(rival: Rival, question: Question, told: Explanation | None) -> Explanation | None:
+    """The circuit with the resistance in series that explains best; as it is where that does as well, or has none.
+
+    told : what the told circuit explains, where it does; the search goes on only where a rival comes near.
+    """
+    plain = told if rival.own else Explanation.tried(rival, question)
+    most = _most(rival, question)
+    if most == 0:
+        return plain
+    found = _over_grid(rival, question, most)
+    best = min(found, key=lambda one: one.score, default=None)
+    if best is not None and (told is None or best.score < told.score):
+        best = _refined(rival, question, found, most / (GRID - 1))
+    both = [one for one in (plain, best) if one is not None]
+    return min(both, key=lambda one: one.score + (0 if one is plain else PRICE), default=None)
+
+
+def _most(rival: Rival, question: Question) -> float:
+    """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    if not rival.scene.circuit.series_name or question.frame is None:
+        return 0.0
+    try:
+        read = question.readings(rival.with_series(0.0))
+    except (InputError, *BROKEN):
+        return 0.0
+    circuit = rival.with_series(0.0).scene.circuit
+    most = min(circuit.most_in_series(one.value[None], sigma[None]) for one in read for sigma in _sigma(one))
+    return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
+
+
+def _sigma(readings: Readings) -> tuple[Array, ...]:
+    """σ of one frame's values, if it is known."""
+    sigma = readings.sigma_of_values
+    return () if sigma is None else (sigma,)
+
+
+def _over_grid(rival: Rival, question: Question, most: float) -> list[Explanation]:
+    """Explanations over a grid of resistances, each begun at the one before."""
+    found: list[Explanation] = []
+    near = None
+    for ohm in np.linspace(0, most, GRID):
+        one = Explanation.tried(rival.with_series(float(ohm)), question, near)
+        found, near = ([*found, one], one) if one is not None else (found, near)
+    return found
+
+
+def _refined(rival: Rival, question: Question, found: list[Explanation], step: float) -> Explanation:
+    """The best of the grid and of what lies between, each time at half the step to both sides of the best."""
+    best = min(found, key=lambda one: one.score)
+    for _ in range(HALVINGS):
+        step /= 2
+        here = best.rival.scene.circuit.in_series(best.rival.scene)
+        for ohm in (here - step, here + step):
+            one = Explanation.tried(rival.with_series(ohm), question, best) if ohm >= 0 else None
+            best = one if one is not None and one.score < best.score else best
+    return best
