@@ -1,6 +1,6 @@
 """How often the model check calls a right circuit wrong, and how often it notices a wrong one.
 
-    python -m tests.studies.model_check [--matched N] [--wrong N] [--first SEED]
+    python -m tests.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...]
 
 Scenes are drawn anew: 4 × 4 to 18 × 18 cells, both sides driven, converters of 8 to 16 bits with 0 to 3 LSB of noise,
 loads of every shape or none, faults and saturated readings among them. Truth comes from the simulation alone.
@@ -8,7 +8,7 @@ loads of every shape or none, faults and saturated readings among them. Truth co
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -159,14 +159,16 @@ def false_alarms(first: int, count: int) -> None:
         if check.explains is False:
             rows, columns = recording.scene.panel.shape
             print(f"  seed {seed - 1}, {rows} × {columns}, {what}: {check.sentence}", flush=True)
+        if seen.total() % 100 == 0:
+            print(f"after {seen.total()}: {alarms.total()} called wrong", flush=True)
     for what in sorted(seen):
         print(f"{what:32} {alarms[what]:3} of {seen[what]} called wrong, {noisy[what]} too noisy")
     print(f"false alarms: {alarms.total()} of {seen.total()} ({100 * alarms.total() / seen.total():.2f} %)", flush=True)
 
 
-def detections(first: int, count: int) -> None:
+def detections(first: int, count: int, sides: Sequence[int]) -> None:
     """Print the share of wrong circuits that are noticed, and named, by size and converter."""
-    for side in (6, 10, 16):
+    for side in sides:
         for bits in (10, 12):
             noticed, right, tried = Counter[str](), Counter[str](), Counter[str]()
             for seed in range(first, first + count):
@@ -185,8 +187,9 @@ if __name__ == "__main__":
     parser.add_argument("--matched", type=int, default=600)
     parser.add_argument("--wrong", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--sides", type=int, nargs="+", default=[6, 10, 16])
     asked = parser.parse_args()
     if asked.matched:
         false_alarms(asked.first, asked.matched)
     if asked.wrong:
-        detections(asked.first, asked.wrong)
+        detections(asked.first, asked.wrong, asked.sides)

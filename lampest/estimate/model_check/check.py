@@ -18,6 +18,7 @@ from lampest.solvers.search import BROKEN
 # −2 log probability by which another circuit must beat the told one: e^30 to one, so that neither the choice of the
 # best of some forty rivals nor creep that is not as assumed decides.
 MARGIN = 60.0
+WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 
 
@@ -91,9 +92,11 @@ def _checked(
     noise = noise_factor(used[resting])
     question = Question(told, resting, frame, noise)
     found = Explanation.of(told, question)
-    fault = _unexplained(found, question) or _broken_law(scene, used, noise)
+    fault = ("" if found is None else _unexplained(found, question)) or _broken_law(scene, used, noise)
     able = None if fault else found
     better = None if able is not None and able.score < MARGIN else _better([told, *rivals], question, able)
+    if found is None and better is None and not fault:
+        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     sentence = _sentence(fault, found, better, frame)
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
@@ -112,10 +115,8 @@ def noise_factor(resting: Readings) -> float:
     return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
 
 
-def _unexplained(found: Explanation | None, question: Question) -> str:
+def _unexplained(found: Explanation, question: Question) -> str:
     """What the cells leave unexplained, in words; '' where nothing."""
-    if found is None:
-        return "no cells were found that give the readings"
     if found.holds:
         return ""
     worst = int(np.argmin([fit.tail for fit in found.fits]))
@@ -148,7 +149,11 @@ def _better(rivals: list[Rival], question: Question, told: Explanation | None) -
     best = min((one for one in found if one is not None and one.sparse), key=lambda one: one.score, default=None)
     if best is None or told is None:
         return best
-    return best if best.score < told.score - MARGIN else None
+    if best.rival is told.rival or best.score >= told.score - WORTH_ASKING:
+        return None
+    # Linear theory has chosen; the networks decide. What moved under the rival may have moved under the told circuit.
+    least = min(told.joint_score(moving) for moving in (told.moving, best.moving, told.moving | best.moving))
+    return best if best.joint_score(best.moving) < least - MARGIN else None
 
 
 def _sentence(fault: str, told: Explanation | None, better: Explanation | None, frame: int | None) -> str:
@@ -156,8 +161,10 @@ def _sentence(fault: str, told: Explanation | None, better: Explanation | None, 
         return f"{fault}; " + (
             "no other circuit that was tried gives them" if better is None else f"{better.rival.name} does"
         )
-    if told is None or better is None:
+    if better is None:
         return "the circuit explains its readings"
+    if told is None:
+        return f"no cells were found that give the readings; {better.rival.name} does"
     return (
         f"{better.rival.name} explains the readings better: between the unloaded panel and frame {frame} "
         f"{better.moved} cells have moved then, and {told.moved} as told"

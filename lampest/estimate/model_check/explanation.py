@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check.circuit_fit import CircuitFit, fitted
+from lampest.estimate.model_check.joint_fit import joint_misfit
 from lampest.estimate.model_check.rivals import Rival
 from lampest.estimate.model_check.stillness import PRICE, moved_score
 from lampest.files.errors import InputError
@@ -71,7 +72,7 @@ def nearly_gaussian(told: Rival, frames: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moved : of `moved_score`.
+    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
 
     A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
 
@@ -81,7 +82,7 @@ class Explanation:
     rival: Rival
     fits: tuple[CircuitFit, ...]
     score: float
-    moved: int
+    moving: NDArray[np.bool_]
 
     @classmethod
     def of(cls, told: Rival, question: Question) -> "Explanation | None":
@@ -108,10 +109,23 @@ class Explanation:
     def scored(cls, rival: Rival, fits: tuple[CircuitFit, ...]) -> "Explanation":
         """With its score."""
         if len(fits) < 2 or fits[0].sensitivity is None:
-            return cls(rival, fits, 0.0, 0)
-        score, moved = moved_score(*fits)
+            return cls(rival, fits, 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+        score, moving = moved_score(*fits)
         bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
-        return cls(rival, fits, score + PRICE * bounds, moved)
+        return cls(rival, fits, score + PRICE * bounds, moving)
+
+    @property
+    def moved(self) -> int:
+        """How many cells must have moved."""
+        return int(self.moving.sum())
+
+    def joint_score(self, moving: NDArray[np.bool_]) -> float:
+        """χ² of both frames while only these cells have moved, and what these cost; by the network itself."""
+        resting, frame = self.fits
+        misfit = joint_misfit(
+            self.rival.scene, (resting.readings, frame.readings), (resting.cells, frame.cells), moving
+        )
+        return misfit + PRICE * int(moving.sum())
 
     @property
     def tail(self) -> float:

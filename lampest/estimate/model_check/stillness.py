@@ -7,6 +7,7 @@ price.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.model_check.circuit_fit import CircuitFit
 from lampest.panel.panel import Array
@@ -17,8 +18,8 @@ PRICE = 12.0
 CREEPS = (0.0, 3e-3)  # of log r, by which cells may move on their own: not at all, or as films creep in seconds
 
 
-def moved_score(resting: CircuitFit, frame: CircuitFit) -> tuple[float, int]:
-    """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, |S|) of two fits of one circuit.
+def moved_score(resting: CircuitFit, frame: CircuitFit) -> tuple[float, NDArray[np.bool_]]:
+    """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, S) of two fits of one circuit.
 
     The change of all cells together (temperature, supply) is taken off. log det is that of the covariance of the change
     against the frame's own: −2 log density of the frame's readings, so that a circuit gains nothing by being blind.
@@ -28,17 +29,17 @@ def moved_score(resting: CircuitFit, frame: CircuitFit) -> tuple[float, int]:
     own = np.linalg.inv(frame.information)
     together = own + np.linalg.inv(resting.information)
     least = float(np.linalg.slogdet(frame.information)[1])
-    best = (np.inf, len(change))
+    best = (np.inf, np.ones(resting.cells.shape, dtype=bool))
     for creep in CREEPS:
         covariance = together + creep**2 * np.eye(len(change))
         chi_square, moved = _released(change, np.linalg.inv(covariance))
-        score = chi_square + PRICE * moved + float(np.linalg.slogdet(covariance)[1]) + least
-        best = min(best, (score, moved))
+        score = chi_square + PRICE * int(moved.sum()) + float(np.linalg.slogdet(covariance)[1]) + least
+        best = (score, moved.reshape(resting.cells.shape)) if score < best[0] else best
     return best
 
 
-def _released(change: Array, precision: Array) -> tuple[float, int]:
-    """(χ² of what is left, number of released cells): cells are released while one of them gains more than its PRICE.
+def _released(change: Array, precision: Array) -> tuple[float, NDArray[np.bool_]]:
+    """(χ² of what is left, released cells): cells are released while one of them gains more than its PRICE.
 
     change (cells), precision (cells, cells). To release cell c gains g_c²/P_cc with g = P·change; P and g are then
     those of the others alone (sweep operator).
@@ -54,4 +55,4 @@ def _released(change: Array, precision: Array) -> tuple[float, int]:
         column = precision[:, cell] / precision[cell, cell]
         slope = slope - column * slope[cell]
         precision -= np.outer(column, precision[cell])
-    return chi_square, int(np.sum(~held))
+    return chi_square, ~held
