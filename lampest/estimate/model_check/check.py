@@ -6,7 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.explanation import LEVEL, Explanation, Question, best_in_series, nearly_gaussian
+from lampest.estimate.model_check.explanation import LEVEL, Explanation, best_in_series
+from lampest.estimate.model_check.question import Question, nearly_gaussian
 from lampest.estimate.model_check.rivals import Rival, rivals_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
