@@ -17,7 +17,7 @@ def compare(
     ] = None,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
-    from lampest.report.compare import compare_files, screen_table, write_csv
+    from lampest.report.compare import compare_files, model_notes, screen_table, write_csv
 
     rows = compare_files(results)
     if csv:
@@ -27,6 +27,8 @@ def compare(
 
         write_report(results, report)
     print_table(screen_table(rows))
+    for note in model_notes(rows):
+        print(note)
 
 
 def plot(

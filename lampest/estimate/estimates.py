@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from lampest.cost.terms import term_kind
 from lampest.estimate.error_bars import ErrorBars
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_check.check import ModelCheck, recording_check
+from lampest.estimate.model_check.frame_misfit import frame_misfit
 from lampest.estimate.step import Step
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
@@ -202,6 +204,19 @@ class Estimates:
     def saturated(self) -> NDArray[np.bool_] | None:
         """(frames, rows, columns) where the response does not tell the pressure."""
         return None if self._load is None else self._load.saturated.astype(bool)
+
+    @property
+    def model_check(self) -> ModelCheck:
+        """Whether the scene's circuit can have made the recording's readings, in a sentence."""
+        return recording_check(self.recording)
+
+    @property
+    def misfit(self) -> dict[str, Array]:
+        """Every frame's misfit against its noise; see `frame_misfit`. Empty where the noise is unknown."""
+        if self.sigma is None:
+            return {}
+        model = np.stack([step.solution.reading[-1] for step in self.steps])
+        return frame_misfit(model, self.measured, self.sigma, self.resolution)
 
     @cached_property
     def _bars(self) -> ErrorBars | None:

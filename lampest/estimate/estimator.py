@@ -91,7 +91,8 @@ class Bounds:
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        return np.where(contradicted, upper * NEAREST, lower), upper
+        nothing = np.minimum(readout.nearly_shorted(measured), upper * NEAREST)
+        return np.where(contradicted, nothing, lower), upper
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""Intervals of 95 %: two-sided for a normal distribution, one-sided where a bound cuts it off."""
+"""Intervals of 95 %: two-sided for a normal distribution, one-sided where a bound cuts it off; and tails."""
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr, ndtri, ndtri_exp
+from scipy.special import gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp
 
 from lampest.panel.panel import Array
 
@@ -28,3 +28,13 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
     far = away > FAR
     scale = 1 / np.where(far, slope, 1.0)
     return np.where(far, scale, deviation), np.where(far, -np.log(1 - LEVEL) * scale, quantile)
+
+
+def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
+    """P(χ² of so many degrees ≥ chi_square); degrees above 0, whole or not. Any shape."""
+    return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def largest_of(excess: ArrayLike, count: int) -> Array:
+    """P(the largest of `count` normal numbers ≥ excess), at most, by Bonferroni's inequality. Any shape."""
+    return np.asarray(np.minimum(count * ndtr(-np.asarray(excess, dtype=float)), 1.0))

@@ -50,9 +50,9 @@ class Readings:
         """
         check_sigma(scene, recorded, sigma)
         within, side = _within_rails(scene, recorded)
-        noise = _noise(scene, within, sigma)
         if scene.converter_memory is not None:
-            within, noise, side = _without_memory(scene, scene.converter_memory, within, noise, side)
+            within, sigma, side = _without_memory(scene, scene.converter_memory, within, sigma, side)
+        noise = _noise(scene, within, sigma)
         network, side = scene.circuit.from_recorded(within, scene), side * scene.circuit.direction
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
@@ -206,12 +206,13 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
 
 
 def _without_memory(
-    scene: Scene, fraction: float, within: Array, noise: Array | None, side: Array
+    scene: Scene, fraction: float, within: Array, sigma: Array | None, side: Array
 ) -> tuple[Array, Array, Array]:
     """(recorded values, their σ, side) as if the converter remembered nothing; a bound stays one."""
-    if scene.readout is None or noise is None:
+    if scene.readout is None:
         raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
-    freed, noise = without_memory(scene.readout, fraction, within, noise)
+    known = scene.readout.sigma(within) if sigma is None else np.broadcast_to(sigma, within.shape)
+    freed, noise = without_memory(scene.readout, fraction, within, known)
     freed, beyond = _within_rails(scene, freed)
     return freed, noise, np.where(side == VALUE, beyond, side)
 

@@ -16,6 +16,7 @@ from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigu
 
 Steps = Literal["all", "initial", "following"]
 Chosen = NDArray[np.bool_]
+SOUND = ("", "yes")  # marks of a circuit that nothing speaks against, or of which an older file says nothing
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Row:
     worst_kkt_residual : the largest violation of the optimality conditions.
     missing_readings, bound_readings : of all frames, solved or not: say nothing; are at a rail, zero or below.
     published : what a publication says of the same steps.
+    model_mark, model_sentence : whether the scene's circuit explains the recording, as `CaseResult` has them.
     """
 
     source: str
@@ -60,6 +62,8 @@ class Row:
     missing_readings: int
     bound_readings: int
     published: StepFigures | None
+    model_mark: str = ""
+    model_sentence: str = ""
 
 
 def spread(values: Array) -> Spread | None:
@@ -119,6 +123,8 @@ def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFig
         missing_readings=_total(case.missing_readings, chosen),
         bound_readings=_total(case.bound_readings, chosen),
         published=_figures(published, steps),
+        model_mark=case.model_mark,
+        model_sentence=case.model_sentence,
     )
 
 
@@ -158,6 +164,7 @@ def screen_table(rows: Sequence[Row]) -> Table:
         ("open cells", lambda row: str(row.open_cells)),
         ("missing readings", lambda row: str(row.missing_readings or "")),
         ("bounds", lambda row: str(row.bound_readings or "")),
+        ("model", lambda row: "" if row.model_mark in SOUND else row.model_mark),
         ("worst KKT", lambda row: "" if row.worst_kkt_residual is None else f"{row.worst_kkt_residual:.0e}"),
         ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
         ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
@@ -165,6 +172,12 @@ def screen_table(rows: Sequence[Row]) -> Table:
     filled = [(header, [text(row) for row in rows]) for header, text in columns]
     filled = [(header, texts) for header, texts in filled if any(texts)]
     return Table(tuple(header for header, _ in filled), tuple(zip(*(texts for _, texts in filled), strict=True)))
+
+
+def model_notes(rows: Sequence[Row]) -> list[str]:
+    """A sentence for every recording of which the circuit, or its noise, is in doubt; each once."""
+    notes = (f"{row.recording}: {row.model_sentence}" for row in rows if row.model_mark not in SOUND)
+    return list(dict.fromkeys(notes))
 
 
 def _plus_minus(values: Spread | None) -> str:
@@ -204,7 +217,7 @@ def csv_text(rows: Sequence[Row]) -> str:
         + ["cell error median [%]", "cell error mean [%]", "cell error 95th percentile [%]"]
         + ["open cells", "worst KKT residual"]
         + [f"published {name}" for name in ("time [s]", "time sd [s]", "data error [%]", "data error sd [%]")]
-        + ["missing readings", "bound readings"]
+        + ["missing readings", "bound readings", "model", "model check"]
     )
     for row in rows:
         time, data, cell, figures = row.solve_time, row.data_error, row.cell_error, row.published
@@ -219,7 +232,7 @@ def csv_text(rows: Sequence[Row]) -> str:
                 if figures
                 else [None] * 4
             )
-            + [row.missing_readings, row.bound_readings]
+            + [row.missing_readings, row.bound_readings, row.model_mark, row.model_sentence]
         )
     return stream.getvalue()
 

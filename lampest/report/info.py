@@ -134,6 +134,8 @@ def _results_lines(results: Results) -> list[str]:
             "(as the network is read, series resistance taken off)",
             *(f"{'':9} {sentence}" for sentence in (Holes.of_case(first).sentence(),) if sentence),
         ]
+        if first.model_mark:
+            lines.append(f"model     {first.model_mark}: {first.model_sentence}")
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(

@@ -49,6 +49,9 @@ class CaseResult:
     where a reading is a bound or says nothing.
     reading_side : (frames, rows, columns) 0 a value, 1 or -1 a bound. missing_readings, bound_readings : (frames) how
     many; None in results that do not say.
+    misfit : chi_square, degrees_of_freedom and what else is said of the residuals against their noise → (frames).
+    model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
+    where an older file does not say), and the sentence that says so.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
@@ -86,6 +89,9 @@ class CaseResult:
     truth_baseline: Array | None = None
     disc: dict[str, Array] = field(default_factory=dict)
     contacts: dict[str, Array] = field(default_factory=dict)
+    misfit: dict[str, Array] = field(default_factory=dict)
+    model_mark: str = ""
+    model_sentence: str = ""
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     reading_side: NDArray[np.int8] | None = None

@@ -53,6 +53,8 @@ def _filled(
         baseline_status=estimates.baseline.status,
         baseline_solve_time=estimates.baseline.seconds,
         joint_start=estimates.joint_start,
+        model_mark=estimates.model_check.mark,
+        model_sentence=estimates.model_check.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)

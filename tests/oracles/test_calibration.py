@@ -351,7 +351,7 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     made = Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r")
     if kind == "two_point":
         # What a row's wire adds from column to column, channels of columns that differ add as well.
-        with pytest.raises(InputError, match="do not tell lines.row_ohm_per_cell"):
+        with pytest.raises(InputError, match=r"do not tell lines\.row_ohm_per_cell"):
             calibrate([made], [true], tolerance=1e-4)
         return
     *_, of_rows, of_columns = calibrate([made], [true], tolerance=1e-4).found

@@ -82,6 +82,17 @@ def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Rec
     assert [picture.number for picture in found] == [4, 5, 6, 7, 8, 9]
 
 
+def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) -> None:
+    """The recording was made with 140 ohm in series; here nobody tells."""
+    scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=0.0)
+    with Engine("test", "test", LSM, 3) as engine:
+        from_recording(engine, dataclasses.replace(lamprey, scene=scene), 1e6, None)
+        engine.finish()
+        said = engine.shown.thing.model
+    assert "series_resistance_ohm near" in said
+    assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
+
+
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

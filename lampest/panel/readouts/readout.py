@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
+from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import LineNumber, PerLine, Side, along, check_lines, lines_text, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wired import WiredNetwork
@@ -175,6 +176,35 @@ class Readout(ABC):
         measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
         """
         return newton_fitted(network, block, measured, least, chosen)
+
+    # What readings tell of the circuit.
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Inequalities that the circuit's readings (frames, rows, columns) keep whatever the cells are; σ likewise.
+
+        σ is infinite where a reading is no value.
+        """
+        return ()
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """The largest resistance that may stand in series with the panel, ohm; 0 where the kind has none.
+
+        measured, sigma : as above, by a circuit that has none in series.
+        """
+        return 0.0
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """The scene, of this circuit, with a resistance in series with the panel; itself where the kind has none."""
+        return scene
+
+    def told_in_series(self, scene: "Scene") -> float:
+        """What the scene says of it, ohm; the mean where lines differ."""
+        return 0.0
+
+    @property
+    def series_name(self) -> str:
+        """What scenes call that resistance; empty where the kind has none."""
+        return ""
 
     # Between what is recorded and what the network is read by.
 

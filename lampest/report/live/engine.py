@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_check.check import model_check
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -17,6 +18,8 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.report.live.newest import Newest
 from lampest.report.live.view import POINTS, Picture, Point, View
+
+LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +95,7 @@ class Engine:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         resting = first.together(*others).mean()
         self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
-        self._solving = self._pool.submit(self._solve, source, resting)
+        self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
     def take(self, source: FrameSource, scan: Scan) -> None:
         """A frame has come. Never waits for the solver; raises what stopped it."""
@@ -109,17 +112,39 @@ class Engine:
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)
 
-    def _solve(self, source: FrameSource, resting: Readings) -> None:
-        """Solve the newest frame again and again until nothing more will come."""
+    def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
+        """Solve the newest frame again and again until nothing more will come.
+
+        The circuit is held against the unloaded frames, and once more with the first frame that shows a load.
+        """
         # Nobody sees error bars here, but terms may need them.
         estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)
         stream = Stream.begin(estimator, source.scene, source.period, resting)
-        seen = 0
+        self._check(source.scene, unloaded)
+        seen, checked = 0, False
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
             stream, picture = solved_picture(stream, source.scene, news.thing, len(self._unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture))
+            if not checked and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
+                checked = True
+                self._check(source.scene, unloaded, news.thing)
+
+    def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
+        """Show what speaks against the scene's circuit, if anything does."""
+        scans, noises = (*unloaded, *loaded), [scan.sigma for scan in (*unloaded, *loaded)]
+        told = [noise for noise in noises if noise is not None]
+        frames = np.arange(len(scans))
+        found = model_check(
+            scene,
+            np.stack([scan.recorded for scan in scans]),
+            np.stack(told) if len(told) == len(scans) else None,
+            frames[: len(unloaded)],
+            frames[len(unloaded) :],
+        )
+        said = "" if found.mark == "yes" else found.sentence
+        self.shown.change(lambda view: replace(view, model=said))
 
 
 def solved_picture(stream: Stream, scene: Scene, scan: Scan, number: int, skipped: int) -> tuple[Stream, Picture]:

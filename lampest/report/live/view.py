@@ -49,6 +49,7 @@ class View:
     """All that the page shows.
 
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
+    model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
     frames, lost, skipped : frames that arrived, were lost on the way here, and were not reconstructed.
     """
 
@@ -61,6 +62,7 @@ class View:
     skipped: int = 0
     picture: Picture | None = None
     history: tuple[Point, ...] = ()
+    model: str = ""
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
@@ -75,6 +77,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         "source": view.source,
         "method": view.method,
         "state": view.state,
+        "model": view.model,
         "sent": sent_at,
         "panel": panel and {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm},
         "frames": view.frames,

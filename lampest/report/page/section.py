@@ -97,9 +97,14 @@ def section(
         about=about,
         sheet=recording_sheet(found),
         pictures=tuple(pictures),
-        notes=tuple(notes),
+        notes=(*_model(first), *notes),
         failed=failures(found),
     )
+
+
+def _model(first: CaseResult) -> list[str]:
+    """Whether the scene's circuit explains the readings, where the results say so."""
+    return [f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."] if first.model_mark else []
 
 
 def _brief(found: Mapping[str, Measures]) -> str:

@@ -21,7 +21,14 @@ if TYPE_CHECKING:  # what reads results need not load what solves
 
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
-RESERVED = (*CELLS, "scene", "cost", "weight", "disc")  # what the groups of a results file hold besides columns
+RESERVED = (
+    *CELLS,
+    "scene",
+    "cost",
+    "weight",
+    "disc",
+    "model_check",
+)  # what the groups of a results file hold besides columns
 
 
 @dataclass(frozen=True)

@@ -128,6 +128,16 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     }
 
 
+MISFIT = {
+    "chi_square": "sum of squared residuals over their noise",
+    "degrees_of_freedom": "readings less what the estimate follows of them",
+    "tail": "probability of as large a chi square by noise alone",
+    "worst_row": "row that holds most of chi square",
+    "worst_row_share": "share of that row",
+    "worst_column": "column that holds most of chi square",
+    "worst_column_share": "share of that column",
+}
+
 FIGURES = (
     Figures(
         "contacts",
@@ -148,4 +158,5 @@ FIGURES = (
         lambda name: next((unit for end, unit in UNITS.items() if name.removesuffix("_errors").endswith(end)), "1"),
         lambda name: f"oral disc: {name.replace('_', ' ')}",
     ),
+    Figures("misfit", "model_check", lambda done: done.misfit, lambda name: "1", lambda name: MISFIT.get(name, name)),
 )

@@ -89,6 +89,8 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
             baseline_solve_time_s=float(case.baseline_solve_time),
             joint_start=np.uint8(case.joint_start),
         )
+        if case.model_mark:
+            hdf5.set_attributes(estimate, model_check=case.model_sentence, model_explains=case.model_mark)
         _write_columns(estimate, case, [*(column for column in table if not column.shared), FRAME])
         for folder in FIGURES:
             _write_figures(estimate, folder, getattr(case, folder.name))

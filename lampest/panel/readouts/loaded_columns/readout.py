@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
     Side,
     along,
+    as_tuple,
     check_resistors,
     lines_text,
     of_side,
@@ -160,6 +162,39 @@ class LoadedColumnsReadout(Readout):
         current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=along, keepdims=True))
         least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """max_j V_ij ≤ Vcc − Rd_i I_i, I_i = Σ_j V_ij/Rs_j: no sensed line stands above the one that is driven."""
+        shape = measured.shape[-2:]
+        load, drive = np.broadcast_to(self._loads(shape), shape), np.broadcast_to(self._drives(shape), shape)
+        value, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0)
+        sensed = -1 if self.driven == "rows" else -2
+        driven = self._driven_volt((value / load).sum(axis=sensed, keepdims=True), drive)
+        spread = np.sqrt(noise**2 + drive**2 * ((noise / load) ** 2).sum(axis=sensed, keepdims=True))
+        excess = (value - driven) / np.where(noise > 0, spread, np.inf)
+        law = f"no sensed line stands above the driven one behind its {lines_text(self.drive_ohm)}"
+        return (FreeTest(law, excess.max(axis=(-2, -1)), measured[0].size),)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """Rd ≤ min_i (Vcc − max_j V_ij)/I_i."""
+        sensed = -1 if self.driven == "rows" else -2
+        value = np.where(np.isfinite(sigma), measured, 0.0)
+        current = (value / self._loads(measured.shape[-2:])).sum(axis=sensed)
+        left = self._driven_volt(current, np.zeros(1)) - value.max(axis=sensed)
+        return float(np.min(left / np.maximum(current, 1e-300)))
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """As the drive resistance of all lines."""
+        return replace(scene, readout=replace(self, drive_ohm=ohm))
+
+    def told_in_series(self, scene: "Scene") -> float:
+        """The mean drive resistance."""
+        return float(np.mean(as_tuple(self.drive_ohm)))
+
+    @property
+    def series_name(self) -> str:
+        """The readout's own."""
+        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: Any, row_ohm: Array, column_ohm: Array) -> Array:
         """With the driven lines' channels in the drive resistance; the sensed lines have none."""

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
+from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import LineNumber, along, check_resistors
 from lampest.panel.readouts.readout import Readout, check_positive
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
+from lampest.panel.readouts.two_point.four_point import four_point_excess
 from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
@@ -135,6 +137,28 @@ class TwoPointReadout(Readout):
         if not isinstance(network, FloatingNetwork):
             return super().fitted_block(network, block, measured, least, chosen)
         return fitted_block(network, block, measured, least, chosen)
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
+        law = "R_jk <= R_jq + R_pq + R_pk of any two rows and columns"
+        return (FreeTest(law, four_point_excess(measured, sigma), measured[0].size ** 2),)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """min R: what is left for the panel is positive."""
+        return float(measured[np.isfinite(sigma)].min(initial=np.inf))
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """As the scene's series resistance."""
+        return replace(scene, series_resistance_ohm=ohm)
+
+    def told_in_series(self, scene: "Scene") -> float:
+        """The scene's; the mean where lines differ."""
+        return float(np.mean(scene.series_ohm))
+
+    @property
+    def series_name(self) -> str:
+        """The scene's own."""
+        return "series_resistance_ohm"
 
     def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
         """R − R_series."""

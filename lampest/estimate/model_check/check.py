@@ -1,0 +1,172 @@
+"""Whether the circuit that a scene tells can have made the readings, in a sentence."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check.explanation import LEVEL, Explanation, best_in_series
+from lampest.estimate.model_check.question import Question, nearly_gaussian
+from lampest.estimate.model_check.rivals import Rival, rivals_of
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import chi_square_tail, largest_of
+from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.solvers.search import BROKEN
+
+# −2 log probability by which another circuit must beat the told one: e^30 to one, so that neither the choice of the
+# best of some forty rivals nor creep that is not as assumed decides.
+MARGIN = 60.0
+WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
+UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
+
+
+LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """What was found, for people in `sentence` (ASCII, as results files keep it).
+
+    explains : whether nothing speaks against the told circuit; None: not checked, for the noise is unknown.
+
+    sentence : what was found. better : the circuit that explains the readings better, as a scene would name it; ''.
+    noise : by how much the unloaded frames scatter beyond the told noise; 1 where not noticeably.
+    """
+
+    explains: bool | None
+    sentence: str
+    better: str = ""
+    noise: float = 1.0
+
+    @property
+    def mark(self) -> str:
+        """'yes', 'no', 'noise' where σ is in doubt and the circuit is not, or 'not checked'."""
+        if self.explains is None:
+            return "not checked"
+        return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
+
+
+@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
+def recording_check(recording: Recording) -> ModelCheck:
+    """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    measured = np.flatnonzero(recording.role == MEASURED)
+    return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured)
+
+
+def model_check(
+    scene: Scene, recorded: Array, sigma: Array | None, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+) -> ModelCheck:
+    """The check of frames (frames, rows, columns) as the scene's readout recorded them.
+
+    unloaded, measured : numbers of the frames; without an unloaded one the first frame stands in. The unloaded panel's
+    mean and the frame that differs most from it are explained by cells alone, every frame is held against the circuit's
+    inequalities, and other circuits are tried on the same two. Raises InputError as `Readings.of`.
+    """
+    readings = Readings.of(scene, recorded, sigma)
+    if readings.sigma is None:
+        return ModelCheck(None, UNKNOWN_NOISE)
+    try:
+        with np.errstate(all="ignore"):
+            return _checked(scene, recorded, sigma, readings, unloaded, measured)
+    except BROKEN:
+        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
+
+
+def _checked(
+    scene: Scene,
+    recorded: Array,
+    sigma: Array | None,
+    readings: Readings,
+    unloaded: NDArray[np.intp],
+    measured: NDArray[np.intp],
+) -> ModelCheck:
+    """The check of readings whose noise is known."""
+    resting = unloaded if len(unloaded) else np.array([0])
+    others = np.setdiff1d(measured, resting)
+    frame = strongest_frame(readings.value, readings[resting].mean().value, others) if len(others) else None
+    told, *rivals = rivals_of(scene, recorded, sigma)
+    used = replace(readings, seen=readings.seen * nearly_gaussian(told, 1))
+    noise = noise_factor(used[resting])
+    question = Question(told, resting, frame, noise)
+    found = Explanation.of(told, question)
+    fault = ("" if found is None else _unexplained(found, question)) or _broken_law(scene, used, noise)
+    able = None if fault else found
+    better = None if able is not None and able.score < MARGIN else _better([told, *rivals], question, able)
+    if found is None and better is None and not fault:
+        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+    sentence = _sentence(fault, found, better, frame)
+    if noise > 1:
+        sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
+    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.rival.name, noise)
+
+
+def noise_factor(resting: Readings) -> float:
+    """√(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean; 1 where that is no noted excess."""
+    plain = np.all((resting.side == 0) & (resting.seen > 0), axis=0)
+    degrees = (len(resting.value) - 1) * int(plain.sum())
+    if degrees == 0 or resting.sigma is None:
+        return 1.0
+    about = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain]
+    chi_square = float(np.sum(about**2))
+    factor = float(np.sqrt(chi_square / degrees))
+    return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
+
+
+def _unexplained(found: Explanation, question: Question) -> str:
+    """What the cells leave unexplained, in words; '' where nothing."""
+    if found.holds:
+        return ""
+    worst = int(np.argmin([fit.tail for fit in found.fits]))
+    fit, what = found.fits[worst], ("the unloaded panel", f"frame {question.frame}")[worst]
+    return (
+        f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
+        f"be noise, {fit.worst_line()}"
+    )
+
+
+def _broken_law(scene: Scene, readings: Readings, noise: float) -> str:
+    """The inequality of the circuit that readings break by more than their noise, in words; '' where none."""
+    sigma = readings.sigma_of_values
+    assert sigma is not None
+    for test in scene.circuit.free_tests(readings.value, noise * sigma):
+        frame = int(np.argmax(test.excess))
+        if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
+            beyond = f"{test.excess[frame]:.3g} times its noise"
+            return f"readings of frame {frame} break a law of the circuit by {beyond}: {test.law}"
+    return ""
+
+
+def _better(rivals: list[Rival], question: Question, told: Explanation | None) -> Explanation | None:
+    """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
+
+    told : what the told circuit explains; None where it does not. A rival under which most cells have moved is none:
+    nothing then shows which have not.
+    """
+    found = [best_in_series(rival, question, told) for rival in rivals]
+    best = min((one for one in found if one is not None and one.sparse), key=lambda one: one.score, default=None)
+    if best is None or told is None:
+        return best
+    if best.rival is told.rival or best.score >= told.score - WORTH_ASKING:
+        return None
+    # Linear theory has chosen; the networks decide. What moved under the rival may have moved under the told circuit.
+    least = min(told.joint_score(moving) for moving in (told.moving, best.moving, told.moving | best.moving))
+    return best if best.joint_score(best.moving) < least - MARGIN else None
+
+
+def _sentence(fault: str, told: Explanation | None, better: Explanation | None, frame: int | None) -> str:
+    if fault:
+        return f"{fault}; " + (
+            "no other circuit that was tried gives them" if better is None else f"{better.rival.name} does"
+        )
+    if better is None:
+        return "the circuit explains its readings"
+    if told is None:
+        return f"no cells were found that give the readings; {better.rival.name} does"
+    return (
+        f"{better.rival.name} explains the readings better: between the unloaded panel and frame {frame} "
+        f"{better.moved} cells have moved then, and {told.moved} as told"
+    )

@@ -1,0 +1,149 @@
+"""What a circuit leaves unexplained of one frame when its cells may be anything positive.
+
+No estimator is asked: its penalties and bounds have a misfit of their own, which is no fault of the circuit. A frame
+has as many cells as readings, so that a misfit remains only where cells would have to be negative. Over the cone g ≥ 0
+it is χ² with as many degrees of freedom as cells are held by the cone, and smaller where the truth lies inside
+(Shapiro, Biometrika 72, 1985: chi-bar-squared). A cell that readings hardly see counts as held: degrees =
+Σ (1 − s²/(1 + s²)) over the singular values s of J/σ.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lampest.cost.given import Background
+from lampest.cost.problem import Data
+from lampest.cost.terms.misfit import Misfit
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
+from lampest.solvers.search import BROKEN, best_solution, convex, evaluated, solved_from
+from lampest.solvers.solution import Settings
+
+CELLS_ALONE = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
+# Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
+BRIEF = replace(CELLS_ALONE, solver=Settings(max_iterations=25))
+MOST_STEPS, MOST_HALVINGS, LONGEST_STEP, GAIN = 15, 4, 1.5, 0.9  # 3 to 6 steps suffice; less gain leads nowhere
+EXACT = 1e-2  # χ² that changes no verdict
+HOPELESS = 10.0  # χ² for each reading that noise at the edge of r > 0 never leaves
+MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
+SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitFit:
+    """readings : of one frame (rows, columns). cells : ohm. residual : (y − y_measured)/σ, 0 where not used.
+
+    sensitivity : J/σ (readings, cells) in log r; None on panels of more than MOST_CELLS.
+    """
+
+    readings: Readings
+    cells: Array
+    residual: Array
+    sensitivity: Array | None
+
+    @classmethod
+    def of(cls, scene: Scene, readings: Readings, near: Array | None, patient: bool) -> "CircuitFit | None":
+        """argmin Σ ((f(r) − y)/σ)² over r > 0; None where it is not reached.
+
+        near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a
+        few iterations must do.
+        """
+        data = CELLS_ALONE.data(readings.alone(), Background(scene))
+        start = convex(data, None)[0] if near is None else near
+        exact = followed(data, readings, start)
+        if exact.chi_square <= EXACT:
+            return exact
+        if not patient and exact.chi_square > HOPELESS * readings.value.size:
+            return None
+        solver = (CELLS_ALONE if patient else BRIEF).problem(scene, 1, float("inf"), data.partial)
+        solution = (
+            best_solution(solver, data, None)
+            if patient
+            else solved_from(solver, evaluated(solver.cost, data, exact.cells[None]))
+        )
+        return cls.at(data, readings, solution.at.networks[0]) if solution.solved and solution.at is not None else None
+
+    @classmethod
+    def at(cls, data: Data, readings: Readings, network: Network) -> "CircuitFit":
+        """What a solved network leaves of the readings."""
+        assert readings.sigma is not None
+        missed = (network.reading() - readings.value) / readings.sigma
+        counted = (readings.seen > 0) & ((readings.side == 0) | (readings.side * missed < 0))
+        sensitivity = None
+        if readings.value.size <= MOST_CELLS:
+            weight = np.where(counted, 1 / readings.sigma, 0.0).ravel()
+            free = (data.lower < data.upper).ravel()
+            sensitivity = network.sensitivity() * weight[:, None] * free
+        return cls(readings, network.cell_resistance, np.where(counted, missed, 0.0), sensitivity)
+
+    @property
+    def chi_square(self) -> float:
+        """Σ residual²."""
+        return float(np.sum(self.residual**2))
+
+    @cached_property
+    def information(self) -> Array:
+        """JᵀJ/σ² (cells, cells) of log r, and the little that is known without readings."""
+        assert self.sensitivity is not None
+        information: Array = self.sensitivity.T @ self.sensitivity
+        information[np.diag_indices(len(information))] += SPREAD
+        return information
+
+    @cached_property
+    def degrees(self) -> float:
+        """Readings less what the cells can follow; at least 1."""
+        readings = float(np.sum(self.readings.seen))
+        if self.sensitivity is None:
+            return readings
+        seen = np.linalg.eigvalsh(self.information) - SPREAD
+        return max(readings - float(np.sum(seen / (1 + seen))), 1.0)
+
+    @property
+    def tail(self) -> float:
+        """P(χ² of so many degrees is as large)."""
+        return float(chi_square_tail(self.chi_square, self.degrees))
+
+    def worst_line(self) -> str:
+        """'row 3: 62 % of it': the line that holds most of the misfit."""
+        squares = self.residual**2
+        rows, columns = squares.sum(axis=1), squares.sum(axis=0)
+        name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
+        return f"{name} {int(np.argmax(lines))} holds {100 * lines.max() / squares.sum():.0f} % of it"
+
+
+def followed(data: Data, readings: Readings, start: Array) -> CircuitFit:
+    """Gauss and Newton's method for y(u) = y_measured, u = log r, steps halved until better: exact where r > 0 allows.
+
+    On panels too large for it, the start itself.
+    """
+    low, high = (bound[0] for bound in data.log_bounds)
+    position = np.clip(np.log(start), low, high)
+    here = CircuitFit.at(data, readings, data.network(0, np.exp(position)))
+    for _ in range(MOST_STEPS):
+        if here.chi_square <= EXACT or here.sensitivity is None:
+            break
+        step = -np.linalg.solve(here.information, here.sensitivity.T @ here.residual.ravel()).reshape(position.shape)
+        step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        for halving in range(MOST_HALVINGS):
+            moved = np.clip(position + step * 0.5**halving, low, high)
+            there = CircuitFit.at(data, readings, data.network(0, np.exp(moved)))
+            if there.chi_square < GAIN * here.chi_square:
+                break
+        else:
+            break
+        position, here = moved, there
+    return here
+
+
+def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient: bool = False) -> CircuitFit | None:
+    """The fit of one frame; None where arithmetic breaks down too."""
+    try:
+        with np.errstate(all="ignore"):
+            return CircuitFit.of(scene, readings, near, patient)
+    except BROKEN:
+        return None

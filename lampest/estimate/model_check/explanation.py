@@ -1,0 +1,151 @@
+"""How well one circuit explains an unloaded panel and one frame together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check.circuit_fit import CircuitFit, fitted
+from lampest.estimate.model_check.joint_fit import joint_misfit
+from lampest.estimate.model_check.question import Question
+from lampest.estimate.model_check.rivals import Rival
+from lampest.estimate.model_check.stillness import PRICE, moved_score
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.solvers.search import BROKEN
+
+LEVEL = 1e-3  # of each of a handful of tests, so that all together call a right circuit wrong in less than 1 %
+NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
+GRID, HALVINGS = 5, 4  # of the search for it: to a sixtieth of the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
+
+    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
+
+    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    """
+
+    rival: Rival
+    fits: tuple[CircuitFit, ...]
+    score: float
+    moving: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, told: Rival, question: Question) -> "Explanation | None":
+        """Of the told circuit; None where no fit is found."""
+        fits = [fitted(told.scene, readings, patient=True) for readings in question.readings(told)]
+        done = tuple(fit for fit in fits if fit is not None)
+        return cls.scored(told, done) if len(done) == len(fits) else None
+
+    @classmethod
+    def tried(cls, rival: Rival, question: Question, near: "Explanation | None" = None) -> "Explanation | None":
+        """Of another circuit, given up as soon as it fails; near : of one much like it, or None."""
+        done: list[CircuitFit] = []
+        try:
+            for number, readings in enumerate(question.readings(rival)):
+                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells)
+                if fit is None or fit.tail < LEVEL:
+                    return None
+                done.append(fit)
+            return cls.scored(rival, tuple(done))
+        except (InputError, *BROKEN):
+            return None
+
+    @classmethod
+    def scored(cls, rival: Rival, fits: tuple[CircuitFit, ...]) -> "Explanation":
+        """With its score."""
+        if len(fits) < 2 or fits[0].sensitivity is None:
+            return cls(rival, fits, 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+        score, moving = moved_score(*fits)
+        bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
+        return cls(rival, fits, score + PRICE * bounds, moving)
+
+    @property
+    def moved(self) -> int:
+        """How many cells must have moved."""
+        return int(self.moving.sum())
+
+    def joint_score(self, moving: NDArray[np.bool_]) -> float:
+        """χ² of both frames while only these cells have moved, and what these cost; by the network itself."""
+        resting, frame = self.fits
+        misfit = joint_misfit(
+            self.rival.scene, (resting.readings, frame.readings), (resting.cells, frame.cells), moving
+        )
+        return misfit + PRICE * int(moving.sum())
+
+    @property
+    def tail(self) -> float:
+        """The smaller of the fits' tails."""
+        return min(fit.tail for fit in self.fits)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the circuit explains both."""
+        return self.tail >= LEVEL
+
+    @property
+    def sparse(self) -> bool:
+        """Whether it leaves more than half of the cells where they were."""
+        return 2 * self.moved < self.fits[0].cells.size
+
+
+def best_in_series(rival: Rival, question: Question, told: Explanation | None) -> Explanation | None:
+    """The circuit with the resistance in series that explains best; as it is where that does as well, or has none.
+
+    told : what the told circuit explains, where it does; the search goes on only where a rival comes near.
+    """
+    plain = told if rival.own else Explanation.tried(rival, question)
+    most = _most(rival, question)
+    if most == 0:
+        return plain
+    found = _over_grid(rival, question, most)
+    best = min(found, key=lambda one: one.score, default=None)
+    if best is not None and (told is None or best.score < told.score):
+        best = _refined(rival, question, found, most / (GRID - 1))
+    both = [one for one in (plain, best) if one is not None]
+    return min(both, key=lambda one: one.score + (0 if one is plain else PRICE), default=None)
+
+
+def _most(rival: Rival, question: Question) -> float:
+    """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    if not rival.scene.circuit.series_name or question.frame is None:
+        return 0.0
+    try:
+        read = question.readings(rival.with_series(0.0))
+    except (InputError, *BROKEN):
+        return 0.0
+    circuit = rival.with_series(0.0).scene.circuit
+    most = min(circuit.most_in_series(one.value[None], sigma[None]) for one in read for sigma in _sigma(one))
+    return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
+
+
+def _sigma(readings: Readings) -> tuple[Array, ...]:
+    """σ of one frame's values, if it is known."""
+    sigma = readings.sigma_of_values
+    return () if sigma is None else (sigma,)
+
+
+def _over_grid(rival: Rival, question: Question, most: float) -> list[Explanation]:
+    """Explanations over a grid of resistances, each begun at the one before."""
+    found: list[Explanation] = []
+    near = None
+    for ohm in np.linspace(0, most, GRID):
+        one = Explanation.tried(rival.with_series(float(ohm)), question, near)
+        found, near = ([*found, one], one) if one is not None else (found, near)
+    return found
+
+
+def _refined(rival: Rival, question: Question, found: list[Explanation], step: float) -> Explanation:
+    """The best of the grid and of what lies between, each time at half the step to both sides of the best."""
+    best = min(found, key=lambda one: one.score)
+    for _ in range(HALVINGS):
+        step /= 2
+        here = best.rival.scene.circuit.told_in_series(best.rival.scene)
+        for ohm in (here - step, here + step):
+            one = Explanation.tried(rival.with_series(ohm), question, best) if ohm >= 0 else None
+            best = one if one is not None and one.score < best.score else best
+    return best

@@ -1,0 +1,183 @@
+"""A right circuit is not called wrong, a wrong one is noticed and the right one named, where the data can show it."""
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import Misfit, Recording, Scene, TwoPointReadout
+from lampest.cli.results import compare as compare_command
+from lampest.estimate.model_check.check import recording_check
+from lampest.estimate.model_check.circuit_fit import MOST_CELLS, fitted
+from lampest.files.tagged import members_of
+from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts.two_point.four_point import four_point_excess
+from lampest.recording.readings import Readings
+from lampest.report.compare import compare, model_notes, screen_table
+from lampest.report.info import describe
+from lampest.report.page.page import write_report
+from lampest.runs.results import Results
+from tests.studies.model_check import named, sound, wrong
+
+SHAPE = (5, 7)
+GENERATOR = np.random.default_rng(4)
+CELLS = 3000 * np.exp(GENERATOR.standard_normal(SHAPE))
+
+
+def by_loops(resistance: np.ndarray, sigma: np.ndarray) -> float:
+    """The shortest way from every row to every column over two others, way by way."""
+    rows, columns = resistance.shape
+    worst = -np.inf
+    for row, column in product(range(rows), range(columns)):
+        ways = {
+            (over, through): resistance[row, over] + resistance[through, over] + resistance[through, column]
+            for over in range(columns)
+            for through in range(rows)
+        }
+        over, through = min(ways, key=lambda way: ways[way])
+        noise = [sigma[row, column], sigma[row, over], sigma[through, over], sigma[through, column]]
+        worst = max(worst, (resistance[row, column] - ways[over, through]) / float(np.sqrt(np.sum(np.square(noise)))))
+    return worst
+
+
+def test_the_four_point_inequality_is_that_of_every_way() -> None:
+    resistance = GENERATOR.uniform(100, 1000, SHAPE)
+    sigma = GENERATOR.uniform(1, 2, SHAPE)
+    assert np.isclose(four_point_excess(resistance[None], sigma[None])[0], by_loops(resistance, sigma))
+
+
+@pytest.mark.parametrize("kind", members_of(AnyReadout), ids=lambda kind: kind.__name__)
+def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(kind: type[Readout]) -> None:
+    circuit = kind()
+    exact = circuit.exact_reading(CELLS)[None]
+    sigma = 1e-4 * exact
+    for test in circuit.free_tests(exact, sigma):
+        assert test.excess.shape == (1,)
+        assert test.excess[0] <= 1e-6 / 1e-4
+        spoilt = exact.copy()
+        spoilt[0, 2, 3] = 3 * exact.max() if circuit.unit == "ohm" else 1.01 * circuit.supply_volt
+        broken = {one.law: one for one in circuit.free_tests(spoilt, sigma)}[test.law]
+        assert broken.excess[0] > 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
+    drawn = sound(seed)
+    if drawn is None:
+        pytest.skip("no such panel can be read")
+    check = recording_check(drawn[1])
+    assert check.explains is not False, check.sentence
+
+
+# Loads that show it: a rod that halves nine cells leaves a series resistance of 140 ohm undecided.
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_wrong_circuit_is_noticed_and_the_right_one_named(seed: int) -> None:
+    for what, recording in wrong(seed, side=10, bits=12):
+        check = recording_check(recording)
+        assert check.explains is False, what
+        assert named(what, check), (what, check.sentence)
+
+
+def two_point_frames(widen: float = 1.0, frames: int = 8) -> Recording:
+    """Unloaded frames of a panel whose noise is `widen` times what the scene tells, by numbers drawn here."""
+    readout = TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=20)
+    scene = Scene(lampest.Panel(*SHAPE, 10.0), readout, series_resistance_ohm=100.0)
+    exact = np.repeat(readout.exact_reading(CELLS)[None] + 100.0, frames + 1, axis=0)
+    noisy = exact + widen * readout.sigma(exact) * np.random.default_rng(5).standard_normal(exact.shape)
+    role = np.array([0] * frames + [1], dtype=np.uint8)
+    return Recording(scene, noisy, np.arange(frames + 1.0), role)
+
+
+def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
+    check = recording_check(two_point_frames(widen=3.0))
+    assert check.explains
+    assert check.mark == "noise"
+    assert 2.7 < check.noise < 3.3
+    assert "times the noise" in check.sentence
+    assert recording_check(two_point_frames()).mark == "yes"
+
+
+def test_without_noise_there_is_no_test_and_that_is_said() -> None:
+    known = two_point_frames()
+    check = recording_check(replace(known, scene=replace(known.scene, readout=None)))
+    assert check.explains is None
+    assert "noise" in check.sentence
+
+
+def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
+    """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be uniform or larger."""
+    readout = TwoPointReadout()
+    scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
+    exact = readout.exact_reading(CELLS)
+    sigma = 0.03 * exact
+    tails = []
+    for seed in range(120):
+        noisy = exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE)
+        fit = fitted(scene, Readings.of(scene, noisy, sigma), patient=True)
+        assert fit is not None
+        tails.append(fit.tail)
+    # 120 draws: a share of 0.05 has a standard deviation of 0.02.
+    assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * 0.02
+    assert np.min(tails) > 1e-4
+
+
+def test_a_large_panel_is_held_against_cells_alone() -> None:
+    side = 21
+    assert side**2 > MOST_CELLS
+    readout = lampest.LoadedColumnsReadout(drive_ohm=0.0, adc_bits=12, readings=20)
+    scene = Scene(lampest.Panel(side, side, 10.0), readout)
+    cells = 3000 * np.exp(0.2 * np.random.default_rng(6).standard_normal((2, side, side)))
+    cells[1, 4:8, 10:14] *= 0.01
+    frames = readout.exact_reading(cells)
+    right = Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    assert recording_check(right).mark == "yes"
+    swapped = replace(scene, readout=replace(readout, driven="columns"))
+    assert recording_check(replace(right, scene=swapped)).mark == "no"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results file of a recording under a wrong scene."""
+    path = tmp_path_factory.mktemp("check") / "results.h5"
+    recording = next(recording for what, recording in wrong(0, 10, 12) if what == "rows and columns swapped")
+    lampest.reconstruct(recording, [Misfit()], formulation="reduced").save(path, name="LSM")
+    return path
+
+
+def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (case,) = lampest.read_results(results).cases
+    assert case.model_mark == "no"
+    assert "swapped" in case.model_sentence
+    assert set(case.misfit) >= {"chi_square", "degrees_of_freedom", "tail", "worst_row", "worst_column"}
+    rows = compare(Results((case,)))
+    assert "model" in screen_table(rows).headers
+    assert model_notes(rows) == [f"{case.recording}: {case.model_sentence}"]
+    compare_command([results], csv=tmp_path / "table.csv")
+    assert case.model_sentence in " ".join(capsys.readouterr().out.split())
+    assert case.model_sentence in (tmp_path / "table.csv").read_text()
+    assert any(case.model_sentence in line for line in describe(results))
+    write_report([results], tmp_path / "page.html")
+    assert "Does the model explain the data? no" in (tmp_path / "page.html").read_text()
+
+
+def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> None:
+    (case,) = lampest.read_results(results).cases
+    assert case.sigma is not None
+    for frame in range(len(case.time)):
+        residual = (case.reading_model[frame] - case.measured[frame]) / case.sigma[frame]
+        assert np.isclose(case.misfit["chi_square"][frame], np.sum(residual**2))
+        assert case.misfit["worst_row"][frame] == np.argmax(np.sum(residual**2, axis=1))
+    assert np.all((case.misfit["tail"] >= 0) & (case.misfit["tail"] <= 1))
+
+
+def test_a_sound_recording_keeps_its_table() -> None:
+    found = lampest.reconstruct(two_point_frames(), [Misfit()], formulation="reduced")
+    assert found.model_check.mark == "yes"
+    rows = compare(Results((found.result("LSM"),)))
+    assert "model" not in screen_table(rows).headers
+    assert model_notes(rows) == []
