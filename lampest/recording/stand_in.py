@@ -25,9 +25,9 @@ class StandIn:
     def of(cls, value: Array, known: NDArray[np.bool_]) -> "StandIn":
         """Median polish of log y over the known readings: a wild one moves no line, but widens the spread.
 
-        The spread is the root mean square of what the known ones stray by; a line without any known reading has the
-        mean of the others' and their spread on top. 1 throughout where nothing is known. Source: Tukey, Exploratory
-        Data Analysis, 1977, chapter 11.
+        The spread is that of a reading that was not fitted, Σ stray²/(n − p)·(1 + p/n), with p = M + N − 1 numbers
+        fitted to n readings; a line without any known reading has the mean of the others' and their spread on top. 1
+        throughout where nothing is known. Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
         """
         if not known.any():
             return cls(np.ones(value.shape), np.ones(value.shape))
@@ -39,7 +39,9 @@ class StandIn:
             for axis, across in ((0, 1), (1, 0)):
                 step = _median(rest, across)
                 effects[axis], rest = effects[axis] + step, rest - step
-        variance = np.full(value.shape, float(np.mean(rest[known] ** 2)))
+        count = int(known.sum())
+        fitted = min(int(known.any(axis=1).sum() + known.any(axis=0).sum()) - 1, count)
+        variance = np.full(value.shape, np.sum(rest[known] ** 2) / max(count - fitted, 1) * (1 + fitted / count))
         for axis, across in ((0, 1), (1, 0)):
             lines = known.any(axis=across, keepdims=True)
             mean = effects[axis][lines].mean()

@@ -14,6 +14,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import evaluated, solved_from
+from lampest.solvers.solution import Status
 
 SAME = 1e-6
 FARTHEST = 60.0
@@ -38,7 +39,10 @@ class Tally:
 
 
 def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
-    """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60))."""
+    """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60)).
+
+    Frames of which too little was read to be solved are left out.
+    """
     recording = Recording.load(case.path)
     readings = recording.readings()
     stream = first_stream(recording, readings, case.estimator)
@@ -47,6 +51,9 @@ def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None
     for frame in recording.measured_frames():
         data, _ = stream.given(readings[frame])
         stream, step = stream.push(readings[frame])
+        on_frame()
+        if step.solution.status in (Status.UNREAD, Status.UNRESTED):
+            continue
         others = _objectives(case.estimator, recording, data, random_starts, generator)
         ended += len(others)
         found = step.solution.objective if step.solution.solved else float("inf")
@@ -54,10 +61,10 @@ def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None
         size = least + _size(case.estimator, recording, data)
         excess.append((found - least) / size)
         minima.append(_distinct(np.array([found, *others]) / size))
-        on_frame()
     at_best = sum(value <= SAME for value in excess)
     tried = random_starts * len(excess)
-    return Tally(case.recording, case.name, len(excess), at_best, max(excess), max(minima), ended, tried)
+    worst, most = max(excess, default=0.0), max(minima, default=0)
+    return Tally(case.recording, case.name, len(excess), at_best, worst, most, ended, tried)
 
 
 def _objectives(
