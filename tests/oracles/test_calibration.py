@@ -358,3 +358,14 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     for one, expected in ((of_rows, along_row), (of_columns, along_column)):
         assert one.value == pytest.approx(expected, abs=4 * one.sigma)
         assert one.sigma < 1
+
+
+@pytest.mark.parametrize("kind", ["loaded_columns", "grounded"])
+def test_drives_of_next_to_nothing_are_found_to_be_that(kind: str) -> None:
+    """Ports that drive rows without a multiplexer: the fit stands at its end, and readouts take no less."""
+    for seed in range(3):
+        rng = np.random.default_rng([18, seed])
+        board = replace(some_board(kind, (4, 4), rng), rows=np.full(4, 1e-3))
+        printed, true = some_resistors((4, 4), rng)
+        drive, _ = calibrate([recording(told(kind, (4, 4)), board, true, rng)], [printed]).found
+        assert drive.value < 5 * drive.sigma + 1

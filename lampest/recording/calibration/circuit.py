@@ -14,6 +14,8 @@ from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.panel.scene import Scene
 from lampest.recording.calibration.trial import SHORT_OHM
 
+# Channels near nothing: R + ln(1 + exp(-R)) is R from some ohm on, never below zero, and always tells which way to go.
+CONTACT_OHM = 1.0
 MOST_OHM, DROP_VOLT = 1e8, (0.05, 5.0)  # scenes end at 1e9 ohm; from a Schottky diode to a blue LED
 TYPICAL_OHM = 70.0  # of a channel of a CD74HC4067 at 5 V: its data sheet
 # Numbers to find where the scene names them, and what they are like: 2.9 % of the channel before were seen of a real
@@ -128,7 +130,8 @@ class Circuit:
                 for side, ohm in off.items():
                     channels[side] = common / len(number.sides) + ohm
             else:
-                each = np.clip(common + sum(off.values()), *_limits(number))
+                each = common + sum(off.values())
+                each = np.clip(CONTACT_OHM * np.logaddexp(0, each / CONTACT_OHM) if off else each, *_limits(number))
                 fields[number.name] = tuple(float(value) for value in each) if off else float(each)
         circuit: Any = with_numbers(self.readout, fields)
         # Contacts and faults are the panel's, which is unplugged.
@@ -148,7 +151,7 @@ def _limits(number: LineNumber) -> tuple[float, float]:
     """Where a fit to what is no calibration may wander, and no farther."""
     if number.unit == "volt":
         return DROP_VOLT
-    return 0.0 if number.channel else SHORT_OHM, MOST_OHM
+    return SHORT_OHM, MOST_OHM
 
 
 def with_numbers(part: Any, numbers: dict[str, Any]) -> Any:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from lampest.files.document import to_yaml
-from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber
 from lampest.panel.scene import Scene
 from lampest.panel.series import SeriesPerLine
@@ -25,23 +24,23 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     scene = calibration.scene
     readout: Any = scene.readout
     for found in calibration.found:
-        each = {lines.side: rounded(found.on(lines)) for lines in found.lines}
+        each = {lines.side: tuple(map(rounded, found.on(lines))) for lines in found.lines}
         if found.number in TYPICAL:
             scene = with_numbers(scene, {found.number.name: round(found.value, MEMORY_DIGITS)})
         elif found.number.in_scene:
-            series = SeriesPerLine(**each) if found.differ else round(found.value, DIGITS)
+            series = SeriesPerLine(**each) if found.differ else rounded(found.value)
             scene = replace(scene, series_resistance_ohm=series)
         else:
-            value = next(iter(each.values())) if found.differ else round(found.value, DIGITS)
+            value = next(iter(each.values())) if found.differ else rounded(found.value)
             readout = with_numbers(readout, {found.number.name: value})
     if calibration.noise is not None:
         readout = replace(readout, noise_lsb=calibration.noise)
     return replace(scene, readout=readout)
 
 
-def rounded(ohm: Array) -> tuple[float, ...]:
-    """To a milliohm, none below zero."""
-    return tuple(round(max(float(value), 0.0), DIGITS) for value in ohm)
+def rounded(value: float) -> float:
+    """To a thousandth, and not below zero, where the noise of a small number can be."""
+    return round(max(float(value), 0.0), DIGITS)
 
 
 def calibrated_scene_text(calibration: Calibration) -> str:
