@@ -29,7 +29,7 @@ class ModelCheck:
     """What was found, for people in `sentence` (ASCII, as results files keep it).
 
     explains : whether nothing speaks against the told circuit; None: not checked, for the noise is unknown or no fit
-    was found. sentence : what was found. better : the circuit that explains the readings better, as a scene would name it; ''.
+    was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the told noise; 1 where not noticeably.
     """
 
