@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studies.model_check import named, sound, wrong
 
 import lampest
 from lampest import Misfit, Recording, Scene, TwoPointReadout
@@ -20,7 +21,6 @@ from lampest.report.compare import compare, model_notes, screen_table
 from lampest.report.info import describe
 from lampest.report.page.page import write_report
 from lampest.runs.results import Results
-from tests.studies.model_check import named, sound, wrong
 
 SHAPE = (5, 7)
 GENERATOR = np.random.default_rng(4)

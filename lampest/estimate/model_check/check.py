@@ -21,8 +21,6 @@ from lampest.solvers.search import BROKEN
 MARGIN = 60.0
 WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
-
-
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
@@ -30,9 +28,8 @@ LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and fi
 class ModelCheck:
     """What was found, for people in `sentence` (ASCII, as results files keep it).
 
-    explains : whether nothing speaks against the told circuit; None: not checked, for the noise is unknown.
-
-    sentence : what was found. better : the circuit that explains the readings better, as a scene would name it; ''.
+    explains : whether nothing speaks against the told circuit; None: not checked, for the noise is unknown or no fit
+    was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the told noise; 1 where not noticeably.
     """
 
