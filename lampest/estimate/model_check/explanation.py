@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.circuit_fit import CircuitFit, fitted
+from lampest.estimate.model_check.cells_fit import CellsFit, fitted
 from lampest.estimate.model_check.joint_fit import joint_misfit
 from lampest.estimate.model_check.question import Question
 from lampest.estimate.model_check.rivals import Rival
@@ -30,7 +30,7 @@ class Explanation:
     """
 
     rival: Rival
-    fits: tuple[CircuitFit, ...]
+    fits: tuple[CellsFit, ...]
     score: float
     moving: NDArray[np.bool_]
 
@@ -44,7 +44,7 @@ class Explanation:
     @classmethod
     def tried(cls, rival: Rival, question: Question, near: "Explanation | None" = None) -> "Explanation | None":
         """Of another circuit, given up as soon as it fails; near : of one much like it, or None."""
-        done: list[CircuitFit] = []
+        done: list[CellsFit] = []
         try:
             for number, readings in enumerate(question.readings(rival)):
                 fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells)
@@ -56,7 +56,7 @@ class Explanation:
             return None
 
     @classmethod
-    def scored(cls, rival: Rival, fits: tuple[CircuitFit, ...]) -> "Explanation":
+    def scored(cls, rival: Rival, fits: tuple[CellsFit, ...]) -> "Explanation":
         """With its score."""
         if len(fits) < 2 or fits[0].sensitivity is None:
             return cls(rival, fits, 0.0, np.zeros(fits[0].cells.shape, dtype=bool))

@@ -9,7 +9,7 @@ price.
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.circuit_fit import CircuitFit
+from lampest.estimate.model_check.cells_fit import CellsFit
 from lampest.panel.panel import Array
 
 # −2 log probability, per cell that is said to move: what a cell gains at random is χ² of one degree, and the largest of
@@ -18,7 +18,7 @@ PRICE = 12.0
 CREEPS = (0.0, 3e-3)  # of log r, by which cells may move on their own: not at all, or as films creep in seconds
 
 
-def moved_score(resting: CircuitFit, frame: CircuitFit) -> tuple[float, NDArray[np.bool_]]:
+def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.bool_]]:
     """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, S) of two fits of one circuit.
 
     The change of all cells together (temperature, supply) is taken off. log det is that of the covariance of the change

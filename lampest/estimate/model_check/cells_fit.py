@@ -35,7 +35,7 @@ SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anythin
 
 
 @dataclass(frozen=True, eq=False)
-class CircuitFit:
+class CellsFit:
     """readings : of one frame (rows, columns). cells : ohm. residual : (y − y_measured)/σ, 0 where not used.
 
     sensitivity : J/σ (readings, cells) in log r; None on panels of more than MOST_CELLS.
@@ -47,7 +47,7 @@ class CircuitFit:
     sensitivity: Array | None
 
     @classmethod
-    def of(cls, scene: Scene, readings: Readings, near: Array | None, patient: bool) -> "CircuitFit | None":
+    def of(cls, scene: Scene, readings: Readings, near: Array | None, patient: bool) -> "CellsFit | None":
         """argmin Σ ((f(r) − y)/σ)² over r > 0; None where it is not reached.
 
         near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a
@@ -69,7 +69,7 @@ class CircuitFit:
         return cls.at(data, readings, solution.at.networks[0]) if solution.solved and solution.at is not None else None
 
     @classmethod
-    def at(cls, data: Data, readings: Readings, network: Network) -> "CircuitFit":
+    def at(cls, data: Data, readings: Readings, network: Network) -> "CellsFit":
         """What a solved network leaves of the readings."""
         assert readings.sigma is not None
         missed = (network.reading() - readings.value) / readings.sigma
@@ -116,14 +116,14 @@ class CircuitFit:
         return f"{name} {int(np.argmax(lines))} holds {100 * lines.max() / squares.sum():.0f} % of it"
 
 
-def followed(data: Data, readings: Readings, start: Array) -> CircuitFit:
+def followed(data: Data, readings: Readings, start: Array) -> CellsFit:
     """Gauss and Newton's method for y(u) = y_measured, u = log r, steps halved until better: exact where r > 0 allows.
 
     On panels too large for it, the start itself.
     """
     low, high = (bound[0] for bound in data.log_bounds)
     position = np.clip(np.log(start), low, high)
-    here = CircuitFit.at(data, readings, data.network(0, np.exp(position)))
+    here = CellsFit.at(data, readings, data.network(0, np.exp(position)))
     for _ in range(MOST_STEPS):
         if here.chi_square <= EXACT or here.sensitivity is None:
             break
@@ -131,7 +131,7 @@ def followed(data: Data, readings: Readings, start: Array) -> CircuitFit:
         step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
         for halving in range(MOST_HALVINGS):
             moved = np.clip(position + step * 0.5**halving, low, high)
-            there = CircuitFit.at(data, readings, data.network(0, np.exp(moved)))
+            there = CellsFit.at(data, readings, data.network(0, np.exp(moved)))
             if there.chi_square < GAIN * here.chi_square:
                 break
         else:
@@ -140,10 +140,10 @@ def followed(data: Data, readings: Readings, start: Array) -> CircuitFit:
     return here
 
 
-def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient: bool = False) -> CircuitFit | None:
+def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient: bool = False) -> CellsFit | None:
     """The fit of one frame; None where arithmetic breaks down too."""
     try:
         with np.errstate(all="ignore"):
-            return CircuitFit.of(scene, readings, near, patient)
+            return CellsFit.of(scene, readings, near, patient)
     except BROKEN:
         return None
