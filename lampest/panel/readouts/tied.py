@@ -28,8 +28,8 @@ class TiedNetwork(Network):
     readout: "Readout"
 
     def reading(self) -> Array:
-        """h(Z_jj, Z_kk, Z_jk)."""
-        return self._equation["y"]
+        """h(Z_jj, Z_kk, Z_jk), without what only its derivatives need."""
+        return np.asarray(np.broadcast_to(self.readout.reading(*self._read(self._impedance)), self.conductance.shape))
 
     @cached_property
     def _equation(self) -> dict[str, Array]:
