@@ -49,8 +49,8 @@ def test_missing_library_is_one_sentence(
     ("text", "message"),
     [
         ("{kind: procesess}", "run.yaml:10:1: executor: "),
-        ("{kind: processes, workers: 0}", "executor.processes: workers must lie between 1 and 10000"),
-        ("{kind: serial, workers: 2}", "executor.serial.workers: no such key"),
+        ("{kind: processes, workers: 0}", "executor: workers must lie between 1 and 10000"),
+        ("{kind: serial, workers: 2}", "executor.workers: no such key"),
         ("{kind: dask, address: 'tcp://a:1', workers: 2}", "address names a cluster that runs"),
     ],
 )

@@ -198,12 +198,12 @@ def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
 
 def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
     """One row of cells, each its own circuit, of which one is not seen."""
-    scene = Scene(Panel(1, 3))
-    value = np.array([[1000.0, 2000.0, 3000.0]])
-    readings = Readings(value, None, np.zeros((1, 3)), np.array([[1.0, 0.0, 1.0]]))
-    estimator = Estimator((Misfit(),), formulation="reduced", bounds=Bounds(upper=1e5))
-    stream = Stream.begin(estimator, scene, 1.0, readings)
-    assert stream.baseline is not None and stream.baseline.solution.status is Status.FLAT
+    scene, cells = Scene(Panel(1, 3)), np.array([[1000.0, 2000.0, 3000.0]])
+    readings = Readings(cells, None, np.zeros((1, 3)), np.array([[1.0, 0.0, 1.0]]))
+    data = Data(Given.of(readings.alone(), Background(scene)), cells[None] * 1e-6, cells[None] * 1e6)
+    at = Evaluation.at(Cost(scene.panel, (Misfit(),), 1, partial=True), data, cells[None])
+    found = check(at, Outcome(at.cell_resistance, np.zeros(0), Status.OPTIMUM, 1))
+    assert found.status is Status.FLAT and found.solved
 
 
 @pytest.mark.parametrize("noise", [None, 0.05])

@@ -12,7 +12,7 @@ from lampest import two_point_resistance
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms.cell_resistance import CellResistance
-from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms import Gradient, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -135,7 +135,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
         raise error("singular")
 
     recording, _ = recording_of(AtlasSample("log-uniform", 3, 3, 1.0, 0.0, 0))
-    estimator = Estimator((Misfit(),), "reduced")
+    estimator = Estimator((Misfit(), Gradient()), "reduced")
     data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (

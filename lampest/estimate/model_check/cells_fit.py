@@ -8,7 +8,7 @@ it is χ² with as many degrees of freedom as cells are held by the cone, and sm
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -24,14 +24,19 @@ from lampest.recording.readings import Readings
 from lampest.solvers.search import BROKEN, best_solution, convex, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
-CELLS_ALONE = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
-BRIEF = replace(CELLS_ALONE, solver=Settings(max_iterations=25))
+BRIEF = Settings(max_iterations=25)
 MOST_STEPS, MOST_HALVINGS, LONGEST_STEP, GAIN = 15, 4, 1.5, 0.9  # 3 to 6 steps suffice; less gain leads nowhere
 EXACT = 1e-2  # χ² that changes no verdict
 HOPELESS = 10.0  # χ² for each reading that noise at the edge of r > 0 never leaves
 MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
 SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
+
+
+@cache
+def cells_alone() -> Estimator:
+    """Plain least squares over r > 0; made when it is asked for, because installed methods are looked for then."""
+    return Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +58,15 @@ class CellsFit:
         near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a
         few iterations must do.
         """
-        data = CELLS_ALONE.data(readings.alone(), Background(scene))
+        alone = cells_alone()
+        data = alone.data(readings.alone(), Background(scene))
         start = convex(data, None)[0] if near is None else near
         exact = followed(data, readings, start)
         if exact.chi_square <= EXACT:
             return exact
         if not patient and exact.chi_square > HOPELESS * readings.value.size:
             return None
-        solver = (CELLS_ALONE if patient else BRIEF).problem(scene, 1, float("inf"), data.partial)
+        solver = (alone if patient else replace(alone, solver=BRIEF)).problem(scene, 1, float("inf"), data.partial)
         solution = (
             best_solution(solver, data, None)
             if patient

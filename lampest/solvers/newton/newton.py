@@ -25,6 +25,8 @@ from lampest.solvers.solution import Outcome, Settings, Status
 
 LARGEST_DAMPING = 1e10
 LONGEST_STEP = 2.5
+BENT = 0.1  # of log r: a step that is shorter is the same in r and g but for a twentieth of itself
+NO_CONDUCTANCE = 1e-12  # of a cell's own: beyond any bound
 DECREASE = 1e-4
 MOST_STOPS = 6
 TIGHT = 0.5
@@ -121,10 +123,10 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             beyond = moving & (reached != position + step)
             again = left > 0 and np.any(beyond)
             for length in SHARES[:1] if again else SHARES:
-                target = np.clip(position + np.clip(length * step, -LONGEST_STEP, None), lower, upper)
-                moved = trial(point, data, target, damping, residual)
-                if moved is not None:
-                    return replace(moved, factor=towards.factor)
+                for way in ways(length * step):
+                    moved = trial(point, data, np.clip(position + way, lower, upper), damping, residual)
+                    if moved is not None:
+                        return replace(moved, factor=towards.factor)
             if not again:
                 break
             # A cell that stops at its bound leaves its partners' steps wrong: let it stop there and ask them again.
@@ -132,6 +134,17 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             moving, known = moving & ~stopped, np.where(stopped, reached - position, known)
         damping = raised(damping)
     return None
+
+
+def ways(step: Array) -> tuple[Array, ...]:
+    """A step p of u = log r: straight in u, and, where that is something else, straight in g: u − log(1 − p).
+
+    Cells in parallel paths that only their sum tells apart lie in a valley that is straight in g and bent in u.
+    """
+    straight = np.clip(step, -LONGEST_STEP, None)
+    if np.abs(step).max(initial=0.0) < BENT:
+        return (straight,)
+    return straight, -np.log(np.maximum(1 - step, NO_CONDUCTANCE))
 
 
 def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -> NDArray[np.bool_]:
