@@ -97,7 +97,8 @@ def _solved(solver: Solver, start: Evaluation) -> Solution:
     settled = solution.status is Status.OPTIMUM and solution.kkt_residual <= POLISHED
     if (settled and start.data.readout.unique) or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
         return solution
-    newton = Newton(solver.cost, LAST_STEPS if start.data.readout.unique else FINE_STEPS)
+    steps = LAST_STEPS if start.data.readout.unique else FINE_STEPS
+    newton = Newton(solver.cost, steps if solution.solved else solver.settings)
     reached = [solution]
     for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
         polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
