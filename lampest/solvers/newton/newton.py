@@ -20,6 +20,7 @@ from lampest.panel.panel import Array
 from lampest.solvers.certificate import Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, direction, raised
+from lampest.solvers.newton.parallel import along_sums, groups_of
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -111,7 +112,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
     lower, upper = (bound.ravel() for bound in data.log_bounds)
     position, slope = np.log(point.at.cell_resistance).ravel(), point.curvature.gradient
     free = free_cells(point.at, slope)
-    damping, accuracy = point.damping, min(0.1, residual**0.5)
+    damping, accuracy, group = point.damping, min(0.1, residual**0.5), groups_of(point.at)
     while damping <= LARGEST_DAMPING:
         moving, known = free, np.zeros(len(position))
         for left in reversed(range(MOST_STOPS)):
@@ -121,8 +122,10 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             beyond = moving & (reached != position + step)
             again = left > 0 and np.any(beyond)
             for length in SHARES[:1] if again else SHARES:
-                target = np.clip(position + np.clip(length * step, -LONGEST_STEP, None), lower, upper)
-                moved = trial(point, data, target, damping, residual)
+                straight = np.clip(length * step, -LONGEST_STEP, None)
+                target = position + (straight if group is None else along_sums(position, straight, moving, group))
+                promised = -float(slope @ (np.clip(position + straight, lower, upper) - position))
+                moved = trial(point, data, np.clip(target, lower, upper), damping, residual, promised)
                 if moved is not None:
                     return replace(moved, factor=towards.factor)
             if not again:
@@ -149,8 +152,13 @@ def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -
     return stops
 
 
-def trial(point: Iterate, data: Data, target: Array, damping: float, residual: float) -> Iterate | None:
-    """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual."""
+def trial(
+    point: Iterate, data: Data, target: Array, damping: float, residual: float, promised: float
+) -> Iterate | None:
+    """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual.
+
+    promised : by how much the gradient alone would have the cost fall.
+    """
     cells = np.clip(np.exp(target).reshape(data.measured.shape), data.lower, data.upper)
     smoothing = point.curvature.smoothing
     try:
@@ -159,7 +167,6 @@ def trial(point: Iterate, data: Data, target: Array, damping: float, residual: f
         return None
     found = Iterate(Curvature(at, smoothing), smoothing.objective(at), damping)
     gain = point.objective - found.objective
-    promised = -float(point.curvature.gradient @ (target - np.log(point.at.cell_resistance).ravel()))
     better = promised > 0 and gain >= DECREASE * promised
     if not better and not (abs(gain) <= 1e-12 * abs(point.objective) and found.residual() < 0.5 * residual):
         return None
