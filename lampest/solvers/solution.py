@@ -24,7 +24,7 @@ class Status(Enum):
 
     OPTIMUM = "optimum verified"
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
-    ROUNDED = "an optimum within rounding: double precision leaves some cells less certain than the data would"
+    FAINT = "an optimum, but some cells are told so faintly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
     FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
     SADDLE = "the optimality conditions hold, but at a saddle: the cost falls from there"
@@ -38,7 +38,7 @@ class Status(Enum):
     UNAVAILABLE = "the solver or its linear solver is not available"
 
 
-OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.ROUNDED)
+OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.FAINT)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Sta
     found = outcome.certificate or certificate(Curvature(evaluation, smoothing), gradient.ravel())
     if found.settled:
         return Status.OPTIMUM
-    return {Bend.UP: Status.ROUNDED, Bend.FLAT: Status.FLAT, Bend.DOWN: Status.SADDLE}[found.bend]
+    return {Bend.UP: Status.FAINT, Bend.FLAT: Status.FLAT, Bend.DOWN: Status.SADDLE}[found.bend]
 
 
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:

@@ -68,9 +68,10 @@ def test_a_batch_costs_what_cannot_be_read_and_no_more(batch: Path, lampest: Com
     with h5py.File(out / "results.h5") as file:
         assert set(file["entry"]) == {"healthy", "holes"}
         group = file["entry/holes/LSM"]
-        assert [text.decode() for text in group["status"]] == ["optimum verified"] * 2 + [TOO_FEW] + [
-            "optimum verified"
-        ] * 2
+        # Beside two zeros in one row, two cells of the next are parallel: their shares are told faintly at best.
+        first, *others = (text.decode() for text in group["status"])
+        assert first in ("optimum verified", "an optimum, but some cells are told so faintly that they may still move")
+        assert others == ["optimum verified", TOO_FEW] + ["optimum verified"] * 2
         cells = group["cell_resistance"][()]
         assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
         given = file["entry/holes/recording"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, import_file, read_scene
+from lampest import InputError, Panel, Recording, Scene, SeriesPerLine, TwoPointReadout, import_file, read_scene
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5
@@ -280,6 +280,13 @@ def test_what_is_asked_for_must_fit(tmp_path: Path) -> None:
         import_file(tmp_path / "m.npy", ROWS, COLUMNS, baseline_frames=5)
     with pytest.raises(InputError, match="a panel needs at least one row"):
         import_file(tmp_path / "m.npy", 0, 3)
+
+
+def test_a_series_resistance_of_each_line_is_said(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", FRAMES)
+    scene = Scene(Panel(ROWS, COLUMNS), None, SeriesPerLine(tuple(70.0 + line for line in range(ROWS)), 71.0))
+    _, notes = import_file(tmp_path / "m.npy", scene=scene, unit="ohm")
+    assert any(f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm" in note for note in notes)
 
 
 def test_a_scene_file(tmp_path: Path) -> None:

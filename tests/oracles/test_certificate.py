@@ -170,7 +170,7 @@ def test_a_small_cell_is_not_hidden() -> None:
     assert at.kkt_residual(np.zeros(0)) < 1e-6
     assert not certificate(Curvature(at, NOTHING), at.log_gradient(np.zeros(0)).ravel()).settled
     found = check(at, Outcome(off[None], np.zeros(0), Status.OPTIMUM, 1))
-    assert found.status is Status.ROUNDED and found.solved
+    assert found.status is Status.FAINT and found.solved
 
 
 def between_two_minima() -> Evaluation:

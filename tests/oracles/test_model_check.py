@@ -11,8 +11,8 @@ from studies.model_check import named, sound, wrong
 import lampest
 from lampest import Misfit, Recording, Scene, TwoPointReadout
 from lampest.cli.results import compare as compare_command
-from lampest.estimate.model_check.check import recording_check
 from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
+from lampest.estimate.model_check.check import recording_check
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point.four_point import four_point_excess

@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest.cost.losses import Squared
-from lampest.cost.terms import LogRatio, Misfit
+from lampest.cost.terms import LogRatio, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods import TruncatedMethod
@@ -24,6 +25,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Simulation, simulate
 from lampest.recording.touching import touching_columns, touching_rows
 from lampest.runs.config import read_run
+from lampest.solvers.solution import Status
 from tests.netlist import impedance_of
 
 LSM = (Misfit(weighting="noise"),)
@@ -182,6 +184,15 @@ def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None
         )
     ignored = solved(replace(recording, scene=replace(recording.scene, faults=None)))
     assert np.median(np.abs(error(ignored)[sound])) > 5 * np.median(np.abs(error(done)[sound]))
+
+
+@pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
+def test_shares_that_only_a_penalty_tells_are_followed_to_their_optimum(term: Term) -> None:
+    """The valley of cells that are parallel is bent: a straight step leaves it, and hundreds of them did not end."""
+    recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
+    done = solved(recording, terms=(*LSM, term))
+    assert all(step.solution.status is Status.OPTIMUM for step in done.steps)
+    assert done.steps[0].solution.iterations < 200
 
 
 @each_readout

@@ -112,6 +112,13 @@ def test_every_shape(shape: tuple[int, int, int]) -> None:
     Page(report(batch(*(certain(invented_case(method, shape=shape)) for method in METHODS[:2]))))
 
 
+def test_frames_without_a_baseline_to_compare_with_are_shown() -> None:
+    """A frame is solved, and its change is NaN, because the unloaded panel was not."""
+    case = invented_case("LSR-CR", truth=False)
+    without = dataclasses.replace(case, relative_change=np.full_like(case.cell_resistance, np.nan))
+    assert "LSR-CR" in Page(report(batch(certain(invented_case("LSM", truth=False)), without))).text
+
+
 def test_frames_that_failed_are_named() -> None:
     failed = {"LSM": (), "LSR-CR": (0, 1, 2), "LSR-dCR": (1,)}
     page = Page(report(batch(*(certain(invented_case(name, failed=frames)) for name, frames in failed.items()))))

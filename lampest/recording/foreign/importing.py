@@ -163,7 +163,7 @@ def _refuse_missing(blank: NDArray[np.bool_], place: Place) -> None:
 
 
 def _assumed(scene: Scene, told: bool) -> str:
-    series = f"series resistance {scene.series_resistance_ohm:g} ohm" if scene.circuit.unit == "ohm" else ""
+    series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = f"pitch {scene.panel.pitch_mm:g} mm"
     both = " and ".join(filter(None, (series, pitch)))
     return f"{both}, {'by the scene' if told else 'assumed; a scene says otherwise'}"

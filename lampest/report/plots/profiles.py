@@ -87,8 +87,8 @@ def _limits(cases: Sequence[CaseResult], place: int, row: int) -> tuple[float, f
     estimates = [_ratio(case.relative_change[place, row]) for case in cases if case.solved[place]]
     known = (case.relative_change_lower for case in cases), (case.relative_change_upper for case in cases)
     ends = [_ratio(part[place, row]) for side in known for part in side if part is not None]
-    far = np.concatenate([np.ones(1), *estimates, *(part[np.isfinite(part)] for part in ends)])
-    held = np.concatenate([np.ones(1), *estimates])
+    far = np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in (*estimates, *ends))])
+    held = np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in estimates)])
     if first.truth is not None and first.truth_baseline is not None:
         held = np.append(first.truth[place, row] / first.truth_baseline[row], 1.0)
     low, high = max(held.min() / 3, min(far.min(), held.min())), min(held.max() * 3, max(far.max(), held.max()))

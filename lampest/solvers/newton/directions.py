@@ -15,6 +15,7 @@ from lampest.solvers.newton.reach import within_reach
 
 LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
 REACH, TINY = 2.5, 0.1  # changes of log r
+FLAT = 1e-9  # of a diagonal: differences of impedances leave 11 digits of a matrix, factorising it some fewer
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +79,14 @@ def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array
         triangle, step, failed = lapack.dposv(shifted.T, -slope)
         used = raised(used) if failed else used
     # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
-    if used > damping and np.abs(step).max() < TINY:
+    if used and np.abs(step).max() < TINY and (used > damping or bends_down(matrix, size)):
         return Direction(within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping)
     return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, triangle))
+
+
+def bends_down(matrix: Array, size: Array) -> bool:
+    """Whether the cost falls along some direction, by more than rounding makes a flat one seem to."""
+    return bool(lapack.dpotrf((matrix + np.diag(FLAT * size)).T)[1])
 
 
 def _by_conjugate_gradients(

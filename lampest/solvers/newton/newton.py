@@ -21,12 +21,10 @@ from lampest.solvers.certificate import Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, direction, raised
 from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.newton.ways import LONGEST_STEP, ways
 from lampest.solvers.solution import Outcome, Settings, Status
 
 LARGEST_DAMPING = 1e10
-LONGEST_STEP = 2.5
-BENT = 0.1  # of log r: a step that is shorter is the same in r and g but for a twentieth of itself
-NO_CONDUCTANCE = 1e-12  # of a cell's own: beyond any bound
 DECREASE = 1e-4
 MOST_STOPS = 6
 TIGHT = 0.5
@@ -123,8 +121,11 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             beyond = moving & (reached != position + step)
             again = left > 0 and np.any(beyond)
             for length in SHARES[:1] if again else SHARES:
-                for way in ways(length * step):
-                    moved = trial(point, data, np.clip(position + way, lower, upper), damping, residual)
+                straight = np.clip(length * step, -LONGEST_STEP, None)
+                promised = -float(slope @ (np.clip(position + straight, lower, upper) - position))
+                for way in ways(point.at, length * step, moving):
+                    target = np.clip(position + way, lower, upper)
+                    moved = trial(point, data, target, damping, residual, promised)
                     if moved is not None:
                         return replace(moved, factor=towards.factor)
             if not again:
@@ -134,17 +135,6 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             moving, known = moving & ~stopped, np.where(stopped, reached - position, known)
         damping = raised(damping)
     return None
-
-
-def ways(step: Array) -> tuple[Array, ...]:
-    """A step p of u = log r: straight in u, and, where that is something else, straight in g: u − log(1 − p).
-
-    Cells in parallel paths that only their sum tells apart lie in a valley that is straight in g and bent in u.
-    """
-    straight = np.clip(step, -LONGEST_STEP, None)
-    if np.abs(step).max(initial=0.0) < BENT:
-        return (straight,)
-    return straight, -np.log(np.maximum(1 - step, NO_CONDUCTANCE))
 
 
 def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -> NDArray[np.bool_]:
@@ -162,8 +152,13 @@ def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -
     return stops
 
 
-def trial(point: Iterate, data: Data, target: Array, damping: float, residual: float) -> Iterate | None:
-    """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual."""
+def trial(
+    point: Iterate, data: Data, target: Array, damping: float, residual: float, promised: float
+) -> Iterate | None:
+    """The point at u = `target` if it is better: a lower cost, or, where rounding hides that, half the residual.
+
+    promised : by how much the gradient alone would have the cost fall.
+    """
     cells = np.clip(np.exp(target).reshape(data.measured.shape), data.lower, data.upper)
     smoothing = point.curvature.smoothing
     try:
@@ -172,7 +167,6 @@ def trial(point: Iterate, data: Data, target: Array, damping: float, residual: f
         return None
     found = Iterate(Curvature(at, smoothing), smoothing.objective(at), damping)
     gain = point.objective - found.objective
-    promised = -float(point.curvature.gradient @ (target - np.log(point.at.cell_resistance).ravel()))
     better = promised > 0 and gain >= DECREASE * promised
     if not better and not (abs(gain) <= 1e-12 * abs(point.objective) and found.residual() < 0.5 * residual):
         return None
