@@ -108,5 +108,7 @@ def _alike(first: Array | None, second: Array | None) -> bool:
     if first is None or second is None:
         return False
     known = np.isfinite(first) & np.isfinite(second)
+    if not known.any():
+        return False
     one, other = (values[known] - values[known].mean() for values in (first, second))
     return bool(np.sum(one * other) > 0)
