@@ -29,9 +29,8 @@ def run(
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases))
     with progress("cases") as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
-    print(
-        f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed: {report.results}"
-    )
+    counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"
+    print(f"{counts}: {report.results or 'no results'}")
     for name, sentence in report.failed:
         print(f"lampest: {name} failed: {sentence}", file=sys.stderr)
     if report.failed:

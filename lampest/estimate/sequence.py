@@ -72,7 +72,7 @@ def deciding_frame(recording: Recording, readings: Readings, resting: Readings) 
     frames = frames[readings.enough(recording.scene)[frames]]
     if not len(frames):
         return None
-    return strongest_frame(np.where(readings.plain, readings.value, np.nan), resting.value, frames)
+    return strongest_frame(readings.plain_values, resting.value, frames)
 
 
 def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Estimator:

@@ -81,6 +81,11 @@ class Readings:
         return plain
 
     @property
+    def plain_values(self) -> Array:
+        """The values alone, NaN where a reading is a bound or says nothing."""
+        return np.where(self.plain, self.value, np.nan)
+
+    @property
     def bounds(self) -> NDArray[np.bool_]:
         """Whether a reading only bounds the truth."""
         bounds: NDArray[np.bool_] = (self.seen > 0) & (self.side != VALUE)

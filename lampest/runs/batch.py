@@ -20,9 +20,11 @@ RESULTS = "results.h5"
 
 @dataclass(frozen=True)
 class Report:
-    """How a batch went: path of the results file, numbers of cases, and (case, sentence) of those that failed."""
+    """How a batch went: path of the results file, None where no case has a result, numbers of cases, and (case,
+    sentence) of those that failed.
+    """
 
-    results: Path
+    results: Path | None
     done: int
     skipped: int
     failed: tuple[tuple[str, str], ...]
@@ -69,7 +71,9 @@ def run_batch(
             done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
             if done:
                 write_results(folder / RESULTS, done, run.published)
-        return Report(folder / RESULTS, len(waiting) - len(failed), len(tasks) - len(waiting), tuple(failed))
+        return Report(
+            folder / RESULTS if done else None, len(waiting) - len(failed), len(tasks) - len(waiting), tuple(failed)
+        )
 
 
 def solve_case(task: Task) -> CaseResult:

@@ -54,11 +54,12 @@ def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None
         on_frame()
         if step.solution.status in (Status.UNREAD, Status.UNRESTED):
             continue
-        others = _objectives(case.estimator, recording, data, random_starts, generator)
+        estimator = case.estimator.with_weights(step.weights)  # those of `weight: auto` are the frame's
+        others = _objectives(estimator, recording, data, random_starts, generator)
         ended += len(others)
         found = step.solution.objective if step.solution.solved else float("inf")
         least = min([found, *others])
-        size = least + _size(case.estimator, recording, data)
+        size = least + _size(estimator, recording, data)
         excess.append((found - least) / size)
         minima.append(_distinct(np.array([found, *others]) / size))
     at_best = sum(value <= SAME for value in excess)

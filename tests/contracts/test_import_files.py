@@ -66,8 +66,31 @@ def test_a_monitor_cut_at_its_end(tmp_path: Path) -> None:
     log = "\n".join([*wide(CODES[:3]), ",".join(map(str, CODES[3].ravel()[:6]))])
     recording, notes = imported(tmp_path / "m.txt", log, scene=LOADED)
     np.testing.assert_allclose(recording.recorded[:3], VOLT_OF_CODES[:3])
+    np.testing.assert_array_equal(np.isnan(recording.recorded[3].ravel()), np.arange(15) >= 5)  # the sixth may be cut
+    assert said(notes, "10 readings missing, in 1 of 4 frames: NaN") and said(notes, "the last number of line 4 is cut")
+    recording, notes = imported(tmp_path / "m.txt", log + "\n", scene=LOADED)
     np.testing.assert_array_equal(np.isnan(recording.recorded[3].ravel()), np.arange(15) >= 6)
-    assert said(notes, "9 readings missing, in 1 of 4 frames: NaN")
+    assert not said(notes, "is cut off")
+
+
+@pytest.mark.parametrize(("step", "unit", "seconds"), [(500, "ms", 0.5), (40_000, "us", 0.04)])
+def test_a_counter_without_a_name_that_begins_again(tmp_path: Path, step: int, unit: str, seconds: float) -> None:
+    begin = 2**32 - 2 * step
+    log = "\n".join(f"{(begin + step * number) % 2**32},{line}" for number, line in enumerate(wide(CODES)))
+    recording, notes = imported(tmp_path / "millis.log", log + "\n", scene=LOADED)
+    np.testing.assert_allclose(recording.recorded, VOLT_OF_CODES)
+    np.testing.assert_allclose(np.diff(recording.time), seconds, rtol=1e-6)
+    assert said(notes, f"first field in {unit}; the counter began again once")
+
+
+def test_empty_columns_beside_the_cells(tmp_path: Path) -> None:
+    names = "X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"
+    body = [f"{number * 0.5:.6f}\t{line}\t" for number, line in enumerate(wide(CODES, "\t"))]
+    text = "\r\n".join(["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t", names, *body])
+    recording, notes = imported(tmp_path / "m.lvm", text + "\r\n", scene=LOADED)
+    np.testing.assert_allclose(recording.recorded, VOLT_OF_CODES)
+    np.testing.assert_allclose(recording.time, [0, 0.5, 1, 1.5])
+    assert said(notes, "empty columns left out: Comment")
 
 
 BLOCKS = {

@@ -13,6 +13,7 @@ from lampest import Misfit, Recording, Scene, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
 from lampest.estimate.model_check.check import recording_check
+from lampest.estimate.model_check.wild import wild_readings
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point.four_point import four_point_excess
@@ -100,6 +101,62 @@ def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
     assert 2.7 < check.noise < 3.3
     assert "times the noise" in check.sentence
     assert recording_check(two_point_frames()).mark == "yes"
+
+
+def loaded_frames(seed: int, dead_column: int | None = None) -> Recording:
+    """Three unloaded and four loaded frames of a 6 × 7 panel, by numbers drawn here."""
+    random = np.random.default_rng(seed)
+    readout = TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=20)
+    scene = Scene(lampest.Panel(6, 7, 10.0), readout, series_resistance_ohm=140.0)
+    cells = 3000 * np.exp(0.2 * random.standard_normal((6, 7)))
+    loaded = cells.copy()
+    loaded[2:4, 2:4] *= 0.3
+    if dead_column is not None:
+        cells[:, dead_column] = loaded[:, dead_column] = 1e12
+    exact = 140.0 + np.stack([readout.exact_reading(cells)] * 3 + [readout.exact_reading(loaded)] * 4)
+    volt = readout.volt_from_recorded(exact)[..., None] + readout.lsb_volt * random.standard_normal((*exact.shape, 20))
+    codes = readout.code_from_volt(volt).mean(axis=-1)
+    recorded = readout.recorded_from_volt(readout.volt_from_code(codes))
+    return Recording(scene, recorded, np.arange(7.0), np.array([0] * 3 + [1] * 4, dtype=np.uint8))
+
+
+def test_single_wild_readings_are_no_fault_of_the_circuit() -> None:
+    recording = loaded_frames(1)
+    wild = recording.recorded.copy()
+    wild[4, 1, 5] *= 3.0
+    wild[6, 5, 0] /= 2.0
+    check = recording_check(replace(recording, recorded=wild))
+    assert (check.mark, check.better) == ("yes", "")
+    assert "2 readings that leap for one frame alone left out" in check.sentence
+    assert "leap" not in recording_check(recording).sentence
+
+
+def test_a_load_that_comes_for_one_frame_is_no_wild_reading() -> None:
+    recording = loaded_frames(1)
+    once = recording.recorded[[0, 1, 2, 3, 2]]
+    role = np.array([0, 0, 0, 1, 1], dtype=np.uint8)
+    brief = replace(recording, recorded=once, time=np.arange(5.0), role=role)
+    assert not wild_readings(brief.readings()).any()
+
+
+def test_dead_lines_and_missing_readings_are_no_other_circuit() -> None:
+    assert recording_check(loaded_frames(2, dead_column=4)).mark == "yes"
+    recording = loaded_frames(3)
+    holes = np.where(np.random.default_rng(3).random(recording.recorded.shape) < 0.5, np.nan, recording.recorded)
+    check = recording_check(replace(recording, recorded=holes))
+    assert check.mark == "yes" and "too many readings are missing" in check.sentence
+
+
+def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
+    circuit = lampest.LoadedColumnsReadout(load_ohm=10_000.0, drive_ohm=1080.0, adc_bits=12, readings=1, noise_lsb=1.0)
+    cells = 3000 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 8)))
+    cells[2, 6] = 0.5
+    exact = np.repeat(circuit.exact_reading(cells)[None], 4, axis=0)
+    noisy = exact + circuit.sigma_volt() * np.random.default_rng(5).standard_normal(exact.shape)
+    role = np.array([0, 0, 0, 1], dtype=np.uint8)
+    recording = Recording(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, np.arange(4.0), role)
+    check = recording_check(recording)
+    assert check.explains, check.sentence
 
 
 def test_without_noise_there_is_no_test_and_that_is_said() -> None:

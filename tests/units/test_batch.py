@@ -35,3 +35,29 @@ def test_case_that_fails_stops_no_other(
     assert (ended.code, ended.err) == (0, "")
     assert "1 cases solved, 2 were done before" in ended.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
+
+
+def test_a_batch_without_any_result_names_no_file(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lampest.runs import batch
+
+    def never(recording: Any, estimator: Any) -> Any:
+        raise RuntimeError("out of luck")
+
+    out = disk.folder / "nothing"
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "reconstruct", never)
+        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert ended.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
+    assert not (out / "results.h5").exists()
+
+
+def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace, lampest: Command) -> None:
+    text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
+    text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
+    text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
+    ended = lampest("starts", disk.run(text, "starts.yaml"), "--random", "2")
+    assert (ended.code, ended.err) == (0, "")
+    assert "one" in ended.out and "pair" in ended.out

@@ -154,3 +154,15 @@ def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.extra["marked"], np.eye(10, dtype=bool))
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/mouth/LSM/marked"].dtype == np.uint8 and file["entry/mouth/LSM/word"].dtype.kind == "S"
+
+
+def test_two_terms_of_one_kind_keep_their_costs(tmp_path: Path) -> None:
+    scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout())
+    frames = 640.0 * np.exp(0.1 * np.random.default_rng(0).standard_normal((2, 3, 4)))
+    recording = lampest.Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3), lampest.Gradient(weight=1e-2)]
+    lampest.reconstruct(recording, terms=terms).save(tmp_path / "two.h5", name="two")
+    case = read_results(tmp_path / "two.h5").cases[0]
+    assert set(case.costs) == {"misfit", "gradient", "gradient_2"}
+    assert case.weights["gradient_2"][0] == 1e-2
+    np.testing.assert_allclose(sum(cost[0] for cost in case.costs.values()), case.objective[0])

@@ -27,6 +27,7 @@ from lampest.solvers.solution import Settings
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
 BRIEF = Settings(max_iterations=25)
 MOST_STEPS, MOST_HALVINGS, LONGEST_STEP, GAIN = 15, 4, 1.5, 0.9  # 3 to 6 steps suffice; less gain leads nowhere
+EDGE = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
 EXACT = 1e-2  # χ² that changes no verdict
 HOPELESS = 10.0  # χ² for each reading that noise at the edge of r > 0 never leaves
 MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
@@ -60,6 +61,7 @@ class CellsFit:
         """
         alone = cells_alone()
         data = alone.data(readings.alone(), Background(scene))
+        data = replace(data, lower=EDGE * data.lower)
         start = convex(data, None)[0] if near is None else near
         exact = followed(data, readings, start)
         if exact.chi_square <= EXACT:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lampest.estimate.model_check.explanation import LEVEL, Explanation, best_in_series
 from lampest.estimate.model_check.question import Question, nearly_gaussian
 from lampest.estimate.model_check.rivals import Rival, rivals_of
+from lampest.estimate.model_check.wild import said_of_wild, wild_readings
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -21,6 +22,9 @@ from lampest.solvers.search import BROKEN
 MARGIN = 60.0
 WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
+EXPLAINED = "the circuit explains its readings"
+NOT_COMPARED = "other circuits were not tried, too many readings are missing"
+MOST_MISSING = 0.1  # of two frames: with a fifth missing, which cells must have moved is no longer told from the rest
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
@@ -68,23 +72,21 @@ def model_check(
         return ModelCheck(None, UNKNOWN_NOISE)
     try:
         with np.errstate(all="ignore"):
-            return _checked(scene, recorded, sigma, readings, unloaded, measured)
+            wild = wild_readings(readings)
+            check = _checked(scene, np.where(wild, np.nan, recorded), sigma, unloaded, measured)
+            return replace(check, sentence=check.sentence + said_of_wild(int(wild.sum())))
     except BROKEN:
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
 
 def _checked(
-    scene: Scene,
-    recorded: Array,
-    sigma: Array | None,
-    readings: Readings,
-    unloaded: NDArray[np.intp],
-    measured: NDArray[np.intp],
+    scene: Scene, recorded: Array, sigma: Array | None, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
 ) -> ModelCheck:
-    """The check of readings whose noise is known."""
+    """The check of readings whose noise is known, those that leap left out."""
+    readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
     others = np.setdiff1d(measured, resting)
-    frame = strongest_frame(readings.value, readings[resting].mean().value, others) if len(others) else None
+    frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others) if len(others) else None
     told, *rivals = rivals_of(scene, recorded, sigma)
     used = replace(readings, seen=readings.seen * nearly_gaussian(told, 1))
     noise = noise_factor(used[resting])
@@ -92,13 +94,21 @@ def _checked(
     found = Explanation.of(told, question)
     fault = ("" if found is None else _unexplained(found, question)) or _broken_law(scene, used, noise)
     able = None if fault else found
-    better = None if able is not None and able.score < MARGIN else _better([told, *rivals], question, able)
+    whole = _nearly_whole(readings, scene, resting, frame)
+    asked = whole and (able is None or able.score >= MARGIN)
+    better = _better([told, *rivals], question, able) if asked else None
     if found is None and better is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    sentence = _sentence(fault, found, better, frame)
+    sentence = _sentence(fault, found, better, frame) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
     return ModelCheck(not fault and better is None, sentence, "" if better is None else better.rival.name, noise)
+
+
+def _nearly_whole(readings: Readings, scene: Scene, resting: NDArray[np.intp], frame: int | None) -> bool:
+    """Whether the unloaded panel and the frame have enough of their readings to be held against other circuits."""
+    asked = [readings[resting].mean(), *([] if frame is None else [readings[frame]])]
+    return all(float(one.missing(scene).mean()) <= MOST_MISSING for one in asked)
 
 
 def noise_factor(resting: Readings) -> float:
@@ -137,6 +147,14 @@ def _broken_law(scene: Scene, readings: Readings, noise: float) -> str:
     return ""
 
 
+def _lawful(rival: Rival, question: Question) -> bool:
+    """Whether every frame keeps the inequalities of a circuit that is to take the told one's place."""
+    readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
+    return not _broken_law(
+        rival.scene, replace(readings, seen=readings.seen * nearly_gaussian(question.told, 1)), question.widening
+    )
+
+
 def _better(rivals: list[Rival], question: Question, told: Explanation | None) -> Explanation | None:
     """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
 
@@ -144,7 +162,10 @@ def _better(rivals: list[Rival], question: Question, told: Explanation | None) -
     nothing then shows which have not.
     """
     found = [best_in_series(rival, question, told) for rival in rivals]
-    best = min((one for one in found if one is not None and one.sparse), key=lambda one: one.score, default=None)
+    able = [
+        one for one in found if one is not None and one.sparse and (told is not None or _lawful(one.rival, question))
+    ]
+    best = min(able, key=lambda one: one.score, default=None)
     if best is None or told is None:
         return best
     if best.rival is told.rival or best.score >= told.score - WORTH_ASKING:
@@ -160,7 +181,7 @@ def _sentence(fault: str, told: Explanation | None, better: Explanation | None, 
             "no other circuit that was tried gives them" if better is None else f"{better.rival.name} does"
         )
     if better is None:
-        return "the circuit explains its readings"
+        return EXPLAINED
     if told is None:
         return f"no cells were found that give the readings; {better.rival.name} does"
     return (

@@ -10,7 +10,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
-MOST_STEPS, MOST_HALVINGS, LONGEST_STEP = 20, 5, 1.0  # of log r; 4 to 8 steps suffice
+MOST_STEPS, MOST_HALVINGS, LONGEST_STEP = 60, 5, 1.0  # of log r; 4 to 8 steps suffice, some 40 with open lines
 SETTLED = 0.1  # of χ²: a smaller gain changes no verdict
 FIRMNESS = 1e-4  # 1/variance of a step: what no reading sees stays where it is
 

@@ -27,6 +27,7 @@ EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have
 COUNTER = 2.0**32  # where millis() and micros() of an Arduino begin again
 DAY = 86400.0
 LONG_STEP = 10.0  # s between frames: whole numbers that grow faster may be milliseconds
+LONGEST_MILLIS = 10_000.0  # between frames: 10 s as milliseconds, 10 ms as microseconds; panels are read in between
 TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,:]\d+)?))?")
 STAMPS = {
     "year-month-day": re.compile(r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})"),
@@ -66,7 +67,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) 
 def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
     """Times of numbers in the unit that the column's name says, or in s. Raises InputError where they do not grow."""
     _check_growth(np.where(np.isfinite(values), np.arange(len(values)), np.nan), where)
-    unit = unit_of_time(name)
+    unit = unit_of_time(name) or _unit_of_counter(values)
     scale = SECONDS[unit or "s"]
     largest = float(np.max(values, initial=0.0)) * scale
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
@@ -80,8 +81,8 @@ def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
     wraps = np.cumsum(np.diff(values, prepend=values[0]) < -COUNTER / 2) if unit in ("ms", "us") else 0 * values
     seconds = _growing((values + COUNTER * wraps) * scale, where)
     if unit is not None:
-        turned = f"; the counter began again {int(wraps[-1])} times" if wraps[-1] else ""
-        return Clock(seconds, None, f"{unit}{turned}")
+        often = "once" if wraps[-1] == 1 else f"{int(wraps[-1])} times"
+        return Clock(seconds, None, f"{unit}; the counter began again {often}" if wraps[-1] else unit)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     slow = step >= LONG_STEP and bool(np.all(values == np.round(values)))
     doubt = f", so that frames are {step:g} s apart; if these are ms, call the column time_ms" if slow else ""
@@ -93,6 +94,14 @@ def unit_of_time(name: str) -> str | None:
     parts = re.split(r"[\s_\-\[\](){}/.,]+", name.lower().strip())
     words = (bracketed(name).lower(), *reversed(parts))
     return next((UNIT_OF_WORD[word] for word in words if word in UNIT_OF_WORD), None)
+
+
+def _unit_of_counter(values: Array) -> str | None:
+    """'ms' or 'us', by its steps, of a nameless board's counter that begins again; None of other numbers."""
+    steps = np.diff(values)
+    if not np.any(steps < -COUNTER / 2) or np.any(values != np.round(values)) or np.max(values) >= COUNTER:
+        return None
+    return "ms" if np.median(steps) < LONGEST_MILLIS else "us"
 
 
 def _growing(seconds: Array, where: Where) -> Array:

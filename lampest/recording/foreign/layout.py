@@ -29,6 +29,9 @@ def frames_of(table: ForeignTable, shape: tuple[int, int]) -> Frames:
         return frames_in_lines(table, shape, None)
     if table.width in (shape[1], shape[1] + 1, shape[1] + others):
         return frames_in_blocks(table, shape)
+    shorter = table.without_empty()
+    if shorter.width < table.width:
+        return frames_of(shorter, shape)
     turned = table.width in (shape[0], shape[0] + 1)
     raise InputError(
         f"{table.place(0, None)}: {table.width} fields; {shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with "

@@ -86,6 +86,25 @@ class ForeignTable:
             called=lambda line: self.called(kept[line]),
         )
 
+    def without_empty(self) -> "ForeignTable":
+        """The table without columns that have a name and nothing in any line, such as LabVIEW's comments."""
+        filled = np.any(self.fields != "", axis=0)
+        kept = [int(field) for field in np.flatnonzero(filled)]
+        if self.names is None or len(kept) == self.width:
+            return self
+        empty = ", ".join(self.names[field] or "a column without a name" for field in np.flatnonzero(~filled))
+        return replace(
+            self,
+            fields=self.fields[:, kept],
+            numbers=self.numbers[:, kept],
+            missing=self.missing[:, kept],
+            words=self.words[:, kept],
+            counts=np.minimum(self.counts, len(kept)),
+            names=tuple(self.names[field] for field in kept),
+            place=lambda line, field: self.place(line, None if field is None else kept[field]),
+            notes=(*self.notes, f"empty columns left out: {empty}"),
+        )
+
     def checked(self, columns: Sequence[int]) -> None:
         """Raise InputError with its place where a field of these columns is neither a number nor a missing reading."""
         chosen = self.words[:, columns]

@@ -49,6 +49,9 @@ def rows_of_text(path: Path) -> Rows:
         notes.append("a terminal's time before the lines")
     delimiter = _delimiter([line.text for line in lines if not line.comment])
     fields, counts = _fields(path, lines, delimiter)
+    if _cut(text, counts):
+        fields[-1, counts[-1] - 1] = ""
+        notes.append(f"the last number of line {lines[-1].number} is cut off and missing")
     numbers = [line.number for line in lines]
 
     def place(line: int, field: int | None) -> str:
@@ -65,6 +68,11 @@ def rows_of_text(path: Path) -> Rows:
         lambda line: f"line {numbers[line]}",
         (f"fields apart by {DELIMITERS[delimiter]}", *notes),
     )
+
+
+def _cut(text: str, counts: NDArray[np.intp]) -> bool:
+    """Whether the file ends in the middle of a line, and so perhaps of a number."""
+    return len(counts) > 1 and not text.endswith(("\r", "\n")) and bool(counts[-1] < np.median(counts))
 
 
 def _text(path: Path) -> tuple[str, list[str]]:

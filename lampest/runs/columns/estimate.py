@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampest.cost.terms import term_kind
+from lampest.cost.terms.term import Term
 from lampest.panel.panel import Array
 from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_if_solved, whole_frames_if_solved
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
@@ -91,17 +93,24 @@ ESTIMATE = (
 def _costs(done: Estimates) -> dict[str, Array]:
     """Term → its part of the cost."""
     return {
-        term_kind(term): np.array([step.solution.costs[number] for step in done.steps])
-        for number, term in enumerate(done.estimator.terms)
+        name: np.array([step.solution.costs[number] for step in done.steps])
+        for number, name in enumerate(_names(done.estimator.terms))
     }
 
 
 def _weights(done: Estimates) -> dict[str, Array]:
     """Term → its weight."""
     return {
-        term_kind(term): np.array([step.weights[number] for step in done.steps])
-        for number, term in enumerate(done.estimator.terms)
+        name: np.array([step.weights[number] for step in done.steps])
+        for number, name in enumerate(_names(done.estimator.terms))
     }
+
+
+def _names(terms: Sequence[Term]) -> list[str]:
+    """The kind of every term; `kind_2` and so on for further ones of a kind, which only a script can give."""
+    kinds = [term_kind(term) for term in terms]
+    before = [kinds[:number].count(kind) for number, kind in enumerate(kinds)]
+    return [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, before, strict=True)]
 
 
 def _disc(done: Estimates) -> dict[str, Array]:

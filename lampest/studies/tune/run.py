@@ -43,5 +43,8 @@ def _tuned(case: Case) -> Tuned | str:
     reason = why_not(case.estimator, frames * recording.scene.panel.cells)
     if reason is not None:
         return reason
-    found = tune(TuneSubject.of(case, recording))
+    subject = TuneSubject.of(case, recording)
+    if subject is None:
+        return "too little was read of every measured frame"
+    found = tune(subject)
     return found if any(point.solved for point in found.curves.points) else "it was solved for no weight"

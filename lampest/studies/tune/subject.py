@@ -10,11 +10,10 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import deciding_data, resting_readings
+from lampest.estimate.sequence import deciding_data, deciding_frame, resting_readings
 from lampest.estimate.weights import WeightSearch
 from lampest.panel.panel import Array
 from lampest.posterior.track import MOST_DENSE
-from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 
@@ -38,11 +37,15 @@ class TuneSubject:
     truth: Array | None
 
     @classmethod
-    def of(cls, case: Case, recording: Recording) -> "TuneSubject":
-        """The recording's strongest frame; with the baseline where terms compare it with that."""
+    def of(cls, case: Case, recording: Recording) -> "TuneSubject | None":
+        """The recording's strongest frame; with the baseline where terms compare it with that. None without a frame of
+        which enough was read.
+        """
         readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)
-        frame = strongest_frame(readings.value, resting.value, recording.measured_frames())
+        frame = deciding_frame(recording, readings, resting)
+        if frame is None:
+            return None
         data = deciding_data(case.estimator, scene, resting, readings[frame])
         truth = None
         if recording.truth_cell_resistance is not None:
