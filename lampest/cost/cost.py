@@ -121,8 +121,8 @@ class Symbols:
         return {name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()}
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
-        """A function of the inputs, by their names, and of what more there is."""
-        inputs = self.inputs() | more
+        """A function of those inputs that the output reads, by their names, and of what more there is."""
+        inputs = {name: symbol for name, symbol in self.inputs().items() if casadi.depends_on(output, symbol)} | more
         return Compiled(casadi.Function(name, [*inputs.values()], [output], [*inputs], ["value"]))
 
 
@@ -130,19 +130,24 @@ class Symbols:
 class CostFunctions:
     """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
 
-    costs : of each term. gradient, hessian : of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
+    first : the costs of each term, the same at readings of zero, and the gradient, in one: a call costs more than what
+    it computes. hessian : like the gradient of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
     readings). rough, rough_jacobian : residuals x that enter through duals, whose terms are `rough_terms`.
     split : the residuals that an interior-point method splits, in blocks of `split_blocks` (loss, rows).
     """
 
-    costs: Compiled
-    gradient: Compiled
+    first: Compiled
     hessian: Compiled
     rough: Compiled
     rough_jacobian: Compiled
     split: Compiled
     rough_terms: NDArray[np.intp]
     split_blocks: tuple[tuple[Loss, int], ...]
+
+    @cached_property
+    def entries(self) -> "Entries":
+        """Where the second derivatives of the smooth losses stand."""
+        return Entries.of(*self.hessian.pattern, self.hessian.function.size1_out(0) // 2)
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
@@ -160,9 +165,10 @@ class CostFunctions:
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
         split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
+        by_term = casadi.vertcat(*costs)
+        blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
         outputs = {
-            "costs": casadi.vertcat(*costs),
-            "gradient": casadi.densify(gradient),
+            "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
             "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
             "rough": casadi.densify(rough),
             "rough_jacobian": casadi.jacobian(rough, unknown),
@@ -176,6 +182,31 @@ class CostFunctions:
             rough_terms=np.array([part.term for part in through_duals for _ in range(part.rows)], dtype=np.intp),
             split_blocks=tuple((group[0].loss, sum(part.rows for part in group)) for group in split),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Entries:
+    """Where nonzeros of the second derivatives with respect to (cells; readings) stand, count of each.
+
+    cells, model : the numbers of the nonzeros between cells, and between readings. at_cells : (rows, columns) of the
+    former. at_model : readings of the latter, where they stand on the diagonal alone; else None. crossed : whether any
+    stand between cells and readings.
+    """
+
+    cells: NDArray[np.intp]
+    at_cells: tuple[NDArray[np.intp], NDArray[np.intp]]
+    model: NDArray[np.intp]
+    at_model: NDArray[np.intp] | None
+    crossed: bool
+
+    @classmethod
+    def of(cls, rows: NDArray[np.intp], columns: NDArray[np.intp], count: int) -> "Entries":
+        """From (rows, columns) of all nonzeros."""
+        cells = np.flatnonzero((rows < count) & (columns < count))
+        model = np.flatnonzero((rows >= count) & (columns >= count))
+        diagonal = np.array_equal(rows[model], columns[model])
+        at_model = rows[model] - count if diagonal else None
+        return cls(cells, (rows[cells], columns[cells]), model, at_model, len(cells) + len(model) < len(rows))
 
 
 @lru_cache(maxsize=128)

@@ -112,12 +112,9 @@ class Evaluation:
 
     def call(self, function: Compiled, dual: Array) -> Array:
         """One of the cost's functions at this point."""
-        return self._called(function, self.reading, dual)
-
-    def _called(self, function: Compiled, reading: Array, dual: Array) -> Array:
         here = {
             "cell_resistance": self.cell_resistance.ravel(),
-            "reading": reading.ravel(),
+            "reading": self.reading.ravel(),
             "weights": self.cost.weights,
             "dual": dual,
         }
@@ -126,14 +123,19 @@ class Evaluation:
 
     def of_terms(self, function: Compiled) -> Array:
         """A function of the terms' residuals at this point, which knows neither weights nor duals."""
-        return self._called(function, self.reading, self._no_dual)
+        return self.call(function, self._no_dual)
 
     @cached_property
-    def costs(self) -> Array:
-        """weight · loss of each term, summed over frames, in the order of the terms."""
-        return self.call(self.cost.functions.costs, self._no_dual)
+    def _first(self) -> Array:
+        """The costs of the terms, here and at f(r) = 0, and their derivatives without duals."""
+        return self.call(self.cost.functions.first, self._no_dual)
 
     @property
+    def costs(self) -> Array:
+        """weight · loss of each term, summed over frames, in the order of the terms."""
+        return self._first[: len(self.cost.terms)]
+
+    @cached_property
     def objective(self) -> float:
         """φ."""
         return float(self.costs.sum())
@@ -144,13 +146,13 @@ class Evaluation:
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """(∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
-        direct, through = np.split(self.call(self.cost.functions.gradient, dual), 2)
-        shape = self.cell_resistance.shape
-        return direct.reshape(shape), through.reshape(shape)
+        values = self.call(self.cost.functions.first, dual) if len(dual) else self._first
+        direct, through = values[2 * len(self.cost.terms) :].reshape(2, *self.cell_resistance.shape)
+        return direct, through
 
     def log_gradient(self, dual: Array) -> Array:
         """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form; duals held to |z| ≤ 1."""
-        direct, through = self.partials(np.clip(dual, -1, 1))
+        direct, through = self.partials(within_one(dual))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             gradient[frame] += network.adjoint(through[frame])
@@ -159,13 +161,13 @@ class Evaluation:
     @cached_property
     def cost_scale(self) -> float:
         """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
-        blank = self._called(self.cost.functions.costs, np.zeros(self.reading.shape), self._no_dual)
+        blank = self._first[len(self.cost.terms) : 2 * len(self.cost.terms)]
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property
     def rough(self) -> Array:
         """Residuals x with an absolute loss."""
-        return self.call(self.cost.functions.rough, self._no_dual)
+        return self.call(self.cost.functions.rough, self._no_dual) if len(self.cost.slope) else np.zeros(0)
 
     def dual_gap(self, dual: Array) -> float:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
@@ -177,12 +179,23 @@ class Evaluation:
         Zero exactly at a point that satisfies the first-order optimality conditions. The duals of absolute losses
         come from the solver and are held to |z| ≤ 1 here. log_gradient : for these duals, where it is known already.
         """
-        dual = np.clip(dual, -1, 1)
+        dual = within_one(dual)
         gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
         return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
 
     def projected_gradient(self, log_gradient: Array) -> float:
         """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""
-        position = np.log(self.cell_resistance)
-        target = np.clip(position - log_gradient / self.cost_scale, *self.data.log_bounds)
-        return float(np.max(np.abs(position - target)))
+        lower, upper = self.data.log_bounds
+        position = self.position
+        target = np.minimum(np.maximum(position - log_gradient / self.cost_scale, lower), upper)
+        return float(np.abs(position - target).max())
+
+    @cached_property
+    def position(self) -> Array:
+        """u = log r, (frames, rows, columns)."""
+        return np.log(self.cell_resistance)
+
+
+def within_one(dual: Array) -> Array:
+    """The duals of absolute losses, held to |z| ≤ 1."""
+    return np.clip(dual, -1, 1) if len(dual) else dual

@@ -122,12 +122,14 @@ class Stream:
             stream, step = with_contacts(self, readings, step)
         found = step.estimate(-1)
         track, step = stream._barred(step)
-        step = replace(step, solution=replace(step.solution, at=None, dual=None))
+        prepared = self.estimator.method.kept(step.solution, self.prepared)
+        step = replace(step, solution=replace(step.solution, at=None, dual=None, factor=None))
         return replace(
             stream,
             baseline=step if len(data.measured) == 2 else self.baseline,
             previous=self.previous if found is None else found,
             previous_deviation=self.previous_deviation if found is None else _deviation(track, step),
+            prepared=prepared,
             track=track,
         ), step
 

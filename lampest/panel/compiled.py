@@ -24,6 +24,11 @@ class Compiled:
         return self.function.buffer()
 
     @cached_property
+    def _size(self) -> int:
+        """Of the output's nonzeros."""
+        return int(self.function.nnz_out(0))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the inputs, in their order."""
         return tuple(self.function.name_in())
@@ -33,7 +38,7 @@ class Compiled:
         held = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
         for number, argument in enumerate(held):
             buffer.set_arg(number, argument.data)
-        result = np.empty(self.function.nnz_out(0))
+        result = np.empty(self._size)
         buffer.set_res(0, result.data)
         trigger()
         return result
@@ -43,3 +48,9 @@ class Compiled:
         """(rows, columns) of the nonzeros."""
         rows, columns = self.function.sparsity_out(0).get_triplet()
         return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+
+    @cached_property
+    def by_columns(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """(row of every nonzero, number of the first nonzero of every column and of all)."""
+        sparsity = self.function.sparsity_out(0)
+        return np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32)

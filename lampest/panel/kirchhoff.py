@@ -29,6 +29,22 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 
 def laplacian(conductance: Array) -> Array:
     """L with L·(u, v) = current_balance(g, u, v): (rows + columns)² siemens, singular; paper, equation (3)."""
-    rows = conductance.shape[0]
-    unit = np.eye(sum(conductance.shape))
-    return np.vstack(current_balance(conductance, unit[:rows], unit[rows:]))
+    rows, columns = conductance.shape
+    matrix = np.zeros((rows + columns, rows + columns), dtype=conductance.dtype)
+    matrix[:rows, rows:], matrix[rows:, :rows] = -conductance, -conductance.T
+    matrix.flat[:: rows + columns + 1] = line_sums(conductance)
+    return matrix
+
+
+def injected(conductance: Array, potentials: Array) -> Array:
+    """L·V = current_balance of arrays, rows above columns: potentials (lines, patterns) → currents likewise."""
+    rows = len(conductance)
+    currents: Array = line_sums(conductance)[:, None] * potentials
+    currents[:rows] -= conductance @ potentials[rows:]
+    currents[rows:] -= conductance.T @ potentials[:rows]
+    return currents
+
+
+def line_sums(values: Array) -> Array:
+    """(rows + columns) sums over every row and every column of values (rows, columns)."""
+    return np.concatenate([values.sum(axis=1), values.sum(axis=0)])

@@ -12,7 +12,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import current_balance, laplacian
+from lampest.panel.kirchhoff import injected, laplacian, line_sums
 from lampest.panel.panel import Array
 
 Block = tuple[slice, slice]
@@ -30,6 +30,9 @@ class SecondOrder(Protocol):
 
     def matrix(self) -> Array:
         """H, (cells, cells)."""
+
+    def adjoint(self) -> Array:
+        """Jᵀ·w, (rows, columns), from what H needs anyway."""
 
 
 class ResponseInverse(Protocol):
@@ -96,8 +99,7 @@ class Network(ABC):
         With v = Z·b the potentials of a unit current, an error ε_l of L_ll moves bᵀZb by ε_l·v_l², and v_l² ≤ Z_ll·bᵀZb
         (Cauchy and Schwarz). Infinite or no number where the inverse is spoilt altogether.
         """
-        total = np.concatenate([self.conductance.sum(axis=1), self.conductance.sum(axis=0)])
-        return float(np.sum(np.abs(total * np.diag(self._impedance))))
+        return float(np.sum(np.abs(line_sums(self.conductance) * np.diag(self._impedance))))
 
     def changed(self, block: Block, conductance: Array) -> Self:
         """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
@@ -121,7 +123,7 @@ class Network(ABC):
 
     def _injected(self, weights: Array, potentials: Array) -> Array:
         """L_w·V: currents (lines, patterns) that conductances w (rows, columns) draw at potentials V."""
-        return np.vstack(current_balance(weights, potentials[: self.rows], potentials[self.rows :]))
+        return injected(weights, potentials)
 
     def _differences(self, left: Array, right: Array, symmetric: bool) -> Array:
         """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i at once, b_i = the cell's ±1 incidence vector.
@@ -136,6 +138,12 @@ class Network(ABC):
         differences: Array = diagonal[:rows, None] + diagonal[None, rows:] - across
         return differences
 
+    def _across(self, matrix: Array) -> Array:
+        """bᵀ K b of every cell's own b, (rows, columns); K (lines, lines), symmetric."""
+        diagonal, rows = matrix.diagonal(), self.rows
+        across: Array = diagonal[:rows, None] + diagonal[rows:] - 2 * matrix[:rows, rows:]
+        return across
+
     def _between_cells(self, matrix: Array) -> Array:
         """Bᵀ K B (cells, cells), B = the incidence vectors of all cells; K (lines, lines)."""
         rows, cells = self.rows, self.conductance.size
@@ -145,4 +153,6 @@ class Network(ABC):
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
     """Z = (L(g) + diag(t))⁻¹, (lines, lines) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
-    return np.linalg.inv(laplacian(conductance) + np.diag(ties))
+    matrix = laplacian(conductance)
+    matrix.flat[:: len(ties) + 1] += ties
+    return np.linalg.inv(matrix)

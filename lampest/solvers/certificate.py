@@ -19,7 +19,7 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import Factor, local_inverse, misfit_inverse
+from lampest.solvers.newton.directions import Factor, preconditioner
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
@@ -70,7 +70,7 @@ class Certificate:
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
     """(cells) those that have room and are not pressed against a bound by the gradient, flat."""
     lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-    position = np.log(at.cell_resistance).ravel()
+    position = at.position.ravel()
     free: NDArray[np.bool_] = (lower < upper) & ~(
         ((position <= lower) & (gradient > 0)) | ((position >= upper) & (gradient < 0))
     )
@@ -82,12 +82,12 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     if (exact := _of_reproduced(curvature)) is not None:
         return exact
     free = np.flatnonzero(free_cells(curvature.at, gradient))
-    if factor is not None and factor.serves(free, curvature.at.cell_resistance, NEARBY):
+    if factor is not None and factor.exact and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif len(gradient) <= DENSE_UNKNOWNS:
         bend, step = _by_factorisation(curvature, gradient[free], free)
     else:
-        bend, step = _by_conjugate_gradients(curvature, gradient[free], free)
+        bend, step = _by_conjugate_gradients(curvature, gradient[free], free, factor)
     decrement = float(np.sqrt(max(-float(gradient[free] @ step), 0.0)))
     return Certificate(bend, _within_bounds(curvature.at, free, step), decrement, curvature)
 
@@ -140,17 +140,16 @@ def _usual_bend(curvature: Curvature) -> Array:
     return np.asarray(np.median(bend[bend > 0]) * response**2 if np.any(bend > 0) else np.ones_like(response))
 
 
-def _by_conjugate_gradients(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
+def _by_conjugate_gradients(
+    curvature: Curvature, slope: Array, free: NDArray[np.intp], kept: Factor | None
+) -> tuple[Bend, Array]:
     whole = np.zeros(curvature.at.cell_resistance.size)
 
     def product(search: Array) -> Array:
         whole[free] = search
         return curvature.product(whole)[free]
 
-    if curvature.only_misfit:
-        precondition = misfit_inverse(curvature, free)
-    else:
-        precondition = local_inverse(curvature.local, np.zeros(len(whole)), free)
+    precondition = preconditioner(curvature, free, kept).over(free)
     step, downhill = conjugate_gradients(product, precondition, -slope, ACCURACY)
     if downhill is None:
         return Bend.UP, step
@@ -161,8 +160,8 @@ def _by_conjugate_gradients(curvature: Curvature, slope: Array, free: NDArray[np
 
 def _within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
     """(cells) the step as far as bounds let it."""
-    position = np.log(at.cell_resistance).ravel()
+    position = at.position.ravel()
     target = position.copy()
     target[free] += step
     lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-    return np.asarray(np.clip(target, lower, upper) - position)
+    return np.asarray(np.minimum(np.maximum(target, lower), upper) - position)

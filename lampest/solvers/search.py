@@ -21,6 +21,7 @@ LAST_STEPS = Settings(max_iterations=20)
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 EASY, EASY_INTERIOR = 6, 20  # iterations; warm frames take 2 to 5 and 3 to 6, and a good start 9 of the latter
+EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 
@@ -57,7 +58,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         return _broken(solver.cost, data)
     points = _with_squared(solver, points)
     found = solved_from(solver, points[0])
-    easy = EASY if isinstance(solver, Newton) else EASY_INTERIOR
+    easy = EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
     one_minimum = (plain and data.readout.unique) or (relative and all(term.convex_in_log for term in comparing))
     hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
     if found.solved and not hard:

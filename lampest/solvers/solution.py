@@ -12,6 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import Bend, Certificate, certificate
 from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.smoothing import Smoothing
 
 VERIFIED = 1e-6
@@ -64,7 +65,8 @@ class Outcome:
     """What a solver hands back before anybody checked it.
 
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
-    these cells, where the solver asked for one.
+    these cells or of those one such step before, where the solver asked for one. factor : of second derivatives near
+    them, by Cholesky, where the solver has one.
     """
 
     cell_resistance: Array
@@ -72,6 +74,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
+    factor: Factor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,7 @@ class Solution:
     cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
+    factor : of the outcome.
     """
 
     cell_resistance: Array
@@ -94,6 +98,7 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
+    factor: Factor | None = None
 
     @property
     def solved(self) -> bool:
@@ -175,6 +180,7 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
         outcome.iterations,
         evaluation,
         outcome.dual,
+        outcome.factor,
     )
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import two_point_resistance
-from lampest.panel.kirchhoff import current_balance, laplacian
+from lampest.panel.kirchhoff import current_balance, injected, laplacian
 from lampest.panel.panel import Array
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
 
@@ -232,6 +232,17 @@ def test_current_is_conserved_and_equal_potentials_carry_none(cells: Array) -> N
     assert_allclose(np.vstack(resting), 0, atol=1e-13 * conductance.sum())
     matrix = laplacian(conductance)
     assert_array_equal(matrix, matrix.T)
+
+
+@given(panels)
+@QUICK
+def test_all_forms_of_the_law_are_one(cells: Array) -> None:
+    conductance, (rows, columns) = 1 / cells, cells.shape
+    potentials = np.random.default_rng(2).standard_normal((rows + columns, 3))
+    expected = np.vstack(current_balance(conductance, potentials[:rows], potentials[rows:]))
+    size = 1e-13 * np.abs(conductance).sum() * np.abs(potentials).max()
+    assert_allclose(injected(conductance, potentials), expected, atol=size)
+    assert_allclose(laplacian(conductance) @ potentials, expected, atol=size)
 
 
 @given(panels)

@@ -59,6 +59,10 @@ class Method(ABC):
         """What stands for the previous frame where there is none, the same shape, ohm."""
         return readout.uniform_start(measured)
 
+    def kept(self, solution: Solution, prepared: Any) -> Any:
+        """What is prepared for the next frame after a solution; by default what was prepared for this one."""
+        return prepared
+
     def begin(self, stream: "Stream") -> "Stream":
         """The stream after its baseline, solved in the method's own way."""
         return stream.after_baseline()

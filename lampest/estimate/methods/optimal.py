@@ -54,8 +54,14 @@ class OptimalMethod(Method):
         return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The best optimum of all starts that a frame deserves."""
+        """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""
+        if isinstance(solver, Newton):
+            solver = solver.following(prepared)
         return best_solution(solver, data, previous)
+
+    def kept(self, solution: Solution, prepared: Any) -> Any:
+        """The factor of a single frame's second derivatives."""
+        return solution.factor if solution.solved and len(solution.cell_resistance) == 1 else None
 
 
 @lru_cache(maxsize=32)

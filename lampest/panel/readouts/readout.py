@@ -5,6 +5,7 @@ A kind of readout is one file: it states its ties and its reading. All else has 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -303,10 +304,15 @@ class Readout(ABC):
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
+        noise, bias = np.array(self.noise_lsb), self._bias
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
+
+    @cached_property
+    def _bias(self) -> Array:
+        """b² of `sigma_code`; a sum that is the same for every frame."""
         harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.noise_lsb)
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
-        bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
-        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
+        return np.asarray(np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12)))
 
     def sigma(self, recorded: Array) -> Array:
         """σ of recorded readings, the same shape and unit."""

@@ -139,6 +139,10 @@ class TiedSecondOrder:
         impedance = self.network._impedance
         return impedance @ self.network.loading(self.weights) @ impedance
 
+    def adjoint(self) -> Array:
+        """g·bᵀ K b."""
+        return self.network.conductance * self.network._across(self._twice)
+
     def _bent(self, name: str) -> Array:
         return self.weights * self.network._equation[name]
 

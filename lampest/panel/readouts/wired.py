@@ -129,6 +129,10 @@ class WiredSecondOrder:
         twice = 2 * np.sum(moved * (self.loading @ across), axis=0).reshape(step.shape)
         return network.read_change(change), network.conductance * (twice + network.drawn(self.bends.moved(change)))
 
+    def adjoint(self) -> Array:
+        """g·diag(Dᵀ W D)."""
+        return self.network.conductance * self.network.drawn(self.loading)
+
     def matrix(self) -> Array:
         """2 g (X ∘ Dᵀ W D) g, and what the bends of h add."""
         network = self.network

@@ -4,13 +4,14 @@ With the network's J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i
 terms with respect to (r; y): ∇²φ = (diag r; J)ᵀ H (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation
 from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
@@ -41,7 +42,7 @@ class Curvature:
     @cached_property
     def through(self) -> Array:
         """Jᵀ·∂φ/∂y."""
-        return self.adjoint(self.by_reading)
+        return np.concatenate([second.adjoint().ravel() for second in self._second_orders])
 
     @property
     def by_reading(self) -> Array:
@@ -66,10 +67,9 @@ class Curvature:
 
     @cached_property
     def terms(self) -> sparse.csr_array:
-        """H, (2·frames·cells)² sparse."""
+        """H, (2·frames·cells)² sparse; it is symmetric, so that its columns are its rows."""
         functions, size = self.at.cost.functions, 2 * self.at.cell_resistance.size
-        values = self.at.call(functions.hessian, self.smoothing.dual)
-        matrix = sparse.csr_array((values, functions.hessian.pattern), shape=(size, size))
+        matrix = sparse.csr_array((self._smooth_terms, *functions.hessian.by_columns), shape=(size, size))
         if len(self.at.cost.slope):
             jacobian = self.smoothing.jacobian(self.at)
             weight = self.at.cost.slope * self.smoothing.stiffness(self.at.rough)
@@ -91,8 +91,8 @@ class Curvature:
     @property
     def only_misfit(self) -> bool:
         """Whether nothing but the readings of one frame bends the cost."""
-        frames, size = len(self.at.networks), self.at.cell_resistance.size
-        return frames == 1 and self.terms[:size, :size].nnz == 0
+        frames = len(self.at.networks)
+        return frames == 1 and not len(self._entries[0].cells)
 
     @cached_property
     def local(self) -> sparse.csr_array:
@@ -107,39 +107,61 @@ class Curvature:
     @cached_property
     def matrix(self) -> Array:
         """∇²φ, dense (frames · cells)²."""
-        cells = self.at.cell_resistance.ravel()
-        count, size = len(cells), self.at.networks[0].conductance.size
-        jacobian, matrix = np.zeros((count, count)), np.zeros((count, count))
-        for frame, network in enumerate(self.at.networks):
-            block = slice(frame * size, (frame + 1) * size)
-            jacobian[block, block] = network.sensitivity()
-            matrix[block, block] = self._second_orders[frame].matrix()
-        self._add_terms(matrix, jacobian, cells)
-        matrix[np.diag_indices(count)] += self.direct - self.through
+        count = self.at.cell_resistance.size
+        pairs = zip(self.at.networks, self._second_orders, strict=True)
+        blocks = [(network.sensitivity(), second.matrix()) for network, second in pairs]
+        jacobian, matrix = (block_diagonal(parts) for parts in zip(*blocks, strict=True))
+        self._add_terms(matrix, jacobian)
+        matrix.flat[:: count + 1] += self.direct - self.through
         return matrix
 
-    def _add_terms(self, matrix: Array, jacobian: Array, cells: Array) -> None:
+    def _add_terms(self, matrix: Array, jacobian: Array) -> None:
         """matrix += (diag r; J)ᵀ H (diag r; J)."""
+        cells = self.at.cell_resistance.ravel()
         count = len(cells)
-        rows, columns, values = self._triplets
-        own = (rows < count) & (columns < count)
-        matrix[rows[own], columns[own]] += values[own] * cells[rows[own]] * cells[columns[own]]
-        model = (rows >= count) & (columns >= count)
-        if np.array_equal(rows[model], columns[model]):
-            weight = np.zeros(count)
-            weight[rows[model] - count] = values[model]
-            matrix += (jacobian * weight[:, None]).T @ jacobian
-        else:
+        entries, values = self._entries
+        row, column = entries.at_cells
+        matrix[row, column] += values[entries.cells] * cells[row] * cells[column]
+        if entries.at_model is None:
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
-        if np.any((rows < count) & (columns >= count)):
+        else:
+            weight = np.zeros(count)
+            weight[entries.at_model] = values[entries.model]
+            matrix += weighted_square(jacobian, weight)
+        if entries.crossed:
             cross = cells[:, None] * (self.terms[:count, count:] @ jacobian)
             matrix += cross + cross.T
 
-    @cached_property
-    def _triplets(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """(rows, columns, values) of H."""
+    @property
+    def _entries(self) -> tuple[Entries, Array]:
+        """Where the nonzeros of H stand, and their values."""
         functions = self.at.cost.functions
         if not len(self.at.cost.slope):
-            return *functions.hessian.pattern, self.at.call(functions.hessian, self.smoothing.dual)
+            return functions.entries, self._smooth_terms
         matrix = sparse.coo_array(self.terms)
-        return matrix.row, matrix.col, matrix.data
+        return Entries.of(matrix.row, matrix.col, self.at.cell_resistance.size), matrix.data
+
+    @cached_property
+    def _smooth_terms(self) -> Array:
+        return self.at.call(self.at.cost.functions.hessian, self.smoothing.dual)
+
+
+def block_diagonal(blocks: Sequence[Array]) -> Array:
+    """Square blocks of equal size along the diagonal; one alone as it is."""
+    if len(blocks) == 1:
+        return blocks[0]
+    size = len(blocks[0])
+    matrix = np.zeros((len(blocks) * size, len(blocks) * size))
+    for number, block in enumerate(blocks):
+        span = slice(number * size, (number + 1) * size)
+        matrix[span, span] = block
+    return matrix
+
+
+def weighted_square(matrix: Array, weight: Array) -> Array:
+    """AᵀWA; a product of a matrix with its own transpose costs half."""
+    if weight.min() < 0:
+        return (matrix * weight[:, None]).T @ matrix
+    scaled = matrix * np.sqrt(weight)[:, None]
+    square: Array = scaled.T @ scaled
+    return square

@@ -16,31 +16,47 @@ from lampest.solvers.newton.reach import within_reach
 LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
 REACH, TINY = 2.5, 0.1  # changes of log r
 FLAT = 1e-9  # of a diagonal: differences of impedances leave 11 digits of a matrix, factorising it some fewer
+FOLLOWED = 0.5  # of log r: frames in sequence differ by less in most cells, and what they bend by alike
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Of ∇²φ over some cells by Cholesky, and where it was taken: cell_resistance (frames, rows, columns) ohm."""
+    """(∇²φ)⁻¹ over some cells, and where it was taken: cell_resistance (frames, rows, columns) ohm.
+
+    solve : of a vector over these cells. exact : by Cholesky; else what conjugate gradients are preconditioned with.
+    """
 
     cells: NDArray[np.intp]
     cell_resistance: Array
-    triangle: Array
+    solve: Linear
+    exact: bool = True
 
     def serves(self, free: NDArray[np.intp], cell_resistance: Array, reach: float) -> bool:
         """Whether it is of the same cells, none of which has moved by more than `reach` in log r since."""
-        return np.array_equal(free, self.cells) and bool(
-            np.abs(np.log(cell_resistance / self.cell_resistance)).max() <= reach
-        )
+        return np.array_equal(free, self.cells) and self.near(cell_resistance, reach)
 
-    def solve(self, right: Array) -> Array:
-        """(∇²φ)⁻¹·right."""
-        solved: Array = lapack.dpotrs(self.triangle, right)[0]
-        return solved
+    def near(self, cell_resistance: Array, reach: float) -> bool:
+        """Whether no cell has moved by more than `reach` in log r since."""
+        same = cell_resistance.shape == self.cell_resistance.shape
+        return same and bool(np.abs(np.log(cell_resistance / self.cell_resistance)).max() <= reach)
+
+    def over(self, free: NDArray[np.intp]) -> Linear:
+        """The part between free cells of an inverse over more cells, which conjugate gradients take as well."""
+        if len(free) == len(self.cells):
+            return self.solve
+        whole = np.zeros(self.cell_resistance.size)
+
+        def solve(values: Array) -> Array:
+            whole[free] = values
+            part: Array = self.solve(whole)[free]
+            return part
+
+        return solve
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """step : (cells) of log r. damping : with which it was made. factor : of ∇²φ where nothing was added to it."""
+    """step : (cells) of log r. damping : with which it was made. factor : where nothing was added to ∇²φ."""
 
     step: Array
     damping: float
@@ -48,12 +64,18 @@ class Direction:
 
 
 def direction(
-    curvature: Curvature, free: NDArray[np.bool_], known: Array, damping: float, accuracy: float
+    curvature: Curvature,
+    free: NDArray[np.bool_],
+    known: Array,
+    damping: float,
+    accuracy: float,
+    kept: Factor | None = None,
 ) -> Direction:
     """`known` at cells that are not free, a Newton step at the others given that.
 
     The damping is raised where the matrix is not positive definite, unless that leaves no step worth the name.
-    accuracy : relative residual at which conjugate gradients stop.
+    accuracy : relative residual at which conjugate gradients stop. kept : an earlier factor; as their preconditioner it
+    need not be exact.
     """
     slope = curvature.gradient + (curvature.product(known) if known.any() else 0.0)
     chosen = np.flatnonzero(free)
@@ -62,7 +84,7 @@ def direction(
     if len(free) <= DENSE_UNKNOWNS:
         found = _by_factorisation(curvature, chosen, slope[chosen], damping)
     else:
-        found = Direction(*_by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy))
+        found = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy, kept)
     step = known.copy()
     step[chosen] = found.step
     return replace(found, step=step)
@@ -81,7 +103,8 @@ def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array
     # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
     if used and np.abs(step).max() < TINY and (used > damping or bends_down(matrix, size)):
         return Direction(within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping)
-    return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, triangle))
+    solve: Linear = lambda right: lapack.dpotrs(triangle, right)[0]  # noqa: E731
+    return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, solve))
 
 
 def bends_down(matrix: Array, size: Array) -> bool:
@@ -90,25 +113,38 @@ def bends_down(matrix: Array, size: Array) -> bool:
 
 
 def _by_conjugate_gradients(
-    curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float
-) -> tuple[Array, float]:
+    curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float, kept: Factor | None
+) -> Direction:
     """Where the curvature turns negative the step is extended along that direction to a change of one in log r."""
-    size = _at_least(np.abs(curvature.local.diagonal()), 1e-6)
+    shift = damping * _at_least(np.abs(curvature.local.diagonal()), 1e-6) if damping else np.zeros(1)
     whole = np.zeros(len(curvature.gradient))
 
     def product(search: Array) -> Array:
         whole[free] = search
-        return curvature.product(whole)[free] + damping * size[free] * search
+        image = curvature.product(whole)[free]
+        return image + shift[free] * search if damping else image
 
-    if curvature.only_misfit:
-        precondition = misfit_inverse(curvature, free)
-    else:
-        precondition = local_inverse(curvature.local, damping * size, free)
+    factor = preconditioner(curvature, free, kept) if not damping or curvature.only_misfit else None
+    precondition = local_inverse(curvature.local, shift, free) if factor is None else factor.over(free)
     step, downhill = conjugate_gradients(product, precondition, -slope, accuracy)
     if downhill is None:
-        return step, damping
+        return Direction(step, damping, None if damping else factor)
     reach = max(1 / (1 + damping) - np.abs(step).max(), 0)
-    return step + downhill * reach / np.abs(downhill).max(initial=1e-300), raised(damping)
+    return Direction(step + downhill * reach / np.abs(downhill).max(initial=1e-300), raised(damping), factor)
+
+
+def preconditioner(curvature: Curvature, free: NDArray[np.intp], kept: Factor | None = None) -> Factor:
+    """For ∇²φ over the free cells or over all: one that was kept while it serves, else a new one.
+
+    Absolute losses stiffen where cells hardly move; theirs is always new.
+    """
+    cells = curvature.at.cell_resistance
+    if curvature.only_misfit:
+        return Factor(free, cells, misfit_inverse(curvature, free), exact=False)
+    if kept is not None and not kept.exact and kept.near(cells, FOLLOWED) and not len(curvature.at.cost.slope):
+        return kept
+    everything = np.arange(cells.size)
+    return Factor(everything, cells, local_inverse(curvature.local, np.zeros(cells.size), everything), exact=False)
 
 
 def raised(damping: float) -> float:
@@ -138,6 +174,9 @@ def local_inverse(local: sparse.csr_array, damping: Array, free: NDArray[np.intp
     matrix = sparse.csr_array(local + sparse.diags_array(damping))[free][:, free]
     least = 1e-9 * np.abs(matrix.diagonal()).max(initial=1e-300)
     matrix = sparse.csc_array(matrix + sparse.diags_array(np.full(len(free), least)))
+    if matrix.nnz == len(free):
+        diagonal = matrix.diagonal()
+        return lambda values: values / diagonal
     options = {"SymmetricMode": True}
     solve: Linear = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
     return solve

@@ -29,7 +29,7 @@ def ways(at: Evaluation, step: Array, moving: NDArray[np.bool_]) -> tuple[Array,
         if all(term.reads_measurement for term in at.cost.terms):
             return (straight,)
         whole = (np.arange(len(at.data.measured))[:, None] * (1 + group.max()) + group).ravel()
-        return (along_sums(np.log(at.cell_resistance).ravel(), straight, moving, whole),)
+        return (along_sums(at.position.ravel(), straight, moving, whole),)
     if np.abs(step).max(initial=0.0) < BENT:
         return (straight,)
     return straight, -np.log(np.maximum(1 - step, NO_CONDUCTANCE))

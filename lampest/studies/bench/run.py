@@ -11,6 +11,8 @@ from lampest.cost.problem import Data
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
+from lampest.solvers.newton.directions import Factor
+from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution, convex, evaluated
 from lampest.solvers.solution import Solution, Solver, check
 from lampest.studies.bench.memory import peak_memory
@@ -102,10 +104,11 @@ def _measure(bench: BenchFile, recording: Recording, method: str, inverse_times:
     matrix = _tied(recording)
     best = first_estimate(bench, recording, method)
     sizes: list[float] = []
+    kept: Factor | None = None
     for frame in range(bench.frames + 1):
         fresh = frame_data(bench, recording, method, frame, best)
         example = fresh()
-        solvers = {name: solver_of(bench, method, name, example) for name in names}
+        solvers = {name: _following(solver_of(bench, method, name, example), kept) for name in names}
         turns: list[list[_BenchRun]] = []
         sizes.append(float(np.sum(example.measured**2)))
         for _ in range(bench.repeats if frame else 1):
@@ -114,6 +117,7 @@ def _measure(bench: BenchFile, recording: Recording, method: str, inverse_times:
         for name, row in zip(names, zip(*turns, strict=True), strict=True):
             runs[name].append(list(row))
         solved = [run.solution for row in turns for run in row if run.solution.solved]
+        kept = next((solution.factor for solution in solved if solution.factor is not None), None)
         if solved:
             best = min(solved, key=lambda solution: solution.objective).cell_resistance[-1]
         elif best is None and bench.estimator(method, "reduced").relative:
@@ -121,6 +125,11 @@ def _measure(bench: BenchFile, recording: Recording, method: str, inverse_times:
     least = np.nanmin([[row[0].objective for row in rows] for rows in runs.values()], axis=0)
     for name, rows in runs.items():
         yield _timing(shape, method, name, rows, least, NOTHING * np.array(sizes))
+
+
+def _following(solver: Solver, kept: Factor | None) -> Solver:
+    """A solver with what a sequence keeps from the frame before."""
+    return solver.following(kept) if isinstance(solver, Newton) else solver
 
 
 def _timing(

@@ -45,9 +45,7 @@ class FloatingNetwork(Network):
 
     def reading(self) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk."""
-        diagonal, rows = np.diag(self._impedance), self.rows
-        resistance: Array = diagonal[:rows, None] + diagonal[None, rows:] - 2 * self._impedance[:rows, rows:]
-        return resistance
+        return self._across(self._impedance)
 
     def conductance_product(self, weights: Array) -> Array:
         """(∂R/∂g)·w = −bᵀ Z L_w Z b, which is also (∂R/∂g)ᵀ·w; w (rows, columns), result likewise.
@@ -122,6 +120,10 @@ class FloatingSecondOrder:
         injected = network._injected(step / network.cell_resistance, network._impedance)
         change = network._differences(network._impedance, injected, symmetric=True)
         return change, 2 * network._differences(self.twice, injected, symmetric=False) / network.cell_resistance
+
+    def adjoint(self) -> Array:
+        """g·bᵀ K b."""
+        return self.network._across(self.twice) / self.network.cell_resistance
 
     def matrix(self) -> Array:
         """2 g (D ∘ BᵀKB) g."""
