@@ -6,9 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.explanation import LEVEL, Explanation, best_in_series
-from lampest.estimate.model_check.question import Question, nearly_gaussian
-from lampest.estimate.model_check.rivals import Rival, rivals_of
+from lampest.estimate.model_check.comparison import Better, better_rival
+from lampest.estimate.model_check.explanation import LEVEL, Explanation
+from lampest.estimate.model_check.question import Question, nearly_gaussian, standing_frames
+from lampest.estimate.model_check.rivals import rivals_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -16,10 +17,6 @@ from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.search import BROKEN
 
-# −2 log probability by which another circuit must beat the told one: e^30 to one, so that neither the choice of the
-# best of some forty rivals nor creep that is not as assumed decides.
-MARGIN = 60.0
-WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
@@ -84,21 +81,25 @@ def _checked(
     """The check of readings whose noise is known."""
     resting = unloaded if len(unloaded) else np.array([0])
     others = np.setdiff1d(measured, resting)
-    frame = strongest_frame(readings.value, readings[resting].mean().value, others) if len(others) else None
     told, *rivals = rivals_of(scene, recorded, sigma)
     used = replace(readings, seen=readings.seen * nearly_gaussian(told, 1))
     noise = noise_factor(used[resting])
-    question = Question(told, resting, frame, noise)
+    standing = others
+    if len(others):
+        frame = strongest_frame(readings.value, readings[resting].mean().value, others)
+        standing = standing_frames(used, frame, others, noise)
+    question = Question(told, resting, standing, noise)
     found = Explanation.of(told, question)
     fault = ("" if found is None else _unexplained(found, question)) or _broken_law(scene, used, noise)
+    fault = fault or _below_series(scene, recorded, readings)
     able = None if fault else found
-    better = None if able is not None and able.score < MARGIN else _better([told, *rivals], question, able)
+    better = better_rival([told, *rivals], question, able)
     if found is None and better is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    sentence = _sentence(fault, found, better, frame)
+    sentence = _sentence(fault, found, better)
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
-    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.rival.name, noise)
+    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.name, noise)
 
 
 def noise_factor(resting: Readings) -> float:
@@ -118,7 +119,7 @@ def _unexplained(found: Explanation, question: Question) -> str:
     if found.holds:
         return ""
     worst = int(np.argmin([fit.tail for fit in found.fits]))
-    fit, what = found.fits[worst], ("the unloaded panel", f"frame {question.frame}")[worst]
+    fit, what = found.fits[worst], ("the unloaded panel", question.loaded)[worst]
     return (
         f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
         f"be noise, {fit.worst_line()}"
@@ -137,33 +138,27 @@ def _broken_law(scene: Scene, readings: Readings, noise: float) -> str:
     return ""
 
 
-def _better(rivals: list[Rival], question: Question, told: Explanation | None) -> Explanation | None:
-    """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
-
-    told : what the told circuit explains; None where it does not. A rival under which most cells have moved is none:
-    nothing then shows which have not.
-    """
-    found = [best_in_series(rival, question, told) for rival in rivals]
-    best = min((one for one in found if one is not None and one.sparse), key=lambda one: one.score, default=None)
-    if best is None or told is None:
-        return best
-    if best.rival is told.rival or best.score >= told.score - WORTH_ASKING:
-        return None
-    # Linear theory has chosen; the networks decide. What moved under the rival may have moved under the told circuit.
-    least = min(told.joint_score(moving) for moving in (told.moving, best.moving, told.moving | best.moving))
-    return best if best.joint_score(best.moving) < least - MARGIN else None
+def _below_series(scene: Scene, recorded: Array, readings: Readings) -> str:
+    """The reading that lies below the series resistance by more than its noise, in words; '' where none does."""
+    if scene.circuit.unit != "ohm" or readings.sigma is None:
+        return ""
+    left = scene.circuit.from_recorded(recorded, scene)
+    known = (readings.seen > 0) & np.isfinite(left)
+    excess = np.where(known, -left / readings.sigma, -np.inf)
+    if largest_of(excess.max(), excess.size) >= LEVEL:
+        return ""
+    frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
+    short = f"{-left[frame, row, column]:.3g} ohm below its series resistance, {excess[frame, row, column]:.3g} times"
+    return f"the reading of row {row}, column {column} in frame {frame} lies {short} its noise"
 
 
-def _sentence(fault: str, told: Explanation | None, better: Explanation | None, frame: int | None) -> str:
+def _sentence(fault: str, told: Explanation | None, better: Better | None) -> str:
     if fault:
         return f"{fault}; " + (
-            "no other circuit that was tried gives them" if better is None else f"{better.rival.name} does"
+            "no other circuit that was tried gives them" if better is None else f"{better.name} does"
         )
     if better is None:
         return "the circuit explains its readings"
     if told is None:
-        return f"no cells were found that give the readings; {better.rival.name} does"
-    return (
-        f"{better.rival.name} explains the readings better: between the unloaded panel and frame {frame} "
-        f"{better.moved} cells have moved then, and {told.moved} as told"
-    )
+        return f"no cells were found that give the readings; {better.name} does"
+    return f"{better.name} explains the readings better: {better.reason}"
