@@ -9,10 +9,11 @@ import pytest
 from studies.model_check import named, sound, wrong
 
 import lampest
-from lampest import Misfit, Recording, Scene, TwoPointReadout
+from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
 from lampest.estimate.model_check.check import recording_check
+from lampest.estimate.model_check.question import standing_frames
 from lampest.estimate.model_check.wild import wild_readings
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
@@ -50,9 +51,35 @@ def test_the_four_point_inequality_is_that_of_every_way() -> None:
     assert np.isclose(four_point_excess(resistance[None], sigma[None])[0], by_loops(resistance, sigma))
 
 
-@pytest.mark.parametrize("kind", members_of(AnyReadout), ids=lambda kind: kind.__name__)
-def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(kind: type[Readout]) -> None:
-    circuit = kind()
+# An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are large.
+CIRCUITS = (
+    TwoPointReadout(),
+    lampest.LoadedColumnsReadout(drive_ohm=300.0),
+    lampest.GroundedReadout(drive_ohm=300.0),
+    lampest.GroundedReadout(drive_ohm=300.0, driven="columns"),
+    lampest.GroundedReadout(drive_ohm=300.0, sense="one"),
+    lampest.VirtualGroundReadout(drive_ohm=3000.0, sense_ohm=2000.0),
+    lampest.VirtualGroundReadout(drive_ohm=3000.0, sense_ohm=2000.0, driven="columns"),
+)
+
+
+def test_every_kind_is_among_the_circuits() -> None:
+    assert {type(circuit) for circuit in CIRCUITS} == set(members_of(AnyReadout))
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
+def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> None:
+    scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
+    recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
+    bare = circuit.with_series(scene, 0.0)
+    assert bare.circuit.told_in_series(bare) == 0
+    told = circuit.told_in_series(scene)
+    assert told in (200.0, 300.0, 3000.0)
+    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
+def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Readout) -> None:
     exact = circuit.exact_reading(CELLS)[None]
     sigma = 1e-4 * exact
     for test in circuit.free_tests(exact, sigma):
@@ -195,6 +222,62 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
     assert recording_check(right).mark == "yes"
     swapped = replace(scene, readout=replace(readout, driven="columns"))
     assert recording_check(replace(right, scene=swapped)).mark == "no"
+
+
+def rod_on(scene: Scene, seed: int = 3) -> Recording:
+    """A rod on a panel of 8 × 8 cells."""
+    rod = lampest.Rod(centre_mm=(30.0, 40.0), diameter_mm=30, mass_g=850)
+    return lampest.simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
+
+
+QUIET = {"supply_volt": 3.3, "adc_bits": 12, "noise_lsb": 1.0, "readings": 4}
+DIVIDER = TwoPointReadout(**QUIET, reference_ohm=1000.0)
+LOADED = lampest.LoadedColumnsReadout(**QUIET, drive_ohm=200.0)
+PANEL = lampest.Panel(8, 8, 10.0)
+
+
+@pytest.mark.parametrize("told", [140.0, 1200.0])
+def test_a_series_resistance_that_is_not_there_is_named(told: float) -> None:
+    """Both where readings are larger than it, and where it leaves less than nothing of them."""
+    recording = rod_on(Scene(PANEL, DIVIDER))
+    check = recording_check(replace(recording, scene=Scene(PANEL, DIVIDER, series_resistance_ohm=told), raw_sums=None))
+    assert check.explains is False
+    assert "series_resistance_ohm near" in check.better
+    assert float(check.better.split()[-1]) < 20
+
+
+def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
+    recording = rod_on(Scene(PANEL, LOADED))
+    recorded = recording.recorded.copy()
+    recorded[np.random.default_rng(1).random(recorded.shape) < 0.05] = np.nan
+    recorded[0, 2, 2], recorded[4, 3, 3] = np.inf, 0.0
+    right = replace(recording, recorded=recorded, raw_sums=None)
+    assert recording_check(right).explains
+    check = recording_check(replace(right, scene=Scene(PANEL, replace(LOADED, driven="columns"))))
+    assert check.explains is False
+    assert "swapped" in check.better
+
+
+@pytest.mark.parametrize(
+    "besides",
+    [
+        {"lines": lampest.Lines(row_ohm_per_cell=5.0, column_ohm_per_cell=5.0)},
+        {"faults": lampest.Faults(joined_rows=((2, 3),))},
+        {"converter_memory": 0.03},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+@pytest.mark.parametrize("readout", [DIVIDER, LOADED], ids=lambda readout: readout.kind)
+def test_what_scenes_tell_besides_is_no_fault_of_the_circuit(readout: Readout, besides: dict) -> None:
+    assert recording_check(rod_on(Scene(PANEL, readout, **besides))).explains
+
+
+def test_frames_that_stand_are_taken_together_and_others_are_not() -> None:
+    random = np.random.default_rng(2)
+    value = 1000 + random.standard_normal((5, *SHAPE))
+    value[2] += 3.0
+    readings = Readings(value, np.ones_like(value), np.zeros_like(value), np.ones_like(value))
+    assert list(standing_frames(readings, 4, np.arange(5), 1.0)) == [0, 1, 3, 4]
 
 
 @pytest.fixture(scope="module")

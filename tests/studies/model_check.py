@@ -1,6 +1,6 @@
 """How often the model check calls a right circuit wrong, and how often it notices a wrong one.
 
-    python -m tests.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...]
+    python -m tests.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...] [--bits N ...]
 
 Scenes are drawn anew: 4 × 4 to 18 × 18 cells, both sides driven, converters of 8 to 16 bits with 0 to 3 LSB of noise,
 loads of every shape or none, faults and saturated readings among them. Truth comes from the simulation alone.
@@ -10,14 +10,20 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.estimate.model_check.check import ModelCheck, recording_check
+from lampest.estimate.model_check.explanation import Explanation
+from lampest.estimate.model_check.question import Question
+from lampest.estimate.model_check.rivals import rivals_of
+from lampest.estimate.model_check.stillness import PRICE
 from lampest.recording.simulation.measure import measured
 
+SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
 SIDES = (4, 6, 8, 10, 12, 16, 18)
 
 
@@ -103,8 +109,11 @@ def faults(random: np.random.Generator, panel: lampest.Panel) -> lampest.Faults:
     return lampest.Faults(**several[int(random.integers(3))])
 
 
-def wrong(seed: int, side: int, bits: int) -> Iterator[tuple[str, Recording]]:
-    """Recordings of a loaded panel of side × side cells under scenes that tell another circuit."""
+def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tuple[str, Recording]]:
+    """Recordings of a loaded panel of side × side cells under scenes that tell another circuit.
+
+    exact : without noise.
+    """
     random = np.random.default_rng([seed, 2])
     panel = lampest.Panel(side, side, 10.0)
     told = {"supply_volt": 3.3, "adc_bits": bits, "readings": 4, "noise_lsb": 1.0}
@@ -116,7 +125,12 @@ def wrong(seed: int, side: int, bits: int) -> Iterator[tuple[str, Recording]]:
         shapes = loads(random, panel)
 
     def taken(scene: Scene) -> Recording:
-        return lampest.simulate(Simulation(1, seed, scene, frames=3, loads=shapes))
+        recording = lampest.simulate(Simulation(1, seed, scene, frames=3, loads=shapes))
+        if not exact:
+            return recording
+        assert recording.truth_cell_resistance is not None
+        recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(recording.truth_cell_resistance), scene)
+        return replace(recording, recorded=recorded, raw_sums=None)
 
     def retold(recording: Recording, scene: Scene, convert: Callable[[np.ndarray], np.ndarray]) -> Recording:
         return replace(recording, scene=scene, recorded=convert(recording.recorded), raw_sums=None)
@@ -131,6 +145,26 @@ def wrong(seed: int, side: int, bits: int) -> Iterator[tuple[str, Recording]]:
     both = taken(Scene(panel, divider))
     ideal = replace(loaded, drive_ohm=0.0)
     yield "two_point told as loaded columns", retold(both, Scene(panel, ideal), lambda ohm: 33000.0 / (ohm + 10000.0))
+
+
+def evidence(exact: Recording) -> float:
+    """By how much the truth is more probable than what the told circuit makes of readings without noise, as −2 log.
+
+    (χ² of the told circuit, at σ of the mean frames, and PRICE for each cell that has to move) less PRICE for each cell
+    that did, by more than 1 % beside the others; 0 where those are half of the panel or more, or the fit fails.
+    """
+    cells = exact.truth_cell_resistance
+    assert cells is not None
+    unloaded, measured = np.flatnonzero(exact.role == 0), np.flatnonzero(exact.role == 1)
+    change = np.log(cells[measured[0]] / cells[0])
+    moved = np.abs(change - np.median(change)) > 0.01
+    question = Question(next(rivals_of(exact.scene, exact.recorded, exact.sigma)), unloaded, measured)
+    found = Explanation.of(question.told, question)
+    if 2 * moved.sum() >= moved.size:
+        return 0.0
+    if found is None or not found.holds:
+        return float("inf")
+    return min(found.joint(question, start).score for start in (found.moving, moved)) - PRICE * int(moved.sum())
 
 
 def named(what: str, check: ModelCheck) -> bool:
@@ -166,20 +200,23 @@ def false_alarms(first: int, count: int) -> None:
     print(f"false alarms: {alarms.total()} of {seen.total()} ({100 * alarms.total() / seen.total():.2f} %)", flush=True)
 
 
-def detections(first: int, count: int, sides: Sequence[int]) -> None:
-    """Print the share of wrong circuits that are noticed, and named, by size and converter."""
-    for side in sides:
-        for bits in (10, 12):
-            noticed, right, tried = Counter[str](), Counter[str](), Counter[str]()
-            for seed in range(first, first + count):
-                for what, recording in wrong(seed, side, bits):
-                    check = recording_check(recording)
-                    tried[what] += 1
-                    noticed[what] += check.explains is False
-                    right[what] += named(what, check)
-            for what, total in tried.items():
-                shares = f"noticed {100 * noticed[what] / total:5.1f} %, named {100 * right[what] / total:5.1f} %"
-                print(f"{side:2} × {side:2}, {bits} bits, {what:34} {shares} of {total}", flush=True)
+def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]) -> None:
+    """Print the share of wrong circuits that are noticed, and named: of all, and of those that the data can show."""
+    for side, of_bits in product(sides, bits):
+        noticed, right, tried = Counter[str](), Counter[str](), Counter[str]()
+        for seed in range(first, first + count):
+            both = zip(wrong(seed, side, of_bits), wrong(seed, side, of_bits, exact=True), strict=True)
+            for (what, recording), (_, exact) in both:
+                check, shown = recording_check(recording), evidence(exact)
+                for of in (what, what + SHOWN) if shown >= SHOWN_FROM else (what,):
+                    tried[of] += 1
+                    noticed[of] += check.explains is False
+                    right[of] += named(what, check)
+                if shown >= SHOWN_FROM and check.explains is not False:
+                    print(f"  missed: seed {seed}, {side} × {side}, {of_bits} bits, {what}, evidence {shown:.0f}")
+        for what, total in sorted(tried.items()):
+            shares = f"noticed {100 * noticed[what] / total:5.1f} %, named {100 * right[what] / total:5.1f} %"
+            print(f"{side:2} × {side:2}, {of_bits} bits, {what:52} {shares} of {total}", flush=True)
 
 
 if __name__ == "__main__":
@@ -187,9 +224,10 @@ if __name__ == "__main__":
     parser.add_argument("--matched", type=int, default=600)
     parser.add_argument("--wrong", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--bits", type=int, nargs="+", default=[10, 12])
     parser.add_argument("--sides", type=int, nargs="+", default=[6, 10, 16])
     asked = parser.parse_args()
     if asked.matched:
         false_alarms(asked.first, asked.matched)
     if asked.wrong:
-        detections(asked.first, asked.wrong, asked.sides)
+        detections(asked.first, asked.wrong, asked.sides, asked.bits)

@@ -6,9 +6,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.explanation import LEVEL, Explanation, best_in_series
-from lampest.estimate.model_check.question import Question, nearly_gaussian
-from lampest.estimate.model_check.rivals import Rival, rivals_of
+from lampest.estimate.model_check.comparison import Better, better_rival
+from lampest.estimate.model_check.explanation import LEVEL, Explanation
+from lampest.estimate.model_check.laws import broken_law
+from lampest.estimate.model_check.question import Question, nearly_gaussian, standing_frames
+from lampest.estimate.model_check.rivals import rivals_of
 from lampest.estimate.model_check.wild import said_of_wild, wild_readings
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -17,10 +19,6 @@ from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.search import BROKEN
 
-# −2 log probability by which another circuit must beat the told one: e^30 to one, so that neither the choice of the
-# best of some forty rivals nor creep that is not as assumed decides.
-MARGIN = 60.0
-WORTH_ASKING = 20.0  # of that, by linear theory, from where the networks themselves are asked
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"
 NOT_COMPARED = "other circuits were not tried, too many readings are missing"
@@ -86,28 +84,31 @@ def _checked(
     readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
     others = np.setdiff1d(measured, resting)
-    frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others) if len(others) else None
     told, *rivals = rivals_of(scene, recorded, sigma)
     used = replace(readings, seen=readings.seen * nearly_gaussian(told, 1))
     noise = noise_factor(used[resting])
-    question = Question(told, resting, frame, noise)
+    standing = others
+    if len(others):
+        frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others)
+        standing = standing_frames(used, frame, others, noise)
+    question = Question(told, resting, standing, noise)
     found = Explanation.of(told, question)
-    fault = ("" if found is None else _unexplained(found, question)) or _broken_law(scene, used, noise)
+    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise)
+    fault = fault or _below_series(scene, recorded, readings)
     able = None if fault else found
-    whole = _nearly_whole(readings, scene, resting, frame)
-    asked = whole and (able is None or able.score >= MARGIN)
-    better = _better([told, *rivals], question, able) if asked else None
+    whole = _nearly_whole(readings, scene, question)
+    better = better_rival([told, *rivals], question, able) if whole else None
     if found is None and better is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    sentence = _sentence(fault, found, better, frame) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
+    sentence = _sentence(fault, found, better) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
-    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.rival.name, noise)
+    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.name, noise)
 
 
-def _nearly_whole(readings: Readings, scene: Scene, resting: NDArray[np.intp], frame: int | None) -> bool:
-    """Whether the unloaded panel and the frame have enough of their readings to be held against other circuits."""
-    asked = [readings[resting].mean(), *([] if frame is None else [readings[frame]])]
+def _nearly_whole(readings: Readings, scene: Scene, question: Question) -> bool:
+    """Whether the unloaded panel and the frames have enough of their readings to be held against other circuits."""
+    asked = [readings[frames].mean() for frames in (question.resting, question.standing) if len(frames)]
     return all(float(one.missing(scene).mean()) <= MOST_MISSING for one in asked)
 
 
@@ -128,63 +129,34 @@ def _unexplained(found: Explanation, question: Question) -> str:
     if found.holds:
         return ""
     worst = int(np.argmin([fit.tail for fit in found.fits]))
-    fit, what = found.fits[worst], ("the unloaded panel", f"frame {question.frame}")[worst]
+    fit, what = found.fits[worst], ("the unloaded panel", question.loaded)[worst]
     return (
         f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
         f"be noise, {fit.worst_line()}"
     )
 
 
-def _broken_law(scene: Scene, readings: Readings, noise: float) -> str:
-    """The inequality of the circuit that readings break by more than their noise, in words; '' where none."""
-    sigma = readings.sigma_of_values
-    assert sigma is not None
-    for test in scene.circuit.free_tests(readings.value, noise * sigma):
-        frame = int(np.argmax(test.excess))
-        if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
-            beyond = f"{test.excess[frame]:.3g} times its noise"
-            return f"readings of frame {frame} break a law of the circuit by {beyond}: {test.law}"
-    return ""
+def _below_series(scene: Scene, recorded: Array, readings: Readings) -> str:
+    """The reading that lies below the series resistance by more than its noise, in words; '' where none does."""
+    if scene.circuit.unit != "ohm" or readings.sigma is None:
+        return ""
+    left = scene.circuit.from_recorded(recorded, scene)
+    known = (readings.seen > 0) & np.isfinite(left)
+    excess = np.where(known, -left / readings.sigma, -np.inf)
+    if largest_of(excess.max(), excess.size) >= LEVEL:
+        return ""
+    frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
+    short = f"{-left[frame, row, column]:.3g} ohm below its series resistance, {excess[frame, row, column]:.3g} times"
+    return f"the reading of row {row}, column {column} in frame {frame} lies {short} its noise"
 
 
-def _lawful(rival: Rival, question: Question) -> bool:
-    """Whether every frame keeps the inequalities of a circuit that is to take the told one's place."""
-    readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
-    return not _broken_law(
-        rival.scene, replace(readings, seen=readings.seen * nearly_gaussian(question.told, 1)), question.widening
-    )
-
-
-def _better(rivals: list[Rival], question: Question, told: Explanation | None) -> Explanation | None:
-    """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
-
-    told : what the told circuit explains; None where it does not. A rival under which most cells have moved is none:
-    nothing then shows which have not.
-    """
-    found = [best_in_series(rival, question, told) for rival in rivals]
-    able = [
-        one for one in found if one is not None and one.sparse and (told is not None or _lawful(one.rival, question))
-    ]
-    best = min(able, key=lambda one: one.score, default=None)
-    if best is None or told is None:
-        return best
-    if best.rival is told.rival or best.score >= told.score - WORTH_ASKING:
-        return None
-    # Linear theory has chosen; the networks decide. What moved under the rival may have moved under the told circuit.
-    least = min(told.joint_score(moving) for moving in (told.moving, best.moving, told.moving | best.moving))
-    return best if best.joint_score(best.moving) < least - MARGIN else None
-
-
-def _sentence(fault: str, told: Explanation | None, better: Explanation | None, frame: int | None) -> str:
+def _sentence(fault: str, told: Explanation | None, better: Better | None) -> str:
     if fault:
         return f"{fault}; " + (
-            "no other circuit that was tried gives them" if better is None else f"{better.rival.name} does"
+            "no other circuit that was tried gives them" if better is None else f"{better.name} does"
         )
     if better is None:
         return EXPLAINED
     if told is None:
-        return f"no cells were found that give the readings; {better.rival.name} does"
-    return (
-        f"{better.rival.name} explains the readings better: between the unloaded panel and frame {frame} "
-        f"{better.moved} cells have moved then, and {told.moved} as told"
-    )
+        return f"no cells were found that give the readings; {better.name} does"
+    return f"{better.name} explains the readings better: {better.reason}"

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check.cells_fit import CellsFit, fitted
-from lampest.estimate.model_check.joint_fit import joint_misfit
+from lampest.estimate.model_check.joint_fit import JointFit, joint_fit
 from lampest.estimate.model_check.question import Question
 from lampest.estimate.model_check.rivals import Rival
 from lampest.estimate.model_check.stillness import PRICE, moved_score
@@ -15,9 +15,9 @@ from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.solvers.search import BROKEN
 
-LEVEL = 1e-3  # of each of a handful of tests, so that all together call a right circuit wrong in less than 1 %
+LEVEL = 1e-4  # of each of a handful of tests; where few cells are held by r > 0, χ² is rougher than its tail says
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
-GRID, HALVINGS = 5, 4  # of the search for it: to a sixtieth of the largest
+GRID = 5  # resistances in series that are tried; what lies between is found by steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,9 @@ class Explanation:
     @classmethod
     def scored(cls, rival: Rival, fits: tuple[CellsFit, ...]) -> "Explanation":
         """With its score."""
-        if len(fits) < 2 or fits[0].sensitivity is None:
-            return cls(rival, fits, 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+        alone = cls(rival, fits, 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+        if not alone.comparable:
+            return alone
         score, moving = moved_score(*fits)
         bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
         return cls(rival, fits, score + PRICE * bounds, moving)
@@ -69,13 +70,15 @@ class Explanation:
         """How many cells must have moved."""
         return int(self.moving.sum())
 
-    def joint_score(self, moving: NDArray[np.bool_]) -> float:
-        """χ² of both frames while only these cells have moved, and what these cost; by the network itself."""
+    def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
+        """Both frames explained by the network itself, as if these cells had moved to begin with."""
         resting, frame = self.fits
-        misfit = joint_misfit(
-            self.rival.scene, (resting.readings, frame.readings), (resting.cells, frame.cells), moving
-        )
-        return misfit + PRICE * int(moving.sum())
+        return joint_fit(self.rival, question, (resting.cells, frame.cells), moving)
+
+    @property
+    def comparable(self) -> bool:
+        """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
+        return len(self.fits) == 2 and self.fits[0].sensitivity is not None
 
     @property
     def tail(self) -> float:
@@ -93,26 +96,24 @@ class Explanation:
         return 2 * self.moved < self.fits[0].cells.size
 
 
-def best_in_series(rival: Rival, question: Question, told: Explanation | None) -> Explanation | None:
-    """The circuit with the resistance in series that explains best; as it is where that does as well, or has none.
-
-    told : what the told circuit explains, where it does; the search goes on only where a rival comes near.
-    """
-    plain = told if rival.own else Explanation.tried(rival, question)
-    most = _most(rival, question)
-    if most == 0:
-        return plain
-    found = _over_grid(rival, question, most)
-    best = min(found, key=lambda one: one.score, default=None)
-    if best is not None and (told is None or best.score < told.score):
-        best = _refined(rival, question, found, most / (GRID - 1))
-    both = [one for one in (plain, best) if one is not None]
-    return min(both, key=lambda one: one.score + (0 if one is plain else PRICE), default=None)
+def explanation_of(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival as it is; where it explains nothing, with the resistance in series that explains best of a few."""
+    plain = Explanation.tried(rival, question)
+    return plain if plain is not None else with_some_in_series(rival, question)
 
 
-def _most(rival: Rival, question: Question) -> float:
+def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival with the resistance in series that explains best of a few; None where it has none."""
+    if rival.in_series is not None:
+        return None
+    most = most_in_series(rival, question)
+    found = _over_grid(rival, question, most) if most else []
+    return min(found, key=lambda one: one.score, default=None)
+
+
+def most_in_series(rival: Rival, question: Question) -> float:
     """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
-    if not rival.scene.circuit.series_name or question.frame is None:
+    if not rival.scene.circuit.series_name or len(question.standing) == 0:
         return 0.0
     try:
         read = question.readings(rival.with_series(0.0))
@@ -132,20 +133,8 @@ def _sigma(readings: Readings) -> tuple[Array, ...]:
 def _over_grid(rival: Rival, question: Question, most: float) -> list[Explanation]:
     """Explanations over a grid of resistances, each begun at the one before."""
     found: list[Explanation] = []
-    near = None
-    for ohm in np.linspace(0, most, GRID):
+    near, scene = None, rival.scene
+    for ohm in np.linspace(0, most, GRID)[int(scene.circuit.told_in_series(scene) == 0) :]:
         one = Explanation.tried(rival.with_series(float(ohm)), question, near)
         found, near = ([*found, one], one) if one is not None else (found, near)
     return found
-
-
-def _refined(rival: Rival, question: Question, found: list[Explanation], step: float) -> Explanation:
-    """The best of the grid and of what lies between, each time at half the step to both sides of the best."""
-    best = min(found, key=lambda one: one.score)
-    for _ in range(HALVINGS):
-        step /= 2
-        here = best.rival.scene.circuit.told_in_series(best.rival.scene)
-        for ohm in (here - step, here + step):
-            one = Explanation.tried(rival.with_series(ohm), question, best) if ohm >= 0 else None
-            best = one if one is not None and one.score < best.score else best
-    return best

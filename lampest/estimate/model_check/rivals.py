@@ -24,26 +24,30 @@ CONVERTER = tuple(field.name for field in fields(Readout))
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """scene : with another circuit. recorded : what that would have recorded of the same codes. name : in words.
+    """scene : with another circuit. recorded : what that would have recorded of the same codes. kind : in words.
 
     sigma : of these, where the recording has its own; None: the readout's. own : whether it is the told circuit.
+    in_series : the resistance that is tried in series, ohm; None: what the scene says.
     """
 
     scene: Scene
     recorded: Array
     sigma: Array | None
-    name: str
+    kind: str
     own: bool = False
+    in_series: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The circuit, as a scene would name it."""
+        if self.in_series is None:
+            return self.kind
+        known = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
+        return known if self.own else f"{self.kind}, {known}"
 
     def with_series(self, ohm: float) -> "Rival":
         """The same with a resistance in series."""
-        circuit = self.scene.circuit
-        known = f"{circuit.series_name} near {float(f'{ohm:.2g}'):g}"
-        return replace(
-            self,
-            scene=circuit.with_series(self.scene, float(ohm)),
-            name=known if self.own else f"{self.name}, {known}",
-        )
+        return replace(self, scene=self.scene.circuit.with_series(self.scene, float(ohm)), in_series=float(ohm))
 
 
 def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Rival]:
@@ -62,7 +66,10 @@ def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Ri
             values = circuit.recorded_from_volt(volt)
             if circuit == told or not _alike(apparent, _logarithm(circuit, scene, values)):
                 continue
-            other = with_circuit(scene, circuit)
+            try:
+                other = with_circuit(scene, circuit)
+            except ValueError:  # of what the scene tells besides, the kind has no model
+                continue
             yield Rival(other, values, sigma if circuit.unit == told.unit else None, circuit_name(circuit, told))
 
 

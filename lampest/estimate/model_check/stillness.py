@@ -32,27 +32,63 @@ def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.b
     best = (np.inf, np.ones(resting.cells.shape, dtype=bool))
     for creep in CREEPS:
         covariance = together + creep**2 * np.eye(len(change))
-        chi_square, moved = _released(change, np.linalg.inv(covariance))
+        precision = np.linalg.inv(covariance)
+        gained, moved = _released(precision @ change, precision)
+        chi_square = float(change @ precision @ change) - gained
         score = chi_square + PRICE * int(moved.sum()) + float(np.linalg.slogdet(covariance)[1]) + least
         best = (score, moved.reshape(resting.cells.shape)) if score < best[0] else best
     return best
 
 
-def _released(change: Array, precision: Array) -> tuple[float, NDArray[np.bool_]]:
-    """(χ² of what is left, released cells): cells are released while one of them gains more than its PRICE.
+def released(slope: Array, precision: Array) -> NDArray[np.bool_]:
+    """Cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d: the better of two ways.
 
-    change (cells), precision (cells, cells). To release cell c gains g_c²/P_cc with g = P·change; P and g are then
-    those of the others alone (sweep operator).
+    Forward, one after the other is released while it gains more than its PRICE, and what then gains less beside the
+    others is tied again: among changes that readings hardly tell apart the first to go is often one between those that
+    moved. Backward, one after the other is tied while that loses less than its PRICE.
     """
-    precision, slope = precision.copy(), precision @ change
-    chi_square, held = float(change @ slope), np.ones(len(change), dtype=bool)
+    forward = _tied(slope, precision, _released(slope, precision)[1])
+    backward = _tied(slope, precision, np.ones(len(slope), dtype=bool))
+    return min((forward, backward), key=lambda one: one[0])[1]
+
+
+def _tied(slope: Array, precision: Array, moved: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_]]:
+    """(−2 log density and prices, moved cells): cells are tied while one of them loses less than its PRICE.
+
+    To tie cell c loses d_c²/C_cc, with the covariance C of those that are free; d and C are then those of the others.
+    """
+    free = np.flatnonzero(moved)
+    covariance = np.linalg.inv(precision[np.ix_(free, free)])
+    change = covariance @ slope[free]
+    gained, held = float(slope[free] @ change), np.zeros(len(free), dtype=bool)
+    while not held.all():
+        loss = np.where(held, np.inf, change**2 / np.maximum(np.diag(covariance), 1e-300))
+        cell = int(np.argmin(loss))
+        if loss[cell] >= PRICE:
+            break
+        gained, held[cell] = gained - loss[cell], True
+        column = covariance[:, cell] / covariance[cell, cell]
+        change = change - column * change[cell]
+        covariance = covariance - np.outer(column, covariance[cell])
+    left = np.zeros(len(slope), dtype=bool)
+    left[free[~held]] = True
+    return PRICE * int(left.sum()) - gained, left
+
+
+def _released(slope: Array, precision: Array) -> tuple[float, NDArray[np.bool_]]:
+    """(χ² that is gained, released cells): cells are released while one of them gains more than its PRICE.
+
+    To release cell c gains slope_c²/P_cc; slope and P are then those of the others alone (sweep operator).
+    """
+    precision, slope = precision.copy(), slope.copy()
+    gained, held = 0.0, np.ones(len(slope), dtype=bool)
     while held.any():
         gain = np.where(held, slope**2 / np.maximum(np.diag(precision), 1e-300), 0.0)
         cell = int(np.argmax(gain))
         if gain[cell] < PRICE:
             break
-        chi_square, held[cell] = chi_square - gain[cell], False
+        gained, held[cell] = gained + gain[cell], False
         column = precision[:, cell] / precision[cell, cell]
         slope = slope - column * slope[cell]
         precision -= np.outer(column, precision[cell])
-    return chi_square, ~held
+    return gained, ~held

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.held import at_ideal_drives, drives_of, held_start
+from lampest.panel.readouts.free_test import FreeTest
+from lampest.panel.readouts.held import at_ideal_drives, drives_of, held_start, held_tests, most_drive
 from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
     Side,
     along,
+    as_tuple,
     check_resistors,
     lines_text,
     of_side,
@@ -152,6 +154,34 @@ class GroundedReadout(Readout):
     def nearly_shorted(self, measured: Array) -> Array:
         """A share of the start, too: idle lines at ground make a lone cell of each reading many times too large."""
         return np.asarray(np.minimum(super().nearly_shorted(measured), LEAST_SHARE * self.uniform_start(measured)))
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Σ_i v_ij ≤ 1, and v_ij + Σ_k v_ik·Rd_i/(Rc_k + Rs_k) ≤ 1; see `held_tests`."""
+        drive, total, share = self._between(measured.shape[-2:])
+        drop = drive / total if self.sense == "all" else np.zeros(1)
+        value, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / (self.supply_volt * share)
+        return held_tests(self.driven, value, noise, drop)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """See `most_drive`; with one load at a time each reading says it alone: Rd ≤ (Rc + Rs)(1/v − 1)."""
+        _, total, share = self._between(measured.shape[-2:])
+        value = np.where(np.isfinite(sigma), measured, 0.0) / (self.supply_volt * share)
+        if self.sense == "all":
+            return most_drive(self.driven, value, total)
+        return float(np.min(np.where(value > 0, total * (1 / np.where(value > 0, value, 1.0) - 1), np.inf)))
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """As the drive resistance of all lines."""
+        return replace(scene, readout=replace(self, drive_ohm=ohm))
+
+    def told_in_series(self, scene: "Scene") -> float:
+        """The mean drive resistance."""
+        return float(np.mean(as_tuple(self.drive_ohm)))
+
+    @property
+    def series_name(self) -> str:
+        """The readout's own."""
+        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""

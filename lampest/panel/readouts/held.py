@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import PerLine, Side, of_side, per_line
 
 if TYPE_CHECKING:
@@ -76,3 +77,41 @@ def held_start(
         if np.abs(np.log(conductance / before)).max() < SETTLED:
             break
     return np.asarray(1 / conductance)
+
+
+def held_tests(driven: Side, share: Array, noise: Array, drop: Array) -> tuple[FreeTest, FreeTest]:
+    """Σ_i v_ij ≤ 1, and v_ij + Σ_k v_ik·Rd_i/Rs_k ≤ 1, whatever the cells are.
+
+    With all driven lines at the supply at once no sensed line stands above it (superposition: Z·t ≤ 1); and none
+    stands above the driven one, which lies below the supply by the loads' current through its Rd.
+
+    share, noise : v and its σ (frames, rows, columns), the sensed lines' voltages in units of the supply, both 0 where
+    there is no value. drop : Rd_i/Rs_k of loads that are there at once, to be broadcast to (rows, columns); else 0.
+    """
+    along_driven, along_sensed = (-2, -1) if driven == "rows" else (-1, -2)
+    total, of_total = share.sum(axis=along_driven), np.sqrt((noise**2).sum(axis=along_driven))
+    below = share + (share * drop).sum(axis=along_sensed, keepdims=True)
+    of_below = np.hypot(noise, np.sqrt(((noise * drop) ** 2).sum(axis=along_sensed, keepdims=True)))
+    return (
+        FreeTest("readings of a sensed line add up to no more than the supply", _worst(total, of_total), total[0].size),
+        FreeTest(
+            "no sensed line stands above the driven one behind its drive_ohm", _worst(below, of_below), below[0].size
+        ),
+    )
+
+
+def _worst(share: Array, noise: Array) -> Array:
+    """max (share − 1)/σ of every frame, (frames); −∞ where there is no value."""
+    excess = np.where(noise > 0, (share - 1) / np.where(noise > 0, noise, 1.0), -np.inf)
+    return np.asarray(excess.reshape(len(share), -1).max(axis=1))
+
+
+def most_drive(driven: Side, share: Array, load: Array) -> float:
+    """Rd ≤ min_i (1 − max_j v_ij)/Σ_j v_ij/Rs_j, ohm; infinite without a current.
+
+    share : as above. load : Rs_j of loads that are there at once, to be broadcast to (rows, columns).
+    """
+    along_sensed = -1 if driven == "rows" else -2
+    current = (share / load).sum(axis=along_sensed)
+    left = 1 - share.max(axis=along_sensed)
+    return float(np.min(np.where(current > 0, left / np.where(current > 0, current, 1.0), np.inf)))

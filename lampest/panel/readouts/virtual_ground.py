@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of, held_start
+from lampest.panel.readouts.free_test import FreeTest
+from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of, held_start, held_tests, most_drive
 from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
     Side,
     along,
+    as_tuple,
     check_resistors,
     lines_text,
     of_side,
@@ -124,6 +126,31 @@ class VirtualGroundReadout(Readout):
     def nearly_shorted(self, measured: Array) -> Array:
         """A share of the start, too."""
         return np.asarray(np.minimum(super().nearly_shorted(measured), LEAST_SHARE * self.uniform_start(measured)))
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Σ_i v_ij ≤ 1, and v_ij + Σ_k v_ik·Rd_i/Rc_k ≤ 1 of v = V·Rc/(Rf·Vcc); see `held_tests`."""
+        drive, sense, feedback = self._of_lines(measured.shape[-2:])
+        value, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) * (sense / (feedback * self.supply_volt))
+        return held_tests(self.driven, value, noise, drive / sense)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """See `most_drive`."""
+        _, sense, feedback = self._of_lines(measured.shape[-2:])
+        value = np.where(np.isfinite(sigma), measured, 0.0) * (sense / (feedback * self.supply_volt))
+        return most_drive(self.driven, value, sense)
+
+    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
+        """As the drive resistance of all lines."""
+        return replace(scene, readout=replace(self, drive_ohm=ohm))
+
+    def told_in_series(self, scene: "Scene") -> float:
+        """The mean drive resistance."""
+        return float(np.mean(as_tuple(self.drive_ohm)))
+
+    @property
+    def series_name(self) -> str:
+        """The readout's own."""
+        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
