@@ -22,7 +22,7 @@ from lampest.solvers.search import BROKEN
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"
 NOT_COMPARED = "other circuits were not tried, too many readings are missing"
-MOST_MISSING = 0.1  # of two frames: with a fifth missing, which cells must have moved is no longer told from the rest
+MOST_MISSING = 0.1  # of these frames' readings: with a fifth missing, which cells must have moved is no longer told from the rest
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
@@ -107,9 +107,9 @@ def _checked(
 
 
 def _nearly_whole(readings: Readings, scene: Scene, question: Question) -> bool:
-    """Whether the unloaded panel and the frames have enough of their readings to be held against other circuits."""
-    asked = [readings[frames].mean() for frames in (question.resting, question.standing) if len(frames)]
-    return all(float(one.missing(scene).mean()) <= MOST_MISSING for one in asked)
+    """Whether the frames have enough of their readings to be held against other circuits."""
+    asked = np.concatenate([question.resting, question.standing])
+    return float(readings[asked].missing(scene).mean()) <= MOST_MISSING
 
 
 def noise_factor(resting: Readings) -> float:
