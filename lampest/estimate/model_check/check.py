@@ -22,7 +22,7 @@ from lampest.solvers.search import BROKEN
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"
 NOT_COMPARED = "other circuits were not tried, too many readings are missing"
-MOST_MISSING = 0.1  # of these frames' readings: with a fifth missing, which cells must have moved is no longer told from the rest
+MOST_MISSING = 0.1  # of the readings: with a fifth missing, which cells must have moved is told from nothing
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
