@@ -93,11 +93,19 @@ class LinearModel:
 
     @cached_property
     def data_curvature(self) -> Array:
-        """ω of the data; zero where a row says nothing."""
-        curvature: Array = self.at.cost.weights[self._data.term] * (self.noise > 0)
+        """ω of the data; zero where a row says nothing, and where it is a bound: that tells one side and no width."""
+        curvature: Array = self.at.cost.weights[self._data.term] * (self.noise > 0) * ~self._bound
         for _, loss, rows in bent_rows(self.at.cost, self._data.term):
             curvature[rows] *= loss.data_curvature(self.residual[rows], self.noise[rows])
         return curvature
+
+    @property
+    def _bound(self) -> NDArray[np.bool_]:
+        """Of the data, whether a row reads what only bounds the truth."""
+        side = self.at.data.given.side
+        if side is None or not np.any(side):
+            return np.zeros(len(self.noise), dtype=bool)
+        return np.asarray(abs(self.through) @ np.abs(side.ravel()) > 0)
 
     @cached_property
     def residual(self) -> Array:

@@ -17,6 +17,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import VirtualGroundReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
@@ -230,3 +231,26 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     certainty = Certainty.of(DenseErrors(model_of(found)))
     assert np.all(certainty.deviation[0, 0] > 1)
     assert np.all(certainty.above[0, 0] > 2)
+
+
+def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
+    """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals still hold them."""
+    readout = VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0)
+    scene, held = Scene(Panel(5, 6), readout), []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        resting = 3000 * np.exp(0.2 * rng.standard_normal(scene.panel.shape))
+        cells = np.stack([resting, resting * np.where(rng.random(resting.shape) < 0.15, 0.05, 1.0)])
+        volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
+        noise = readout.lsb_volt * rng.standard_normal((readout.readings, *volt.shape))
+        codes = readout.code_from_volt(volt + noise).sum(axis=0)
+        recorded = readout.recorded_from_sums(codes, readout.readings)
+        recording = Recording(scene, recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+        terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
+        found = reconstruct(recording, Estimator(terms, formulation="reduced"))
+        assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
+        inside = (found.cell_resistance_lower[0] <= cells[1]) & (cells[1] <= found.cell_resistance_upper[0])
+        held.append(inside[recording.readings().bounds[1]])
+    at_rails = np.concatenate(held)
+    assert len(at_rails) > 20
+    assert at_rails.mean() > 0.9
