@@ -95,12 +95,11 @@ def _checked(
     found = Explanation.of(told, question)
     fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise)
     fault = fault or _below_series(scene, recorded, readings)
-    able = None if fault else found
-    whole = _nearly_whole(readings, scene, question)
-    better = better_rival([told, *rivals], question, able) if whole else None
-    if found is None and better is None and not fault:
+    if found is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    sentence = _sentence(fault, found, better) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
+    whole = _nearly_whole(readings, scene, question)
+    better = better_rival([told, *rivals], question, None if fault else found) if whole else None
+    sentence = _sentence(fault, better) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
     return ModelCheck(not fault and better is None, sentence, "" if better is None else better.name, noise)
@@ -150,13 +149,11 @@ def _below_series(scene: Scene, recorded: Array, readings: Readings) -> str:
     return f"the reading of row {row}, column {column} in frame {frame} lies {short} its noise"
 
 
-def _sentence(fault: str, told: Explanation | None, better: Better | None) -> str:
+def _sentence(fault: str, better: Better | None) -> str:
     if fault:
         return f"{fault}; " + (
             "no other circuit that was tried gives them" if better is None else f"{better.name} does"
         )
     if better is None:
         return EXPLAINED
-    if told is None:
-        return f"no cells were found that give the readings; {better.name} does"
     return f"{better.name} explains the readings better: {better.reason}"
