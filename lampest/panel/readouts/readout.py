@@ -4,7 +4,7 @@ A kind of readout is one file: it states its ties and its reading. All else has 
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -16,7 +16,17 @@ from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.block import newton_fitted
 from lampest.panel.readouts.free_test import FreeTest
-from lampest.panel.readouts.lines import LineNumber, PerLine, Side, along, check_lines, lines_text, of_side, per_line
+from lampest.panel.readouts.lines import (
+    LineNumber,
+    PerLine,
+    Side,
+    along,
+    as_tuple,
+    check_lines,
+    lines_text,
+    of_side,
+    per_line,
+)
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wired import WiredNetwork
 from lampest.panel.readouts.wiring import Wiring
@@ -195,17 +205,21 @@ class Readout(ABC):
         return 0.0
 
     def with_series(self, scene: "Scene", ohm: float) -> "Scene":
-        """The scene, of this circuit, with a resistance in series with the panel; itself where the kind has none."""
-        return scene
+        """The scene, of this circuit, with a resistance in series with the panel: what all lines are driven through.
+
+        Itself where the kind has none.
+        """
+        other: Any = {self.series_name: ohm}
+        return replace(scene, readout=replace(self, **other)) if self.series_name else scene  # type: ignore[arg-type]
 
     def told_in_series(self, scene: "Scene") -> float:
         """What the scene says of it, ohm; the mean where lines differ."""
-        return 0.0
+        return float(np.mean(as_tuple(getattr(self, self.series_name)))) if self.series_name else 0.0
 
     @property
     def series_name(self) -> str:
         """What scenes call that resistance; empty where the kind has none."""
-        return ""
+        return "drive_ohm" if hasattr(self, "drive_ohm") else ""
 
     # Between what is recorded and what the network is read by.
 

@@ -13,7 +13,6 @@ from lampest.panel.readouts.lines import (
     PerLine,
     Side,
     along,
-    as_tuple,
     check_resistors,
     lines_text,
     of_side,
@@ -138,19 +137,6 @@ class VirtualGroundReadout(Readout):
         _, sense, feedback = self._of_lines(measured.shape[-2:])
         value = np.where(np.isfinite(sigma), measured, 0.0) * (sense / (feedback * self.supply_volt))
         return most_drive(self.driven, value, sense)
-
-    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
-        """As the drive resistance of all lines."""
-        return replace(scene, readout=replace(self, drive_ohm=ohm))
-
-    def told_in_series(self, scene: "Scene") -> float:
-        """The mean drive resistance."""
-        return float(np.mean(as_tuple(self.drive_ohm)))
-
-    @property
-    def series_name(self) -> str:
-        """The readout's own."""
-        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""

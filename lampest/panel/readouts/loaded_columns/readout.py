@@ -13,7 +13,6 @@ from lampest.panel.readouts.lines import (
     PerLine,
     Side,
     along,
-    as_tuple,
     check_resistors,
     lines_text,
     of_side,
@@ -182,19 +181,6 @@ class LoadedColumnsReadout(Readout):
         current = (value / self._loads(measured.shape[-2:])).sum(axis=sensed)
         left = self._driven_volt(current, np.zeros(1)) - value.max(axis=sensed)
         return float(np.min(left / np.maximum(current, 1e-300)))
-
-    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
-        """As the drive resistance of all lines."""
-        return replace(scene, readout=replace(self, drive_ohm=ohm))
-
-    def told_in_series(self, scene: "Scene") -> float:
-        """The mean drive resistance."""
-        return float(np.mean(as_tuple(self.drive_ohm)))
-
-    @property
-    def series_name(self) -> str:
-        """The readout's own."""
-        return "drive_ohm"
 
     def simulated(self, cell_resistance: Array, scene: Any, row_ohm: Array, column_ohm: Array) -> Array:
         """With the driven lines' channels in the drive resistance; the sensed lines have none."""
