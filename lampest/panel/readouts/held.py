@@ -10,7 +10,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.free_test import FreeTest
-from lampest.panel.readouts.lines import PerLine, Side, of_side, per_line
+from lampest.panel.readouts.lines import PerLine, Side, of_side, per_line, with_channels
 
 if TYPE_CHECKING:
     from lampest.panel.readouts.readout import Readout
@@ -27,6 +27,12 @@ LEAST, LARGEST = 0.02, 1e3
 def drives_of(drive_ohm: PerLine, lines: int) -> Array:
     """Rd (lines) ohm, never below LEAST_DRIVE."""
     return np.maximum(per_line("drive_ohm", drive_ohm, lines), LEAST_DRIVE)
+
+
+def with_both_channels(drive_ohm: PerLine, sense_ohm: PerLine, driven: Array, sensed: Array) -> tuple[PerLine, PerLine]:
+    """(drives, senses) ohm with what channels have more, (driven lines) and (sensed lines); no sense, no channel."""
+    drives = with_channels("drive_ohm", drive_ohm, driven)
+    return drives, with_channels("sense_ohm", sense_ohm, sensed) if sense_ohm else 0.0
 
 
 def at_ideal_drives(driven: Side, share: Array, load: Array) -> Array:

@@ -7,7 +7,15 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.free_test import FreeTest
-from lampest.panel.readouts.held import LEAST_DRIVE, at_ideal_drives, drives_of, held_start, held_tests, most_drive
+from lampest.panel.readouts.held import (
+    LEAST_DRIVE,
+    at_ideal_drives,
+    drives_of,
+    held_start,
+    held_tests,
+    most_drive,
+    with_both_channels,
+)
 from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
@@ -19,7 +27,6 @@ from lampest.panel.readouts.lines import (
     opposite,
     per_line,
     scaled,
-    with_channels,
 )
 from lampest.panel.readouts.readout import LEAST_SHARE, Readout
 
@@ -140,9 +147,7 @@ class VirtualGroundReadout(Readout):
 
     def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
-        driven, sensed = of_side(self.driven, row_ohm, column_ohm)
-        drive = with_channels("drive_ohm", self.drive_ohm, driven)
-        sense = with_channels("sense_ohm", self.sense_ohm, sensed) if self.sense_ohm else 0.0
+        drive, sense = with_both_channels(self.drive_ohm, self.sense_ohm, *of_side(self.driven, row_ohm, column_ohm))
         actual = replace(self, drive_ohm=drive, sense_ohm=sense)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
