@@ -55,6 +55,19 @@ def test_equations_leave_no_freedom(kind: str, shape: tuple[int, int]) -> None:
     assert_allclose(np.asarray(resistance).reshape(shape), two_point_resistance(cells), rtol=1e-11)
 
 
+@pytest.mark.parametrize("kind", FORMULATIONS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_multipliers_balance_any_slope(kind: str, shape: tuple[int, int]) -> None:
+    """∂φ/∂V + λᵀ ∂balance/∂V = 0 in a solved network, whatever φ is."""
+    cells, tie, network = solved(shape)
+    form = FORMULATIONS[kind]
+    potentials = form.potentials(TwoPointReadout(), network)
+    slope = np.random.default_rng(3).normal(size=len(potentials))
+    multipliers = form.multipliers(TwoPointReadout(), network, tie, slope)
+    jacobian = np.asarray(functions(kind, shape)(1 / cells, tie, potentials)[2])
+    assert_allclose(multipliers @ jacobian, -slope, atol=1e-11)
+
+
 def test_nodal_needs_fewer_unknowns() -> None:
     """10 × 10: unit currents into lines, not into cells."""
     unknowns = {kind: functions(kind, (10, 10)).size1_in(2) for kind in FORMULATIONS}

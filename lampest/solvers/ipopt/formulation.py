@@ -40,5 +40,12 @@ class Formulation(ABC):
     def potentials(self, readout: Readout, network: Network) -> Array:
         """The values of `NetworkSymbols.potentials` in a solved network, in ohm; the start of a solver."""
 
+    @abstractmethod
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ of `NetworkSymbols.balance` in a solved network: ∂φ/∂V + λᵀ ∂balance/∂V = 0 for slope = ∂φ/∂V, 1/ohm.
+
+        tie : (lines) siemens. V : `potentials`. Raises numpy.linalg.LinAlgError where digits do not suffice.
+        """
+
     def check(self, readout: Readout) -> None:  # noqa: B027 - unless a formulation says otherwise it knows them all
         """Raise InputError where the formulation cannot say what the readout reads."""

@@ -9,9 +9,11 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
+from lampest.solvers.ipopt.limits import PUSH, Limits
 from lampest.solvers.ipopt.program import Program
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -23,17 +25,31 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-# From a distance the adaptive barrier takes 9 iterations where the monotone one takes 13.
+LEAST_MULTIPLIER = 1e-12  # times the room to a bound, some thousand times the scale, is still less than any tolerance
+# A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
+WARM = {
+    "mu_strategy": "adaptive",
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": PUSH,
+    "warm_start_bound_frac": PUSH,
+    "warm_start_mult_bound_push": LEAST_MULTIPLIER,
+}
+# Multipliers of residuals that are split are not known at a start. From a distance the adaptive barrier takes 9
+# iterations where the monotone one takes 13.
 FAR = {"mu_strategy": "adaptive"}
 # A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
 NEAR = {
     "mu_strategy": "monotone",
     "mu_init": 1e-7,
     "bound_mult_init_method": "mu-based",
-    "bound_push": 1e-9,
-    "bound_frac": 1e-9,
+    "bound_push": PUSH,
+    "bound_frac": PUSH,
 }
+LARGEST_BARRIER = 0.1  # IPOPT's own mu_init
+# Approximate minimum degree (0) finds that cells and far lines go first. What MUMPS orders by itself takes 1.4 times as
+# long at 10 × 10, twice at 16 × 16 and ten times at 32 × 32; see docs/speed.md.
 OPTIONS = {
+    "mumps_pivot_order": 0,
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
     "print_level": 0,
@@ -52,11 +68,11 @@ class Ipopt:
 
     def prepare(self) -> None:
         """Build the program, so that the first solve is not charged for it."""
-        self._solver.name()
+        _ = self._built
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
-        solver = self._solver
+        solver = self._built.solver
         scale, split = data.resistance_scale, start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
         own: dict[str, Any] = {
@@ -67,15 +83,13 @@ class Ipopt:
             "split_scale": split_scale,
         }
         values = data.given.flat | own
-        result = solver(
-            x0=self._start(start, scale, split / split_scale),
-            p=np.concatenate([np.atleast_1d(values[name]) for name in self._parameters]),
-            lbg=0,
-            ubg=0,
-            **self._bounds(data, scale, 2 * len(split)),
-        )
+        parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
+        x0, limits = self._start(start, scale, split / split_scale), self._limits(data, scale)
+        warm = {} if len(split) else self._multipliers(start, scale, x0, parameters, limits)
+        result = solver(x0=x0, p=parameters, lbg=0, ubg=0, **self._bounds(limits, 2 * len(split)), **warm)
+        conductance, multiplier = (np.asarray(result[name]).ravel()[: data.measured.size] for name in ("x", "lam_x"))
         with np.errstate(divide="ignore"):
-            cells = scale / np.asarray(result["x"]).ravel()[: data.measured.size]
+            cells = scale / limits.settled(conductance, multiplier)
         multipliers = np.asarray(result["lam_g"]).ravel()
         weights = np.maximum(self.cost.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
         dual = multipliers[len(multipliers) - len(weights) :] / weights
@@ -91,38 +105,62 @@ class Ipopt:
         sides = [side for (loss, _), part in zip(blocks, parts, strict=False) for side in loss.split_start(part)]
         return np.concatenate([conductance, *potentials, *sides])
 
-    def _bounds(self, data: Data, scale: float, split: int) -> dict[str, Any]:
-        """Bounds of all unknowns; no network reads a cell that is smaller than `Readout.nearly_shorted`."""
-        free = int(self._solver.size1_in("x0")) - data.measured.size - split
-        least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper).ravel()
-        lower = [scale / data.upper.ravel(), np.full(free, -np.inf), np.zeros(split)]
-        upper = [scale / least, np.full(free + split, np.inf)]
-        return {"lbx": np.concatenate(lower), "ubx": np.concatenate(upper)}
+    def _multipliers(
+        self, start: Evaluation, scale: float, x0: Array, parameters: Array, limits: Limits
+    ) -> dict[str, Array]:
+        """What belongs to the start: λ for which voltages are stationary, z of the bounds from what is left.
 
-    @property
-    def _solver(self) -> casadi.Function:
-        return self._compiled[0]
+        The barrier is the square of how far the start is from an optimum, which is what Newton's method leaves of it.
+        Nothing where digits do not suffice.
+        """
+        slopes = np.split(self._built.slope(x0, parameters) / scale, len(start.networks))
+        frames = zip(start.networks, start.data.ties, slopes, strict=True)
+        try:
+            balance = [self.formulation.multipliers(self.readout, *frame) for frame in frames]
+        except np.linalg.LinAlgError:
+            return {}
+        gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
+        barrier = min(start.projected_gradient(gradient) ** 2, LARGEST_BARRIER)
+        pull = gradient.ravel() / (conductance * start.cost_scale)
+        of_bounds = np.zeros(len(x0))
+        of_bounds[: len(conductance)] = limits.multipliers(conductance, pull, barrier)
+        return {"lam_x0": of_bounds, "lam_g0": np.concatenate(balance)}
 
-    @property
-    def _parameters(self) -> tuple[str, ...]:
-        return self._compiled[1]
+    def _limits(self, data: Data, scale: float) -> Limits:
+        """No network reads a cell that is smaller than `Readout.nearly_shorted`."""
+        least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper)
+        return Limits(scale / data.upper.ravel(), scale / least.ravel())
+
+    def _bounds(self, limits: Limits, split: int) -> dict[str, Array]:
+        """Of all unknowns."""
+        free = np.full(int(self._built.solver.size1_in("x0")) - len(limits.low) - split, np.inf)
+        low, high = [limits.low, -free, np.zeros(split)], [limits.high, free, np.full(split, np.inf)]
+        return {"lbx": np.concatenate(low), "ubx": np.concatenate(high)}
 
     @cached_property
-    def _compiled(self) -> tuple[casadi.Function, tuple[str, ...]]:
-        return _compiled(self.cost.unweighted, self.readout, self.formulation, self.settings)
+    def _built(self) -> "Built":
+        return _built(self.cost.unweighted, self.readout, self.formulation, self.settings)
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A program that serves all weights. parameters : their names in order. slope : ∂f/∂(potentials) of (x, p)."""
+
+    solver: casadi.Function
+    parameters: tuple[str, ...]
+    slope: Compiled
 
 
 @lru_cache(maxsize=32)
-def _compiled(
-    cost: Cost, readout: Readout, formulation: Formulation, settings: Settings
-) -> tuple[casadi.Function, tuple[str, ...]]:
-    """(solver, names of its parameters in their order); one program serves all weights."""
+def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Settings) -> Built:
     program = Program.build(cost, readout, formulation)
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
     several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
+    begin = WARM if program.split.is_empty() else NEAR if several_minima else FAR
     options: dict[str, Any] = {
-        "ipopt": OPTIONS | (NEAR if several_minima else FAR) | limits,
+        "ipopt": OPTIONS | begin | limits,
         "hess_lag": program.hessian(),
         "print_time": False,
     }
-    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options), tuple(program.parameters)
+    solver = casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
+    return Built(solver, tuple(program.parameters), Compiled(program.slope()))

@@ -66,6 +66,30 @@ class Nodal(Formulation):
         own = np.diag(impedance)[far if _reads_far(readout, shape) else []]
         return np.concatenate([half, mixed.ravel(), own])
 
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ of the lower half of S·Z_d = 1, then of the far lines; S = Z_d⁻¹ is what the driven lines see.
+
+        With slopes F of φ in Z_d, what far lines add included, the half Λ of driven lines obeys SΛ + (SΛ)ᵀ = −F, which
+        Z_d = HHᵀ makes triangular: H⁻¹ΛH + (H⁻¹ΛH)ᵀ = −HᵀFH.
+        """
+        impedance, shape = network.potentials(), network.conductance.shape
+        far, driven = _sides(np.arange(len(impedance)), shape)
+        cells = network.conductance.T if _swapped(shape) else network.conductance
+        leaving = cells.sum(axis=1) + tie[far]
+        rows, columns = np.tril_indices(len(driven))
+        half, mixed, own = np.split(slope, [len(rows), len(rows) + cells.size])
+        through = mixed.reshape(cells.shape)
+        if len(own):
+            through = through + cells * (own / leaving)[:, None]
+        slopes = (cells / leaving[:, None]).T @ through
+        slopes[rows, columns] += half
+        root = np.linalg.cholesky(impedance[np.ix_(driven, driven)])
+        turned = root.T @ (slopes + slopes.T) @ root
+        triangle = np.diag(turned.diagonal() / 2) - np.tril(turned)
+        of_driven = np.linalg.solve(root.T, (root @ triangle).T).T
+        of_far = (cells @ of_driven - through) / leaving[:, None]
+        return np.concatenate([of_driven[rows, columns], of_far.ravel(), -own / leaving[: len(own)]])
+
 
 def _scaled_reading(readout: Readout, entries: list[casadi.SX], scale: casadi.SX) -> casadi.SX:
     """h of entries of Z in units of `scale`, (rows, columns)."""

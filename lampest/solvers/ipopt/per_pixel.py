@@ -52,3 +52,8 @@ class PerPixel(Formulation):
         rows, impedance = network.rows, network.potentials()
         pattern = impedance[:, :rows][:, :, None] - impedance[:, rows:][:, None, :]
         return pattern.reshape(len(impedance), -1).T.ravel()
+
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ = −Z ∂φ/∂V, pattern by pattern."""
+        impedance = network.potentials()
+        return -(slope.reshape(-1, len(impedance)) @ impedance).ravel()

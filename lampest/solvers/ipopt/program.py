@@ -85,6 +85,11 @@ class Program:
             dict(given.named()) | own,
         )
 
+    def slope(self) -> casadi.Function:
+        """∂f/∂(potentials), dense."""
+        slope = casadi.densify(casadi.gradient(self.objective, self.potentials))
+        return casadi.Function("slope", [self.unknown, self.parameter], [slope], ["x", "p"], ["slope"])
+
     def hessian(self) -> casadi.Function:
         """∇²(σf + λᵀg), upper triangle, (x, x) sparse.
 
