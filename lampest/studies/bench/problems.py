@@ -4,17 +4,21 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal
 
+import numpy as np
+
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import resting_readings
+from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solver
+from lampest.studies.bench.lbfgsb import Lbfgsb
 from lampest.studies.bench.settings import BenchFile
 from lampest.studies.bench.trf import Trf
 
@@ -61,6 +65,8 @@ def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
     solver: Solver
     if name in ("reduced", "nodal"):
         solver = estimator.problem(scene, frames, 1.0, data.partial)
+    elif name == "scipy_lbfgsb":
+        solver = Lbfgsb(estimator.cost(scene, frames, data.partial), bench.solver)
     else:
         exact = "exact" if name == "scipy_exact" else "2-point"
         solver = _trf(estimator.cost(scene, frames, data.partial), bench.solver, exact)
@@ -71,3 +77,10 @@ def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
 @lru_cache(maxsize=8)
 def _trf(cost: Cost, settings: Settings, jacobian: Literal["exact", "2-point"]) -> Trf:
     return Trf(cost, settings, jacobian)
+
+
+def tied(recording: Recording) -> Array:
+    """The Laplacian of size M + N − 1 of a network like the recording's."""
+    circuit = recording.scene.circuit
+    cells = circuit.uniform_start(recording.readings().value[0])
+    return (laplacian(1 / cells) + np.diag(circuit.ties(cells)))[1:, 1:]
