@@ -14,6 +14,11 @@ MARKED = re.compile(r"<!-- bench: (\w+) -->\n.*?<!-- /bench -->\n", re.DOTALL)
 SECTION = re.compile(r"^## (\w+):.*?\n\n(.*?)(?=^## |\Z)", re.DOTALL | re.MULTILINE)
 
 
+def sections(text: str) -> dict[str, str]:
+    """The tables of bench.md by their names."""
+    return {name: table.strip() + "\n" for name, table in SECTION.findall(text)}
+
+
 def with_tables(text: str, tables: dict[str, str]) -> str:
     """A page with its tables replaced; one that was not measured stays as it is."""
 
@@ -26,7 +31,7 @@ def with_tables(text: str, tables: dict[str, str]) -> str:
 
 def main(folder: Path) -> None:
     """Replace the tables of every page, and say of which."""
-    tables = {name: table.strip() + "\n" for name, table in SECTION.findall((folder / "bench.md").read_text())}
+    tables = sections((folder / "bench.md").read_text(encoding="utf-8"))
     for path in PAGES:
         before = path.read_text(encoding="utf-8")
         after = with_tables(before, tables)

@@ -15,14 +15,17 @@ from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
 from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings
+from lampest.studies.bench.budget import BenchPart
 from lampest.studies.bench.files import page
+from lampest.studies.bench.mats import Mats, solved_mats
 from lampest.studies.bench.problems import frame_data, resting_cells
 from lampest.studies.bench.report import bench_remarks
 from lampest.studies.bench.rows import bench_rows, growth
-from lampest.studies.bench.run import Bench, _Task, run_bench
+from lampest.studies.bench.run import Bench, run_bench
 from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits, SquaredMethod, Terms, read_bench
 from lampest.studies.bench.timing import Timing
 from lampest.studies.bench.trf import Trf, _Point
+from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
 TINY = """\
@@ -134,6 +137,14 @@ def test_growth_is_the_slope_of_the_logarithms() -> None:
     assert both == pytest.approx([2.3 + slope, 1.3 + slope])
 
 
+def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
+    wall = np.ones((2, 1))
+    timings = [timing(8, wall), timing(8, wall[:1], "LSR-CR"), timing(16, wall), timing(32, wall, "LSR-CR")]
+    found = [(row.rows, row.method, row.frames) for row in bench_rows(Bench(tuple(timings), {}))]
+    assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
+    assert len(found) == 1 + 3 + 2 + 2
+
+
 def test_disturbed_solves_count_by_the_processors_time() -> None:
     one = replace(timing(8, np.array([[1.0], [3.0]])), cpu=np.array([[0.98], [1.0]]))
     np.testing.assert_allclose(one.times(), [1.0, 1.0])
@@ -151,8 +162,7 @@ def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
     assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
     assert ((3, 3), "memory of reduced") in named
     remarks = bench_remarks(found, bench)
-    everything = "LSM, LSR-CR, LSR-dCR, LSR-gCR, LSR-gdCR"
-    assert f"left out, would not end within 0.001 s: 40 × 40, recording 2: {everything}" in remarks
+    assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
     assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
 
 
@@ -165,17 +175,19 @@ def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
         timing(20, np.array([[99.0], [99.0]]), method="LSR-CR"),
         timing(10, np.array([[77.0], [1.0]]), solver="nodal"),
     ]
-    assert _Task(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
-    assert _Task(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
-    assert _Task(0, (20, 20), "LSM").expected_s(bench, done[:1]) == pytest.approx(8 * 9.0)
-    assert _Task(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
-    assert _Task(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
+    assert BenchPart(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
+    assert BenchPart(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
+    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:1]) == pytest.approx(8 * 9.0)
+    assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
+    assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
 
 
 def test_progress_is_told_before_each_part() -> None:
     told: list[tuple[int, int, str]] = []
-    run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), lambda *about: told.append(about))
-    assert told[0] == (0, 5, "3 × 3 LSM, recording 1") and len(told) == 5
+    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=alone(), mats=Mats((3,), 1, (0,)))
+    run_bench(bench, lambda *about: told.append(about))
+    assert told[:2] == [(0, 10, "random mats"), (0, 10, "3 × 3 LSM, recording 1")]
+    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 11
 
 
 def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
@@ -188,6 +200,17 @@ def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
     ]
     for line in text.splitlines():
         assert line == "" or line[0] in "#|"
+
+
+def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
+    both = replace(tiny, timings=tuple(timing(side, np.ones((2, 1))) for side in (32, 64)))
+    both = replace(both, mats=tuple(solved_mats(Mats((3,), 1, (0,)), 1, Settings())))
+    tables = sections(page(both))
+    assert all(text.startswith("| ") for text in tables.values())
+    marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
+    assert sorted(marks) == sorted(tables)
+    text = "before\n<!-- bench: mats -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
+    assert with_tables(text, {"mats": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)

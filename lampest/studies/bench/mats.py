@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -96,7 +97,7 @@ def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple
         if name in OURS:
             answer, wall, cpu = _ours(name, measured, settings)
         else:
-            answer, wall, cpu = clocked(lambda: PUBLISHED[name](measured))  # noqa: B023
+            answer, wall, cpu = clocked(partial(PUBLISHED[name], measured))
         seconds = float(undisturbed(np.array(wall), np.array(cpu)))
         counted = None if name in OURS else answer.evaluations
         yield name, seconds, inverse_s, answer.iterations, counted, answer.converged, *_errors(answer, truth, measured)

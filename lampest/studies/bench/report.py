@@ -17,6 +17,7 @@ SHORT = {
     "scipy_difference": "trf 2-point",
     "scipy_lbfgsb": "L-BFGS-B",
 }
+NO_GAP = 1e-12  # less is rounding
 RATIO: tuple[str, Callable[[BenchRow], str]] = (
     "ratio",
     lambda row: "" if row.ratio is None or row.solver == "reduced" else short(row.ratio),
@@ -46,7 +47,7 @@ def overview_table(bench: Bench) -> Table:
 
 
 def times_table(bench: Bench) -> Table:
-    """Panel by panel: ms of the reduced solver's first and later frames with each method, and the worse inverses."""
+    """Panel by panel: ms of the reduced solver's first and later frames with each method."""
     rows = [row for row in bench_rows(bench) if row.method != ALL and row.solver == "reduced"]
     methods = list(dict.fromkeys(row.method for row in rows))
     cells = []
@@ -82,7 +83,7 @@ def _table(
         special,
         ("inverses", lambda row: short(row.inverses)),
         ("steps", lambda row: short(row.iterations)),
-        ("gap", lambda row: "" if row.gap is None else f"{row.gap:.0e}"),
+        ("gap", lambda row: "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}"),
         ("verified", lambda row: f"{row.verified}/{row.count}"),
         ("MB", lambda row: "" if row.memory_mb is None else f"{row.memory_mb:.0f}"),
     ]
@@ -130,11 +131,15 @@ def bench_remarks(bench: Bench, settings: BenchFile) -> list[str]:
     ]
     if limited:
         lines.append(f"not run beyond these sides (limits): {', '.join(limited)}")
-    return lines + list(_left_out(bench, settings.budget_s))
+    return lines + list(_left_out(bench, settings))
 
 
-def _left_out(bench: Bench, budget_s: float) -> Iterator[str]:
-    """One sentence a panel and reason."""
+def _left_out(bench: Bench, settings: BenchFile) -> Iterator[str]:
+    """One sentence for panels of which the same was left out."""
+    found: dict[tuple[str, str], list[str]] = {}
     for shape, what in dict.fromkeys((one.shape, one.what) for one in bench.left_out):
         methods = [one.method for one in bench.left_out if (one.shape, one.what) == (shape, what)]
-        yield f"left out, would not end within {budget_s:g} s: {shape[0]} × {shape[1]}, {what}: {', '.join(methods)}"
+        named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
+        found.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
+    for (what, named), panels in found.items():
+        yield f"left out, would not end within {settings.budget_s:g} s: {what}: {named} at {', '.join(panels)}"

@@ -70,24 +70,29 @@ class Growth:
 
 
 def bench_rows(bench: Bench) -> list[BenchRow]:
-    """By panel, then all methods together and each of them, then by solver, then first and later frames."""
+    """By panel, then all methods together and each of them, then by solver, then first and later frames.
+
+    Where a method was left out on a panel, there is no row of all: it would be one of other methods than elsewhere.
+    """
+    methods = list(dict.fromkeys(timing.method for timing in bench.timings))
     found: list[BenchRow] = []
     for shape in dict.fromkeys(timing.shape for timing in bench.timings):
         here = [timing for timing in bench.timings if timing.shape == shape]
-        for method in (ALL, *dict.fromkeys(timing.method for timing in here)):
-            found += _rows(bench, method, [timing for timing in here if method in (ALL, timing.method)])
+        found += _rows(bench, ALL, methods, here)
+        for method in methods:
+            found += _rows(bench, method, [method], [timing for timing in here if timing.method == method])
     return found
 
 
-def _rows(bench: Bench, method: str, timings: Sequence[Timing]) -> Iterator[BenchRow]:
+def _rows(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[BenchRow]:
     for solver in dict.fromkeys(timing.solver for timing in timings):
         for first in (True, False):
             own, reduced = (
-                [timing for timing in timings if timing.solver == name and (first or len(timing.status) > 1)]
-                for name in (solver, "reduced")
+                [timing for timing in timings if timing.solver == one and (first or len(timing.status) > 1)]
+                for one in (solver, "reduced")
             )
-            if own:
-                yield _row(bench, method, own, reduced, first)
+            if {timing.method for timing in own} == set(methods):
+                yield _row(bench, name, own, reduced, first)
 
 
 def _row(bench: Bench, method: str, own: Sequence[Timing], reduced: Sequence[Timing], first: bool) -> BenchRow:

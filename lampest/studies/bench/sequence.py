@@ -1,14 +1,17 @@
 """One method on one recording: every frame solved by every solver in turn, A B C A B C."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.solution import Solver
+from lampest.solvers.solution import Solution, Solver
+from lampest.studies.bench.budget import BenchPart, Budget
 from lampest.studies.bench.problems import first_estimate, frame_data, resting_cells, solver_of, tied
 from lampest.studies.bench.settings import BenchFile
 from lampest.studies.bench.timing import TimedSolve, Timing, inverse_time, timed
@@ -17,53 +20,69 @@ NOTHING = 1e-9
 LONG_S = 1.0  # solves of a frame that take so long together are not repeated: disturbances are small beside them
 
 
-def timings_of(
-    bench: BenchFile, recording: Recording, method: str, number: int, left_s: Callable[[], float]
-) -> Iterator[Timing]:
-    """The timings of all solvers; frames after the first are left out once there is less time than the last one took.
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """turns : by repeat, then by solver. inverse_s : of each turn. size : Σ y² of the readings."""
 
-    number : of the recording. left_s : how many seconds there are.
-    """
-    names = bench.solvers(recording.scene.panel.shape)
-    estimator, matrix = bench.estimator(method, "reduced"), tied(recording)
+    turns: list[list[TimedSolve]]
+    inverse_s: list[float]
+    size: float
+
+    @property
+    def solved(self) -> list[Solution]:
+        """What there is of estimates."""
+        return [solve.solution for turn in self.turns for solve in turn if solve.solution.solved]
+
+    @property
+    def spent_s(self) -> float:
+        """All its solves together."""
+        return sum(solve.wall for turn in self.turns for solve in turn)
+
+
+def timings_of(bench: BenchFile, recording: Recording, part: BenchPart, budget: Budget) -> Iterator[Timing]:
+    """The timings of all solvers; later frames are left out once there is less time than the last one took."""
+    names, method = bench.solvers(part.shape), part.method
+    relative, matrix = bench.estimator(method, "reduced").relative, tied(recording)
     best = begun = first_estimate(bench, recording, method)
     kept: Factor | None = None
-    frames: list[list[list[TimedSolve]]] = []
-    sizes: list[float] = []
-    inverses: list[float] = []
-    for frame in range(bench.frames + 1):
-        if frame and sum(solve.wall for turn in frames[-1] for solve in turn) > left_s():
+    frames: list[_Frame] = []
+    for number in range(bench.frames + 1):
+        if frames and frames[-1].spent_s > budget.left_s():
             break
-        fresh = frame_data(bench, recording, method, frame, best)
-        example = fresh()
-        solvers = [_following(solver_of(bench, method, name, example), kept) for name in names]
-        frames.append([])
-        sizes.append(float(np.sum(example.measured**2)))
-        for _ in range(bench.repeats if frame else 1):
-            turn = [timed(solver, fresh(), None if best is None else best[None]) for solver in solvers]
-            frames[-1].append(turn)
-            inverses.append(inverse_time(matrix))
-            if sum(solve.wall for solve in turn) > LONG_S:
-                break
-        solved = [solve.solution for turn in frames[-1] for solve in turn if solve.solution.solved]
+        fresh = frame_data(bench, recording, method, number, best)
+        solvers = [_following(solver_of(bench, method, name, fresh()), kept) for name in names]
+        frames.append(_frame(solvers, fresh, best, bench.repeats if number else 1, matrix))
+        solved = frames[-1].solved
         kept = next((solution.factor for solution in solved if solution.factor is not None), None)
         if solved:
             best = min(solved, key=lambda solution: solution.objective).cell_resistance[-1]
-        elif best is None and estimator.relative:
+        elif best is None and relative:
             best = resting_cells(bench, recording, method)
-    objective = np.array([[solve.objective for solve in turns[0]] for turns in frames])
-    gaps = _gaps(objective, NOTHING * np.array(sizes))
+    gaps = _gaps(frames)
     for column, name in enumerate(names):
         yield _timing(
-            [[turn[column] for turn in turns] for turns in frames],
+            [[turn[column] for turn in frame.turns] for frame in frames],
             gaps[:, column],
-            shape=recording.scene.panel.shape,
+            shape=part.shape,
             method=method,
             solver=name,
-            recording=number,
-            pair=estimator.relative and begun is None,
-            inverse_s=float(np.median(inverses)),
+            recording=part.recording,
+            pair=relative and begun is None,
+            inverse_s=float(np.median([seconds for frame in frames for seconds in frame.inverse_s])),
         )
+
+
+def _frame(
+    solvers: list[Solver], fresh: Callable[[], Data], previous: Array | None, repeats: int, matrix: Array
+) -> _Frame:
+    """One frame by every solver in turn, as often as told unless it takes long."""
+    turns: list[list[TimedSolve]] = []
+    inverses: list[float] = []
+    stacked = None if previous is None else previous[None]
+    while len(turns) < repeats and not (turns and sum(solve.wall for solve in turns[-1]) > LONG_S):
+        turns.append([timed(solver, fresh(), stacked) for solver in solvers])
+        inverses.append(inverse_time(matrix))
+    return _Frame(turns, inverses, float(np.sum(fresh().measured ** 2)))
 
 
 def _following(solver: Solver, kept: Factor | None) -> Solver:
@@ -71,14 +90,16 @@ def _following(solver: Solver, kept: Factor | None) -> Solver:
     return solver.following(kept) if isinstance(solver, Newton) else solver
 
 
-def _gaps(objective: Array, nothing: Array) -> Array:
+def _gaps(frames: list[_Frame]) -> Array:
     """(φ − φ_best)/(φ_best + nothing), (frames, solvers); NaN where a solver is alone, infinite where it left none."""
-    if objective.shape[1] == 1:
-        return np.full(objective.shape, np.nan)
-    reached = np.nan_to_num(objective, nan=np.inf)
-    least = reached.min(axis=1)
+    reached = np.array([[solve.objective for solve in frame.turns[0]] for frame in frames])
+    if reached.shape[1] == 1:
+        return np.full(reached.shape, np.nan)
+    reached = np.nan_to_num(reached, nan=np.inf)
+    least = reached.min(axis=1, keepdims=True)
+    nothing = NOTHING * np.array([[frame.size] for frame in frames])
     with np.errstate(invalid="ignore"):
-        gaps = (reached - least[:, None]) / (least + nothing)[:, None]
+        gaps = (reached - least) / (least + nothing)
     return np.where(np.isnan(gaps), np.inf, gaps)
 
 

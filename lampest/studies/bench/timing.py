@@ -111,11 +111,14 @@ def _judged(solver: Trf | Lbfgsb, data: Data, previous: Array | None) -> tuple[S
 def inverse_time(matrix: Array) -> float:
     """Seconds of one dense inverse, from as many as make a measurable time; the least of three tries."""
     count = 1
-    times: list[float] = []
-    while len(times) < 3:
-        _, spent, _ = clocked(lambda: [np.linalg.inv(matrix) for _ in range(count)])  # noqa: B023
-        if spent < LEAST_S and not times:
-            count *= 2
-        else:
-            times.append(spent / count)
-    return min(times)
+    while (spent := _inverses_time(matrix, count)) < LEAST_S:
+        count *= 2
+    return min(spent, *(_inverses_time(matrix, count) for _ in range(2))) / count
+
+
+def _inverses_time(matrix: Array, count: int) -> float:
+    """Seconds of so many inverses."""
+    begin = perf_counter()
+    for _ in range(count):
+        np.linalg.inv(matrix)
+    return perf_counter() - begin
