@@ -49,6 +49,7 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         ("sizes: [3]\nrecordings: 0", "recordings must lie between 1 and 1000"),
         ("sizes: [3]\nbudget_s: 0", "budget_s must lie between"),
         ("sizes: [3]\nmats: {draws: 0}", "draws must lie between 1 and 1000"),
+        ("sizes: [3, [3, 30]]\nlimits: {reduced: 20}", "limits leave no solver for 3 × 30"),
         ("sizes: [3]\nlimits: {noddal: 3}", "bench.yaml:3:10: limits.noddal: no such key"),
         ("sizes: [3]\nestimators: {A: {terms: {}}}", "a method needs at least one term"),
         ("sizes: [3]\nestimators: {A: {terms: {misfit: {loss: {kind: absolute}}}}}", "only squared losses"),

@@ -128,6 +128,9 @@ class BenchFile:
                 raise ValueError(f"a panel's side must lie between 2 and {LARGEST_SIDE}")
         if len(set(self.shapes)) < len(self.shapes):
             raise ValueError("sizes names a panel twice")
+        for rows, columns in self.shapes:
+            if not self.solvers((rows, columns)):
+                raise ValueError(f"limits leave no solver for {rows} × {columns}")
         for name in ("recordings", "frames", "repeats"):
             if not 1 <= getattr(self, name) <= MOST:
                 raise ValueError(f"{name} must lie between 1 and {MOST}")
