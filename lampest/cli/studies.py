@@ -25,7 +25,7 @@ def bench(
     settings = read_bench(config)
     with progress("methods") as on_step:
         found = run_bench(settings, on_step)
-    files = write_bench(out or Path("results") / config.stem, found)
+    files = write_bench(out or Path("results") / config.stem, found, settings)
     for title, table in tables(found):
         print(title)
         print_table(table)

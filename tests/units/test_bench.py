@@ -191,22 +191,23 @@ def test_progress_is_told_before_each_part() -> None:
 
 
 def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
-    text = page(tiny)
+    text = page(tiny, BenchFile(1, (3, (2, 4))))
     assert [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")] == [
         "## overview",
         "## times",
         "## solvers",
         "## methods",
+        "## remarks",
     ]
     for line in text.splitlines():
-        assert line == "" or line[0] in "#|"
+        assert line == "" or line[0] in "#|-"
 
 
 def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
     both = replace(tiny, timings=tuple(timing(side, np.ones((2, 1))) for side in (32, 64)))
     both = replace(both, mats=tuple(solved_mats(Mats((3,), 1, (0,)), 1, Settings())))
-    tables = sections(page(both))
-    assert all(text.startswith("| ") for text in tables.values())
+    tables = sections(page(both, BenchFile(1, (32, 64))))
+    assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in tables.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(tables)
     text = "before\n<!-- bench: mats -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"

@@ -11,9 +11,17 @@ from lampest.files.whole import write_whole
 from lampest.report.compare import Table
 from lampest.studies.bench.mat_report import MatRow, mat_rows, mats_table
 from lampest.studies.bench.mats import MatSolve
-from lampest.studies.bench.report import growth_table, methods_table, overview_table, solvers_table, times_table
+from lampest.studies.bench.report import (
+    bench_remarks,
+    growth_table,
+    methods_table,
+    overview_table,
+    solvers_table,
+    times_table,
+)
 from lampest.studies.bench.rows import BenchRow, Growth, bench_rows, growth
 from lampest.studies.bench.run import Bench
+from lampest.studies.bench.settings import BenchFile
 from lampest.studies.bench.timing import Timing
 from lampest.studies.study import samples_file, write_rows
 
@@ -32,38 +40,36 @@ def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
     yield from ((title, table) for title, table in titled if table.cells)
 
 
-def page(bench: Bench) -> str:
-    """The same as Markdown, after two that say less: a section each, its name before a colon."""
+def page(bench: Bench, settings: BenchFile) -> str:
+    """The same as Markdown, after two tables that say less and before the remarks: sections, named before a colon."""
     titled = (
-        (
-            "overview: medians over the methods; other solvers as multiples of the reduced one's later frames",
-            overview_table(bench),
-        ),
+        ("overview: all methods together; other solvers as multiples of the reduced one", overview_table(bench)),
         ("times: the reduced solver, ms, first / later frames", times_table(bench)),
         *tables(bench),
     )
-    return "\n".join(f"## {title}\n\n{markdown(table)}" for title, table in titled)
+    sections = [f"## {title}\n\n{markdown(table)}" for title, table in titled]
+    remarks = "".join(f"- {line}\n" for line in bench_remarks(bench, settings))
+    return "\n".join((*sections, f"## remarks: what held it up, what was left out\n\n{remarks}"))
 
 
-def write_bench(folder: Path, bench: Bench) -> tuple[Path, ...]:
+def write_bench(folder: Path, bench: Bench, settings: BenchFile) -> tuple[Path, ...]:
     """Write what was measured and return the paths.
 
     bench.csv : a row for every panel, method, solver and kind of frame. growth.csv : exponents. mats.csv : published
-    solvers, where they ran. bench.md : the tables of the screen for a page. bench.h5 : every sample.
+    solvers, where they ran. bench.md : tables and remarks for a page. bench.h5 : every sample.
 
     Raises InputError where the folder cannot be written.
     """
     rows: list[tuple[str, type[Any], Sequence[Any]]] = [
         ("bench.csv", BenchRow, bench_rows(bench)),
         ("growth.csv", Growth, growth(bench)),
-        ("mats.csv", MatRow, mat_rows(bench)),
     ]
-    written = [(folder / name, kind, found) for name, kind, found in rows if found or name != "mats.csv"]
-    for path, kind, found in written:
-        write_rows(path, kind, found)
-    write_whole(folder / "bench.md", page(bench))
+    rows += [("mats.csv", MatRow, mat_rows(bench))] if bench.mats else []
+    for name, kind, found in rows:
+        write_rows(folder / name, kind, found)
+    write_whole(folder / "bench.md", page(bench, settings))
     _write_samples(folder / "bench.h5", bench)
-    return (*(path for path, _, _ in written), folder / "bench.md", folder / "bench.h5")
+    return tuple(folder / name for name in (*(name for name, *_ in rows), "bench.md", "bench.h5"))
 
 
 def markdown(table: Table) -> str:

@@ -39,56 +39,41 @@ def run_bench(bench: BenchFile, on_step: Step = lambda done, total, what: None) 
     """Measure everything, as far as the budget goes; on_step is told how many of how many parts are done, and what is
     next.
 
-    Every panel and method is measured on one recording first, then its memory, then on the other recordings.
+    Every panel and method is measured on one recording first, with the memory it takes, then on the other recordings.
     """
     budget = Budget(bench.budget_s, perf_counter())
     shapes, methods = bench.shapes, bench.estimators
     parts = [BenchPart(number, s, name) for number in range(bench.recordings) for s in shapes for name in methods]
-    once = len(shapes) * len(methods)
     mats: tuple[MatSolve, ...] = ()
     if bench.mats is not None:
         on_step(0, len(parts), "random mats")
         mats = tuple(solved_mats(bench.mats, bench.seed, bench.solver))
-    timings, missed = _solved(bench, parts[:once], (), budget, lambda done, what: on_step(done, len(parts), what))
-    if bench.memory:
-        on_step(once, len(parts), "memory")
-    memory, unknown = _peaks(bench, timings, budget)
-    more, missed_too = _solved(
-        bench, parts[once:], timings, budget, lambda done, what: on_step(once + done, len(parts), what)
-    )
-    return Bench((*timings, *more), memory, (*missed, *unknown, *missed_too), mats)
-
-
-def _solved(
-    bench: BenchFile,
-    parts: Sequence[BenchPart],
-    before: Sequence[Timing],
-    budget: Budget,
-    on_part: Callable[[int, str], None],
-) -> tuple[list[Timing], list[LeftOut]]:
-    """The timings of these parts after those before, and what there was no time for."""
     timings: list[Timing] = []
+    peaks: Peaks = {}
     missed: list[LeftOut] = []
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
-        on_part(number, str(part))
-        if part.expected_s(bench, (*before, *timings)) > budget.left_s():
+        on_step(number, len(parts), str(part))
+        if part.expected_s(bench, timings) > budget.left_s():
             missed.append(part.left_out())
             continue
         measured = list(timings_of(bench, simulated(part.shape, part.recording), part, budget))
         timings += measured
         if len(measured[0].wall) <= bench.frames:
             missed.append(part.left_out(f" after {len(measured[0].wall)} of {bench.frames + 1} frames"))
-    return timings, missed
+        found, unknown = _peaks(bench, measured, budget)
+        peaks |= found
+        missed += unknown
+    return Bench(tuple(timings), peaks, tuple(missed), mats)
 
 
 def _peaks(bench: BenchFile, timings: Sequence[Timing], budget: Budget) -> tuple[Peaks, list[LeftOut]]:
-    """The peaks of panels that are asked for, and those for which there is no time."""
+    """The peaks of first recordings of panels for which they are asked, and those for which there is no time."""
     peaks: Peaks = {}
     unknown: list[LeftOut] = []
     for timing in timings:
         rows, columns = timing.shape
-        if rows != columns or rows not in bench.memory:
+        if timing.recording or rows != columns or rows not in bench.memory:
             continue
         if memory_expected_s(timing) > budget.left_s():
             unknown.append(LeftOut(timing.shape, timing.method, f"memory of {timing.solver}"))
