@@ -47,7 +47,11 @@ class progress:  # noqa: N801
 
     def __enter__(self) -> Any:
         self._bar.__enter__()
-        return lambda done, total: self._bar.update(self._task, completed=done, total=total)
+        return self._told
+
+    def _told(self, done: int, total: int, what: str | None = None) -> None:
+        """How many of how many are done, and what is next where that takes long."""
+        self._bar.update(self._task, completed=done, total=total, description=what)
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)

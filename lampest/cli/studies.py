@@ -12,17 +12,24 @@ def bench(
     config: Annotated[Path, typer.Argument(help="The benchmark's YAML file.")],
     out: Folder = None,
 ) -> None:
-    """Compare the speed of reduced, nodal and scipy's solvers over panel sizes, with the accuracy that each reaches."""
-    from lampest.studies.bench.report import bench_remarks, bench_table, write_bench
+    """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's, published ones.
+
+    Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv, mats.csv,
+    bench.md and bench.h5 with every sample. What the file's limits or its budget leave out is named.
+    """
+    from lampest.studies.bench.files import tables, write_bench
+    from lampest.studies.bench.report import bench_remarks
     from lampest.studies.bench.run import run_bench
     from lampest.studies.bench.settings import read_bench
 
     settings = read_bench(config)
     with progress("methods") as on_step:
         found = run_bench(settings, on_step)
-    files = write_bench(out or Path("results") / config.stem, found)
-    print_table(bench_table(found))
-    for line in (*bench_remarks(found), *files):
+    files = write_bench(out or Path("results") / config.stem, found, settings)
+    for title, table in tables(found):
+        print(title)
+        print_table(table)
+    for line in (*bench_remarks(found, settings), *files):
         print(line)
 
 

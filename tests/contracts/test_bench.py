@@ -11,25 +11,32 @@ Command = Callable[..., SimpleNamespace]
 
 
 def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Command) -> None:
-    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nlimits: {nodal: 0, scipy_difference: 0}\nmemory: [3]\n"
+    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nmats: {sides: [4], draws: 1}\n"
+    text += "limits: {nodal: 0, scipy_difference: 0, scipy_lbfgsb: 0}\n"
     text += "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n"
     ended = lampest("bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.err) == (0, "")
-    for words in ("3 × 3", "scipy_exact", "peak memory of a fresh process", "bench.csv", "bench.h5"):
+    for words in ("3 × 3", "trf exact", "krylov", "verified", "bench.csv", "mats.csv", "bench.md", "bench.h5"):
         assert words in ended.out
+    assert max(map(len, ended.out.splitlines())) <= 100 + len(str(disk.folder))
     with (disk.folder / "out" / "bench.csv").open() as file:
         table = list(csv.DictReader(file))
-    assert [(row["method"], row["solver"]) for row in table] == [
-        (method, solver) for method in ("all", "mine") for solver in ("reduced", "scipy_exact")
+    assert [(row["method"], row["solver"], row["frames"]) for row in table] == [
+        (method, solver, frames)
+        for method in ("all", "mine")
+        for solver in ("reduced", "scipy_exact")
+        for frames in ("first", "later")
     ]
+    assert all(20 < float(row["memory_mb"]) < 2000 for row in table)
     with h5py.File(disk.folder / "out" / "bench.h5") as file:
-        assert 20 < file["entry"].attrs["peak_memory_mb_3x3"] < 2000
+        assert 20 < file["entry/3x3/mine/reduced"].attrs["peak_memory_mb"] < 2000
         assert file["entry/3x3"].attrs["inverse_s"] > 0
-        group = file["entry/3x3/mine/reduced"]
+        group = file["entry/3x3/mine/reduced/recording_0"]
         assert group["wall_time"].shape == (2, 1)
         for dataset in group.values():
             assert dataset.attrs["units"] and dataset.attrs["long_name"]
         assert group["status"][0] == b"optimum verified"
+        assert len(file["entry/mats/solver"]) == len(file["entry/mats/seconds"]) == 2 * 6
 
 
 @pytest.mark.parametrize(
@@ -38,7 +45,11 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         ("sizes: []", "must hold at least one"),
         ("sizes: [1]", "a panel's side must lie between 2 and 1000"),
         ("sizes: [3, [3, 3]]", "names a panel twice"),
-        ("sizes: [3]\nframes: 0", "frames and repeats must lie between"),
+        ("sizes: [3]\nframes: 0", "frames must lie between 1 and 1000"),
+        ("sizes: [3]\nrecordings: 0", "recordings must lie between 1 and 1000"),
+        ("sizes: [3]\nbudget_s: 0", "budget_s must lie between"),
+        ("sizes: [3]\nmats: {draws: 0}", "draws must lie between 1 and 1000"),
+        ("sizes: [3, [3, 30]]\nlimits: {reduced: 20}", "limits leave no solver for 3 × 30"),
         ("sizes: [3]\nlimits: {noddal: 3}", "bench.yaml:3:10: limits.noddal: no such key"),
         ("sizes: [3]\nestimators: {A: {terms: {}}}", "a method needs at least one term"),
         ("sizes: [3]\nestimators: {A: {terms: {misfit: {loss: {kind: absolute}}}}}", "only squared losses"),

@@ -1,9 +1,8 @@
-"""The benchmark: its rows, and scipy's solver as a judge of ours. No time is asserted."""
+"""The benchmark: what it measures, its rows, its budget, and scipy's solvers as judges of ours. No time is asserted."""
 
-from collections.abc import Callable
 from dataclasses import replace
+from math import log
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,22 +12,29 @@ from lampest.cost.losses import Huber
 from lampest.cost.terms.misfit import Misfit
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
+from lampest.recording.recording import Recording
 from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings
+from lampest.studies.bench.budget import BenchPart
+from lampest.studies.bench.files import page
+from lampest.studies.bench.mats import Mats, solved_mats
 from lampest.studies.bench.problems import frame_data, resting_cells
-from lampest.studies.bench.report import bench_rows, growth
-from lampest.studies.bench.run import Bench, Timing, run_bench
-from lampest.studies.bench.settings import SOLVERS, BenchFile, SquaredMethod, Terms, read_bench
+from lampest.studies.bench.report import bench_remarks
+from lampest.studies.bench.rows import bench_rows, growth
+from lampest.studies.bench.run import Bench, run_bench
+from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits, SquaredMethod, Terms, read_bench
+from lampest.studies.bench.timing import Timing
 from lampest.studies.bench.trf import Trf, _Point
+from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
-Command = Callable[..., SimpleNamespace]
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
+recordings: 2
 frames: 2
 repeats: 2
-limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, joint: 3}
+limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, scipy_lbfgsb: 3, joint: 3}
 """
 
 
@@ -39,43 +45,173 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return run_bench(read_bench(path))
 
 
+def alone() -> BenchLimits:
+    """The reduced solver alone."""
+    return replace(BenchLimits(), **dict.fromkeys(SOLVERS[1:], 0))
+
+
+def timing(side: int, wall: np.ndarray, method: str = "LSM", solver: str = "reduced", number: int = 0) -> Timing:
+    frames = len(wall)
+    one = np.ones(frames)
+    status = ("optimum verified",) * frames
+    return Timing(
+        (side, side), method, solver, number, False, 1e-6, wall, wall, one, 0 * one, one.astype(int), one > 0, status
+    )
+
+
 def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
-    assert {(timing.shape, timing.solver) for timing in tiny.timings} == {
-        *(((3, 3), solver) for solver in SOLVERS),
-        *(((2, 4), solver) for solver in ("reduced", "scipy_exact")),
+    assert {(one.shape, one.solver, one.recording) for one in tiny.timings} == {
+        *(((3, 3), solver, number) for solver in SOLVERS for number in (0, 1)),
+        *(((2, 4), solver, number) for solver in ("reduced", "scipy_exact") for number in (0, 1)),
     }
-    for timing in tiny.timings:
-        assert timing.wall.shape == timing.cpu.shape == (3, 2)
-        assert np.isnan(timing.wall[0, 1]) and np.isfinite(timing.wall[1:]).all()
-        assert timing.times().shape == (3,) and np.all(timing.times() > 0)
-        assert np.all(timing.gap >= 0)
-        if timing.solver != "scipy_difference":
-            assert timing.solved.all(), timing
-        if timing.solver in ("reduced", "nodal"):
-            assert np.all(timing.gap[1:] < 1e-6), timing
-    assert all(seconds > 0 for seconds in tiny.inverse_s.values())
+    for one in tiny.timings:
+        assert one.wall.shape == one.cpu.shape == (3, 2)
+        assert np.isnan(one.wall[0, 1]) and np.isfinite(one.wall[1:, 0]).all()
+        assert one.times().shape == (3,) and np.all(one.times() > 0)
+        assert np.all(one.gap >= 0)
+        assert one.pair == (one.method in ("LSR-dCR", "LSR-gdCR") and one.shape == (3, 3))
+        if one.solver in ("reduced", "nodal"):
+            assert one.solved.all() and np.all(one.gap[1:] < 1e-6), one
+        assert np.all(one.gap[one.verified()] < 1e-3), one
+    assert tiny.inverse_s((3, 3)) > 0 and tiny.left_out == ()
 
 
 def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
-    found = {(row.rows, row.columns, row.method, row.solver): row for row in bench_rows(tiny)}
-    assert len(found) == 6 * (4 + 2)
-    for (high, wide, method, _), row in found.items():
-        reduced = found[high, wide, method, "reduced"]
-        assert row.ratio == pytest.approx(row.frame_ms / reduced.frame_ms)
-        assert row.inverses == pytest.approx(row.frame_ms / 1e3 / tiny.inverse_s[high, wide])
-        assert row.frames == (15 if method == "all" else 3)
-    assert growth(tiny) == {}
+    found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in bench_rows(tiny)}
+    assert len(found) == 2 * 6 * (5 + 2)
+    for (high, wide, method, _, first), row in found.items():
+        reduced = found[high, wide, method, "reduced", first]
+        assert row.ratio == pytest.approx(row.ms / reduced.ms)
+        assert row.inverses == pytest.approx(row.ms / 1e3 / tiny.inverse_s((high, wide)))
+        assert row.count == (5 if method == "all" else 1) * (2 if first else 4)
+        assert row.ms_quartile_1 <= row.ms <= row.ms_quartile_3
+        assert row.verified <= row.solved <= row.count
+    assert found[3, 3, "LSR-dCR", "reduced", True].frames == "pair"
+    assert found[2, 4, "LSR-dCR", "reduced", True].frames == "first"
+    assert growth(tiny) == []
+
+
+def test_a_solver_alone_is_given_no_gap() -> None:
+    found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone())))
+    assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)
+
+
+def test_recordings_differ_and_follow_from_the_seed() -> None:
+    bench = BenchFile(1, (12,))
+
+    def load(recording: Recording) -> np.ndarray:
+        assert recording.truth_pressure is not None
+        return recording.truth_pressure
+
+    mouth, rods, growing, again = (bench.recording((12, 12), number) for number in range(4))
+    np.testing.assert_array_equal(mouth.recorded, bench.recording((12, 12)).recorded)
+    assert load(mouth).min() < -5 and load(growing).min() < -5
+    assert load(rods).min() == 0 and load(rods).max() > 2
+    assert np.all(np.diff(np.abs(load(growing)).sum(axis=(1, 2))[3:]) > 0)
+    assert not np.array_equal(mouth.recorded, again.recorded)
+    np.testing.assert_array_equal(load(mouth), load(again))
 
 
 def test_growth_is_the_slope_of_the_logarithms() -> None:
-    def timing(side: int) -> Timing:
-        wall = np.full((2, 1), 1e-6 * (2 * side) ** 3.3)
-        one = np.ones(2)
-        return Timing((side, side), "LSM", "reduced", wall, wall, one, 0 * one, one.astype(int), one > 0, ("", ""))
+    sides = (16, 32, 64, 100, 200)
+    scatter = dict(zip(sides, (9.0, 1.1, 0.9, 1.0, 1.05), strict=True))
 
-    sides = (16, 32, 64, 100)
-    found = growth(Bench(tuple(timing(side) for side in sides), {(side, side): 1.0 for side in sides}, {}))
-    assert found == {"all": pytest.approx(3.3), "LSM": pytest.approx(3.3)}
+    def wall(side: int, exponent: float) -> np.ndarray:
+        return np.array([[1e-6 * side**2.0], [scatter[side] * 1e-6 * side**exponent]])
+
+    timings = [timing(side, wall(side, 3.3)) for side in sides]
+    timings += [timing(side, wall(side, 1.3), "LSR-CR") for side in sides[:3]]
+    found = {(one.method, one.frames): one for one in growth(Bench(tuple(timings), {}))}
+    assert found["LSM", "first"].exponent == pytest.approx(2.0)
+    assert found["LSM", "first"].standard_error == pytest.approx(0, abs=1e-6)
+    logarithms = [log(wall(side, 3.3)[1, 0]) for side in sides[1:]]
+    design = np.column_stack([np.log(sides[1:]), np.ones(4)])
+    expected, (rest,), *_ = np.linalg.lstsq(design, np.array(logarithms), rcond=None)
+    covariance = rest / 2 * np.linalg.inv(design.T @ design)
+    assert found["LSM", "later"].exponent == pytest.approx(expected[0])
+    assert found["LSM", "later"].standard_error == pytest.approx(np.sqrt(covariance[0, 0]))
+    assert (found["LSM", "later"].panels, found["LSM", "later"].largest) == (4, 200)
+    assert found["LSR-CR", "later"].standard_error is None
+    both = [found[name, "later"].exponent for name in ("all", "LSR-CR")]
+    slope = log(0.9 / 1.1) / log(2)
+    assert both == pytest.approx([2.3 + slope, 1.3 + slope])
+
+
+def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
+    wall = np.ones((2, 1))
+    timings = [timing(8, wall), timing(8, wall[:1], "LSR-CR"), timing(16, wall), timing(32, wall, "LSR-CR")]
+    found = [(row.rows, row.method, row.frames) for row in bench_rows(Bench(tuple(timings), {}))]
+    assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
+    assert len(found) == 1 + 3 + 2 + 2
+
+
+def test_disturbed_solves_count_by_the_processors_time() -> None:
+    one = replace(timing(8, np.array([[1.0], [3.0]])), cpu=np.array([[0.98], [1.0]]))
+    np.testing.assert_allclose(one.times(), [1.0, 1.0])
+    assert one.clean() == 0.5
+
+
+def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
+    bench = BenchFile(1, (3, 40), recordings=2, frames=3, repeats=1, budget_s=1e-3, limits=alone())
+    bench = replace(bench, memory=(3,))
+    found = run_bench(bench)
+    # The first task of every method knows nothing of its time: it is begun, and stops after its first frame.
+    assert {(one.shape, one.recording, len(one.wall)) for one in found.timings} == {((3, 3), 0, 1)}
+    assert found.memory_mb == {}
+    named = {(one.shape, one.what) for one in found.left_out}
+    assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
+    assert ((3, 3), "memory of reduced") in named
+    remarks = bench_remarks(found, bench)
+    assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
+    assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
+
+
+def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
+    bench = BenchFile(1, (10, 20, 40), limits=replace(BenchLimits(), nodal=10))
+    done = [
+        timing(10, np.array([[8.0], [1.0]])),
+        timing(20, np.array([[2.0, np.nan], [1.0, 0.5]])),
+        timing(20, np.array([[3.0, np.nan], [1.0, 0.5]]), number=1),
+        timing(20, np.array([[99.0], [99.0]]), method="LSR-CR"),
+        timing(10, np.array([[77.0], [1.0]]), solver="nodal"),
+    ]
+    assert BenchPart(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
+    assert BenchPart(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
+    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:1]) == pytest.approx(8 * 9.0)
+    assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
+    assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
+
+
+def test_progress_is_told_before_each_part() -> None:
+    told: list[tuple[int, int, str]] = []
+    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=alone(), mats=Mats((3,), 1, (0,)))
+    run_bench(bench, lambda *about: told.append(about))
+    assert told[:2] == [(0, 10, "random mats"), (0, 10, "3 × 3 LSM, recording 1")]
+    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 11
+
+
+def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
+    text = page(tiny, BenchFile(1, (3, (2, 4))))
+    assert [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")] == [
+        "## overview",
+        "## times",
+        "## solvers",
+        "## methods",
+        "## remarks",
+    ]
+    for line in text.splitlines():
+        assert line == "" or line[0] in "#|-"
+
+
+def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
+    both = replace(tiny, timings=tuple(timing(side, np.ones((2, 1))) for side in (32, 64)))
+    both = replace(both, mats=tuple(solved_mats(Mats((3,), 1, (0,)), 1, Settings())))
+    tables = sections(page(both, BenchFile(1, (32, 64))))
+    assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in tables.items())
+    marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
+    assert sorted(marks) == sorted(tables)
+    text = "before\n<!-- bench: mats -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
+    assert with_tables(text, {"mats": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
@@ -105,15 +241,15 @@ def test_least_squares_needs_squares() -> None:
 def test_shipped_benchmarks_are_in_order(name: str) -> None:
     bench = read_bench(ROOT / "configs" / f"{name}.yaml")
     assert list(bench.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
-    assert {(10, 10), (32, 32), (100, 100)} <= set(bench.shapes)
+    assert {(10, 10), (32, 32), (100, 100), (200, 200)} <= set(bench.shapes)
     assert bench.solvers((10, 10)) == SOLVERS
-    assert bench.solvers((100, 100)) == ("reduced",)
+    assert bench.solvers((200, 200)) == ("reduced",)
     assert replace(bench, readout=BenchFile(1, (3,)).readout) == bench
 
 
 def test_unsolved_runs_are_told(tmp_path: Path) -> None:
     bench = BenchFile(1, (3,), frames=1, repeats=1, solver=Settings(max_iterations=1))
     found = bench_rows(run_bench(bench))
-    assert any(row.failed for row in found)
+    assert any(row.solved < row.count for row in found)
     with pytest.raises(InputError):
         read_bench(tmp_path / "missing.yaml")

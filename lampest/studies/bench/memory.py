@@ -4,34 +4,34 @@ import resource
 from pathlib import Path
 
 from lampest.runs.executors import Processes
-from lampest.solvers.search import best_solution
 from lampest.studies.bench.problems import first_estimate, frame_data, solver_of
 from lampest.studies.bench.settings import BenchFile
+from lampest.studies.bench.timing import timed
 
 STATUS = Path("/proc/self/status")
 FRAMES = 2
 
 
-def peak_memory(bench: BenchFile, shape: tuple[int, int]) -> float:
-    """The largest resident size, 10⁶ bytes, of a process that solves two frames by all methods; NaN if it died.
+def peak_memory(bench: BenchFile, shape: tuple[int, int], method: str, solver: str) -> float:
+    """The largest resident size, 10⁶ bytes, of a process that solves a first frame and the next; NaN if it died.
 
     Imports and simulation are part of it. Beyond the limit for it no pair of frames is solved jointly.
     """
-    ((_, megabytes),) = Processes(1).results(_solving, [(bench, shape)])
+    ((_, megabytes),) = Processes(1).results(_solving, [(bench, shape, method, solver)])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
-def _solving(task: tuple[BenchFile, tuple[int, int]]) -> float:
+def _solving(task: tuple[BenchFile, tuple[int, int], str, str]) -> float:
     """Solve the frames here; the peak of this process in megabytes."""
-    bench, shape = task
+    bench, shape, method, name = task
     recording = bench.recording(shape)
-    for method in bench.estimators:
-        previous = first_estimate(bench, recording, method)
-        for frame in range(FRAMES):
-            data = frame_data(bench, recording, method, frame, previous)()
-            solver = solver_of(bench, method, "reduced", data)
-            solution = best_solution(solver, data, None if previous is None else previous[None])
-            previous = solution.cell_resistance[-1] if solution.solved else previous
+    previous = first_estimate(bench, recording, method)
+    for frame in range(FRAMES):
+        data = frame_data(bench, recording, method, frame, previous)()
+        solution = timed(
+            solver_of(bench, method, name, data), data, None if previous is None else previous[None]
+        ).solution
+        previous = solution.cell_resistance[-1] if solution.solved else previous
     return peak_mb()
 
 

@@ -1,22 +1,34 @@
 """What every solver is given: the data of a frame, where a sequence begins, and the solvers themselves."""
 
 from collections.abc import Callable
-from functools import lru_cache
-from typing import Literal
+from functools import lru_cache, partial
+
+import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import resting_readings
+from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solver
+from lampest.studies.bench.lbfgsb import Lbfgsb
 from lampest.studies.bench.settings import BenchFile
 from lampest.studies.bench.trf import Trf
+
+# Ours by the formulation that stands for them; others by what builds them.
+FORMULATIONS: dict[str, MethodName] = {"reduced": "reduced", "nodal": "nodal"}
+YARDSTICKS: dict[str, Callable[[Cost, Settings], Solver]] = {
+    "scipy_exact": partial(Trf, jacobian="exact"),
+    "scipy_difference": partial(Trf, jacobian="2-point"),
+    "scipy_lbfgsb": Lbfgsb,
+}
 
 
 def first_estimate(bench: BenchFile, recording: Recording, method: str) -> Array | None:
@@ -57,17 +69,21 @@ def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
     """A solver by its name for such data, built before anything is timed; kept for the frames to come."""
     frames, *shape = data.measured.shape
     scene = Scene(Panel(*shape))
-    estimator = bench.estimator(method, "nodal" if name == "nodal" else "reduced")
-    solver: Solver
-    if name in ("reduced", "nodal"):
-        solver = estimator.problem(scene, frames, 1.0, data.partial)
+    if name in FORMULATIONS:
+        solver = bench.estimator(method, FORMULATIONS[name]).problem(scene, frames, 1.0, data.partial)
     else:
-        exact = "exact" if name == "scipy_exact" else "2-point"
-        solver = _trf(estimator.cost(scene, frames, data.partial), bench.solver, exact)
+        solver = _yardstick(name, bench.estimator(method, "reduced").cost(scene, frames, data.partial), bench.solver)
     solver.prepare()
     return solver
 
 
 @lru_cache(maxsize=8)
-def _trf(cost: Cost, settings: Settings, jacobian: Literal["exact", "2-point"]) -> Trf:
-    return Trf(cost, settings, jacobian)
+def _yardstick(name: str, cost: Cost, settings: Settings) -> Solver:
+    return YARDSTICKS[name](cost, settings)
+
+
+def tied(recording: Recording) -> Array:
+    """The Laplacian of size M + N − 1 of a network like the recording's."""
+    circuit = recording.scene.circuit
+    cells = circuit.uniform_start(recording.readings().value[0])
+    return (laplacian(1 / cells) + np.diag(circuit.ties(cells)))[1:, 1:]

@@ -1,4 +1,4 @@
-"""A benchmark's YAML file, and the scene that it makes for every size."""
+"""A benchmark's YAML file, and the recordings that it makes for every size."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,21 +13,23 @@ from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.files.document import read_document, validated
-from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
+from lampest.studies.bench.mats import Mats
+from lampest.studies.bench.scenes import loads
 
 LARGEST_SIDE = 1000
-SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference")
-BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
+MOST = 1000
+LONGEST_S = 30 * 86400.0
+SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
+SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference", "scipy_lbfgsb")
 PAPER: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
     "LSR-CR": (Misfit(), CellResistance()),
@@ -66,6 +68,7 @@ class BenchLimits:
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
     scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
+    scipy_lbfgsb : scipy's L-BFGS-B with the closed-form gradient.
     joint : no solver, but the first pair of relative methods: on larger panels their first frame starts from a baseline
     that was solved alone.
     """
@@ -75,6 +78,7 @@ class BenchLimits:
     nodal: int = 16
     scipy_exact: int = 16
     scipy_difference: int = 10
+    scipy_lbfgsb: int = 10
     joint: int = 10
 
 
@@ -86,12 +90,15 @@ class BenchFile:
     ----------
     sizes : sides of square panels, or [rows, columns].
     estimators : methods by name, their terms as in a run's file; the paper's five by default.
+    recordings : simulated recordings of every panel, each with loads and noise of its own.
     frames, repeats : frames after the first, solved in sequence, and how often each is solved by every solver.
+    budget_s : no solve is begun that would probably not end within so many seconds; what is left out is told.
     seed, readout, unmodelled : of the simulated recordings, as in a simulation's file.
     lines : of their scenes; nodal does not know wire and is left out then.
     solver : tolerance and iterations, the same for all.
     limits : the largest side for each solver.
     memory : sides of panels on which the peak memory of a fresh process is measured.
+    mats : random mats without bounds or penalties, for published solvers that know neither; absent: none.
 
     Raises ValueError where a number is out of range.
     """
@@ -100,8 +107,10 @@ class BenchFile:
     schema: Literal[1]
     sizes: tuple[int | tuple[int, int], ...]
     estimators: dict[str, SquaredMethod] = field(default_factory=paper_methods)
+    recordings: int = 1
     frames: int = 4
     repeats: int = 3
+    budget_s: float = 3600.0
     seed: int = 1
     readout: TwoPointReadout = TwoPointReadout()
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
@@ -109,6 +118,7 @@ class BenchFile:
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
+    mats: Mats | None = None
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
@@ -118,8 +128,14 @@ class BenchFile:
                 raise ValueError(f"a panel's side must lie between 2 and {LARGEST_SIDE}")
         if len(set(self.shapes)) < len(self.shapes):
             raise ValueError("sizes names a panel twice")
-        if not 1 <= self.frames <= 1000 or not 1 <= self.repeats <= 1000:
-            raise ValueError("frames and repeats must lie between 1 and 1000")
+        for rows, columns in self.shapes:
+            if not self.solvers((rows, columns)):
+                raise ValueError(f"limits leave no solver for {rows} × {columns}")
+        for name in ("recordings", "frames", "repeats"):
+            if not 1 <= getattr(self, name) <= MOST:
+                raise ValueError(f"{name} must lie between 1 and {MOST}")
+        if not 0 < self.budget_s <= LONGEST_S:
+            raise ValueError(f"budget_s must lie between 0 and {LONGEST_S:.0f}")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], ...]:
@@ -136,25 +152,19 @@ class BenchFile:
         """A method in a formulation."""
         return Estimator(self.estimators[name].parts, formulation, self.solver)
 
-    def recording(self, shape: tuple[int, int]) -> Recording:
-        """An oral disc over a third of the panel's shorter side, read as the shipped scenes are; 3 unloaded frames."""
-        rows, columns = shape
-        diameter = 0.35 * 10 * min(shape)
-        disc = OralDisc(
-            kind="oral_disc",
-            centre_mm=(4.9 * (columns - 1), 5.1 * (rows - 1)),
-            diameter_mm=diameter,
-            rim_width_mm=diameter * 6 / 35,
-            pressure_kpa=-12,
-            rim_kpa=90,
-            tilt=0.25,
-            tilt_direction_deg=60,
-        )
-        scene = Scene(Panel(rows, columns), self.readout, 140, lines=self.lines)
+    def recording(self, shape: tuple[int, int], number: int = 0) -> Recording:
+        """One of the recordings of a panel, its loads those of `scenes.loads`; 3 unloaded frames."""
+        touching, course = loads(number, shape)
         simulation = Simulation(
-            1, self.seed, scene, frames=self.frames + 1, loads=(disc,), course=BREATHING, unmodelled=self.unmodelled
+            1,
+            self.seed + number,
+            Scene(Panel(*shape), self.readout, SERIES_OHM, lines=self.lines),
+            frames=self.frames + 1,
+            loads=touching,
+            course=course,
+            unmodelled=self.unmodelled,
         )
-        return simulate(simulation, f"{rows}x{columns}")
+        return simulate(simulation, f"{shape[0]}x{shape[1]}")
 
 
 def read_bench(path: Path) -> BenchFile:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Literal
 
 import casadi
 import numpy as np
@@ -26,7 +26,6 @@ class Trf:
     cost nor point moves any more. jacobian : 'exact', from closed forms, or '2-point', scipy's own finite differences.
     """
 
-    easy: ClassVar[int] = 0
     cost: Cost
     settings: Settings
     jacobian: Literal["exact", "2-point"]

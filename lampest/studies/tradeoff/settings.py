@@ -24,7 +24,8 @@ from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
 from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.settings import BREATHING, LARGEST_SIDE, PAPER
+from lampest.studies.bench.scenes import BREATHING
+from lampest.studies.bench.settings import LARGEST_SIDE, PAPER
 
 REFERENCE = "reduced"
 LADDER: tuple[MethodName | AnyMethod, ...] = (
