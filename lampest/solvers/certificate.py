@@ -25,6 +25,8 @@ MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where 
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
 NEARBY = 0.01  # of log r: second derivatives change by about as much, and a predicted step with them
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
+REPRODUCED = 1e-5  # of a reading: what second derivatives of readings add to JᵀΩJ is no larger part of it
+REPRODUCED_UNKNOWNS = 600  # cells, up to which a solve with J is asked for where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
 ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
@@ -116,7 +118,8 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     if not np.all(bend > 0):
         return None
     missed = curvature.by_reading.ravel() / bend / reading
-    if float(np.abs(missed).max()) > MILLIONTH or len(reading) > DENSE_UNKNOWNS:
+    most = DENSE_UNKNOWNS if curvature.at.data.noise_known else REPRODUCED_UNKNOWNS
+    if float(np.abs(missed).max()) > REPRODUCED or len(reading) > most:
         return None
     sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)

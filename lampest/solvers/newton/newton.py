@@ -16,7 +16,7 @@ from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor
+from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
 
 ROUNDED = 1e-12  # of the cost: a step that changes it by less tells nothing by it
@@ -57,9 +57,9 @@ class Newton:
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
                 return certified(point, iteration)
             unsettled += near
-            moved = advance(point, data, residual)
+            moved = (certain_step(point, data, residual) if near else None) or advance(point, data, residual)
             if moved is None:
-                if not stands:
+                if not near and not stands and point.certificate.converged:
                     stands = True
                     continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
