@@ -97,8 +97,11 @@ def _corners(term: Term) -> bool:
 
 
 def _beside(solver: Solver, found: Solution) -> list[Array]:
-    """Starts on either side of an estimate that may be one of two; see `along_softest`."""
-    if not found.solved or found.at is None or not isinstance(solver, Newton):
+    """Starts on either side of an estimate that may be one of two; see `along_softest`.
+
+    Second derivatives of rounded absolute losses tell of their kinks.
+    """
+    if not found.solved or found.at is None or not isinstance(solver, Newton) or len(solver.cost.slope):
         return []
     return list(along_softest(found.at, found.factor or solver.factor))
 

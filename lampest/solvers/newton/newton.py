@@ -19,7 +19,6 @@ from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
 
-ROUNDED = 1e-12  # of the cost: a step that changes it by less tells nothing by it
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
 
 
@@ -63,7 +62,7 @@ class Newton:
                     stands = True
                     continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
-            stands = abs(moved.objective - point.objective) <= ROUNDED * abs(point.objective)
+            stands = False
             again = moved.factor is not None and moved.factor is point.factor and moved.factor.exact
             point, iteration = moved, iteration if again else iteration + 1
         return outcome(point, Status.ITERATIONS, self.settings.max_iterations)
