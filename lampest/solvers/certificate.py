@@ -24,6 +24,9 @@ from lampest.solvers.newton.directions import Factor, preconditioner
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
 NEARBY = 0.01  # of log r: second derivatives change by about as much, and a predicted step with them
+NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
+REPRODUCED = 1e-5  # of a reading: what second derivatives of readings add to JᵀΩJ is no larger part of it
+REPRODUCED_UNKNOWNS = 600  # cells, up to which a solve with J is asked for where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
 ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
@@ -55,6 +58,16 @@ class Certificate:
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
 
     @property
+    def converged(self) -> bool:
+        """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
+
+        A gradient may be far from small there: of a penalty that outweighs the data by 10⁸ it is rounding, and the
+        curvature that multiplies the rounding divides it again in the step.
+        """
+        small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
+        return small and self.bend is Bend.UP and self.decrement**2 <= NOTHING * self.curvature.at.cost_scale
+
+    @property
     def deviations(self) -> float:
         """δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: what |s_c| is at most of its cell's
         posterior deviation; infinite where the noise is not known.
@@ -82,6 +95,8 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     if (exact := _of_reproduced(curvature)) is not None:
         return exact
     free = np.flatnonzero(free_cells(curvature.at, gradient))
+    if not len(free):
+        return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, curvature)
     if factor is not None and factor.exact and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif len(gradient) <= DENSE_UNKNOWNS:
@@ -103,7 +118,8 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     if not np.all(bend > 0):
         return None
     missed = curvature.by_reading.ravel() / bend / reading
-    if float(np.abs(missed).max()) > MILLIONTH or len(reading) > DENSE_UNKNOWNS:
+    most = DENSE_UNKNOWNS if curvature.at.data.noise_known else REPRODUCED_UNKNOWNS
+    if float(np.abs(missed).max()) > REPRODUCED or len(reading) > most:
         return None
     sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
@@ -115,8 +131,6 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
 
 def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
     """Where it cannot be factored, the step leaves out what is flat."""
-    if not len(free):
-        return Bend.UP, np.zeros(0)
     matrix = curvature.matrix[np.ix_(free, free)]
     least = ROUNDING * _usual_bend(curvature)[free]
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))

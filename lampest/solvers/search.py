@@ -12,6 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.panel.panel import Array
 from lampest.solvers.newton.newton import Newton
+from lampest.solvers.softest import along_softest
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
 POLISHED = 0.1 * VERIFIED
@@ -61,10 +62,15 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     easy = EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
     one_minimum = (plain and data.readout.unique) or (relative and all(term.convex_in_log for term in comparing))
     hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
-    if found.solved and not hard:
+    more = [] if one_minimum else _beside(solver, found)
+    if found.solved and not hard and not more:
         return found
-    more = [] if previous is None else [uniform, convex(data, None)]
-    more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if data.measured[0].size <= FAR_CELLS else []
+    if hard or not found.solved:
+        more += [] if previous is None else [uniform, convex(data, None)]
+        far = data.measured[0].size <= FAR_CELLS
+        more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if far else []
+    else:
+        points = points[:1]
     others = [solved_from(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
     best = min((other for other in others if other.solved), key=lambda one: one.objective, default=found)
     return best if not found.solved or best.objective < found.objective * (1 - SAME) else found
@@ -88,6 +94,16 @@ def _with_squared(solver: Solver, points: list[Evaluation]) -> list[Evaluation]:
 def _corners(term: Term) -> bool:
     """Whether a term takes readings by a loss that bends in some places alone."""
     return term.reads_measurement and not term.loss.squared and term.loss.enters == "split"
+
+
+def _beside(solver: Solver, found: Solution) -> list[Array]:
+    """Starts on either side of an estimate that may be one of two; see `along_softest`.
+
+    Second derivatives of rounded absolute losses tell of their kinks.
+    """
+    if not found.solved or found.at is None or not isinstance(solver, Newton) or len(solver.cost.slope):
+        return []
+    return list(along_softest(found.at, found.factor or solver.factor))
 
 
 def convex(data: Data, near: Array | None) -> Array:

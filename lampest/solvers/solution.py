@@ -33,6 +33,9 @@ class Status(Enum):
     WORSE = "the solver stopped at a point that costs more than its start"
     UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
     UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
+    ROUNDED = (
+        "double precision cannot tell: one term outweighs the others by more than its sixteen digits; lower its weight"
+    )
     ITERATIONS = "the iteration limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
     BREAKDOWN = "the solver broke down numerically"
@@ -140,19 +143,42 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
-    if residual <= VERIFIED and not worse:
+    if not worse and (residual <= VERIFIED or _rounded(evaluation, gradient, outcome)):
         certified = _certified(evaluation, gradient, outcome)
         if certified is Status.SADDLE:
             return failure(cost, data, certified, residual, outcome)
         return _solution(evaluation, residual, outcome, certified)
     fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
-    return failure(cost, data, fault if outcome.status is Status.OPTIMUM else outcome.status, residual, outcome)
+    fault = fault if outcome.status is Status.OPTIMUM else outcome.status
+    return failure(cost, data, _limit(evaluation, gradient, outcome, fault), residual, outcome)
+
+
+def _rounded(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> bool:
+    """Whether what is left of the gradient is rounding: see `Certificate.converged`. Duals are held to their own."""
+    if not np.all(np.isfinite(gradient)) or evaluation.dual_gap(outcome.dual) > VERIFIED * evaluation.cost_scale:
+        return False
+    return _certificate(evaluation, gradient, outcome).converged
+
+
+def _certificate(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Certificate:
+    return outcome.certificate or certificate(Curvature(evaluation, _sharp(evaluation, outcome)), gradient.ravel())
+
+
+def _limit(evaluation: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
+    """The fault, or that digits were lost: where the solver got no further and second derivatives are rounding."""
+    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
+        return fault
+    lost = certificate(Curvature(evaluation, _sharp(evaluation, outcome)), gradient.ravel()).bend is Bend.FLAT
+    return Status.ROUNDED if lost else fault
+
+
+def _sharp(evaluation: Evaluation, outcome: Outcome) -> Smoothing:
+    return Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
 
 
 def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Status:
     """What second derivatives make of a point where the first-order conditions hold."""
-    smoothing = Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
-    found = outcome.certificate or certificate(Curvature(evaluation, smoothing), gradient.ravel())
+    found = _certificate(evaluation, gradient, outcome)
     if found.settled:
         return Status.OPTIMUM
     return {Bend.UP: Status.FAINT, Bend.FLAT: Status.FLAT, Bend.DOWN: Status.SADDLE}[found.bend]

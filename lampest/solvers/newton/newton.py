@@ -16,7 +16,7 @@ from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor
+from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
 
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
@@ -46,18 +46,23 @@ class Newton:
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
         iteration = unsettled = 0
+        stands = False
         while iteration < self.settings.max_iterations:
             residual, gap = point.residual(), point.gap()
-            near = residual <= max(self.settings.tolerance, 0.1 * gap)
+            near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.certificate.converged)
             if near and gap > self.settings.tolerance:
-                point, iteration = point.sharpened(), iteration + 1
+                point, iteration, stands = point.sharpened(), iteration + 1, False
                 continue
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
                 return certified(point, iteration)
             unsettled += near
-            moved = advance(point, data, residual)
+            moved = (certain_step(point, data, residual) if near else None) or advance(point, data, residual)
             if moved is None:
+                if not near and not stands and point.certificate.converged:
+                    stands = True
+                    continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
+            stands = False
             again = moved.factor is not None and moved.factor is point.factor and moved.factor.exact
             point, iteration = moved, iteration if again else iteration + 1
         return outcome(point, Status.ITERATIONS, self.settings.max_iterations)

@@ -9,8 +9,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.problem import Data, Evaluation
+from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import Certificate, certificate, free_cells
+from lampest.solvers.certificate import Bend, Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, direction, raised
 from lampest.solvers.newton.ways import LONGEST_STEP, ways
@@ -110,6 +111,14 @@ def by_kept_factor(point: Iterate, data: Data, residual: float, free: NDArray[np
         return None
     moved = trial(point, data, target, 0.0, residual, promised)
     return None if moved is None else replace(moved, factor=factor, promised=promised)
+
+
+def certain_step(point: Iterate, data: Data, residual: float) -> Iterate | None:
+    """The point after the certificate's own step, on large panels: a step by conjugate gradients has fewer digits."""
+    found = point.certificate
+    if len(found.step) <= DENSE_UNKNOWNS or found.bend is not Bend.UP:
+        return None
+    return trial(point, data, point.at.position.ravel() + found.step, 0.0, residual, found.decrement**2)
 
 
 def first_stops(curvature: Curvature, beyond: NDArray[np.bool_], share: Array) -> NDArray[np.bool_]:

@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.network import Block
+from lampest.panel.panel import Array
 
 MARGIN = 1  # cells round those that stand out: their neighbours feel a load, too
 
 
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
     """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
-    covered = np.zeros(cells.shape, dtype=bool)
+    covered = covered_by(blocks, cells.shape)
     for row, column in np.argwhere(cells):
         covered[max(row - MARGIN, 0) : row + MARGIN + 1, max(column - MARGIN, 0) : column + MARGIN + 1] = True
-    for block in blocks:
-        covered[block] = True
     count = -1
     while count != int(covered.sum()):
         count = int(covered.sum())
@@ -24,6 +23,30 @@ def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, .
         for block in found:
             covered[block] = True
     return found
+
+
+def covered_by(blocks: tuple[Block, ...], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(rows, columns) which cells some block holds."""
+    covered = np.zeros(shape, dtype=bool)
+    for block in blocks:
+        covered[block] = True
+    return covered
+
+
+def alone_among(values: Array, share: float) -> NDArray[np.bool_]:
+    """(rows, columns) which values have at most one neighbour, corners included, that comes up to a share of them.
+
+    A load of 2 × 2 cells has three; of two wild readings side by side each has one.
+    """
+    rows, columns = values.shape
+    round_it = np.pad(values, 1)
+    near = [
+        round_it[1 + down : 1 + down + rows, 1 + right : 1 + right + columns] > share * values
+        for down in (-1, 0, 1)
+        for right in (-1, 0, 1)
+        if down or right
+    ]
+    return np.asarray(np.sum(near, axis=0) <= 1)
 
 
 def patches(cells: NDArray[np.bool_]) -> Iterator[Block]:

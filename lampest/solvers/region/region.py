@@ -16,7 +16,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.region.blocks import area, grown, widened
+from lampest.solvers.region.blocks import alone_among, area, covered_by, grown, widened
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
 
@@ -28,6 +28,7 @@ LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
 MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
 SHARPEST = 4
+MOST_ALONE = 8  # readings: more loads of one cell at once are taken for a converter's errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +52,12 @@ class RegionSolver:
         network = self._exact
         change, noise = np.log(data.measured[0] / self.baseline.data.measured[0]), self._noise(data)
         plain = data.plain[0] & self.baseline.data.plain[0]
+        wild = np.zeros_like(plain)
         blocks: tuple[Block, ...] = ()
         for _ in range(MOST_GROWTHS):
-            left = change - np.log(network.reading() / self._exact.reading())
-            found = grown(self._outstanding(left, noise) & plain, blocks)
+            left = np.where(wild, np.nan, change - np.log(network.reading() / self._exact.reading()))
+            wild = self._wild(left, noise, plain & ~covered_by(blocks, plain.shape), wild)
+            found = grown(self._outstanding(np.where(wild, np.nan, left), noise) & plain, blocks)
             large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
             if large or (found == blocks and self._moved(left, noise)):
                 return best_solution(Newton(cost, self.settings), data, previous[None])
@@ -62,9 +65,20 @@ class RegionSolver:
                 break
             blocks = found
             for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
-                part = (data.measured[0][block], 1 / data.upper[0][block], plain[block])
-                network = data.readout.fitted_block(network, block, *part)
-        return self._minimised(cost, data, previous, network, blocks)
+                chosen = (plain & ~wild)[block]
+                given = (data.measured[0][block], 1 / data.upper[0][block], chosen)
+                network = data.readout.fitted_block(network, block, *given)
+        return self._minimised(cost, data, _repaired(data, wild, network), previous, network, blocks)
+
+    def _wild(
+        self, change: Array, noise: Array, asked: NDArray[np.bool_], wild: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Readings that are no load's: too many stand out alone for each to be a load of its own.
+
+        asked : those that may be; wild : those that are known to be.
+        """
+        alone = wild | (alone_among(np.nan_to_num(_apart(change)), SHARE) & self._outstanding(change, noise) & asked)
+        return alone if np.count_nonzero(alone) > MOST_ALONE else wild
 
     @cached_property
     def _exact(self) -> Network:
@@ -75,15 +89,20 @@ class RegionSolver:
         cells = data.readout.exact_start(data.measured[0], data.upper[0])
         return data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
 
-    def _minimised(self, cost: Cost, data: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]) -> Solution:
-        """The cost's minimum over the cells of each block in turn, all others as they are."""
+    def _minimised(
+        self, cost: Cost, data: Data, used: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]
+    ) -> Solution:
+        """The cost's minimum over the cells of each block in turn, all others as they are; used : without wild ones.
+
+        What it costs is told of all readings.
+        """
         network, steps = self.baseline.networks[0], 0
         for block in blocks:
             network = network.changed(block, fit.conductance[block])
         for block in blocks:
-            inside = Inside.of(cost, data, network, block)
-            starts = [inside.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
-            network, taken = minimised(inside, min(starts, key=lambda point: point.objective))
+            part = Inside.of(cost, used, network, block)
+            starts = [part.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
+            network, taken = minimised(part, min(starts, key=lambda point: point.objective))
             steps += taken
         cells = self.baseline.cell_resistance.copy()
         for block in blocks:
@@ -109,25 +128,23 @@ class RegionSolver:
 
         Cells that change at random by x change their readings by about 2x/(M + N − 1); by the same x, by x.
         """
-        common = np.median(change)
-        spread = MAD * np.median(np.abs(change - common))
+        common = np.nanmedian(change)
+        spread = MAD * np.nanmedian(np.abs(change - common))
         tolerated = DRIFT * np.array([1.0, 2 / (sum(change.shape) - 1)])
         return bool(
             np.any(np.array([abs(common), spread]) > np.maximum(tolerated, self.significance * np.median(noise)))
         )
 
     def _outstanding(self, change: Array, noise: Array) -> NDArray[np.bool_]:
-        """Where a change differs from those of its row and column by more than the noise explains.
-
-        Only the strongest count: they spread along rows and columns, and hide what is weaker.
-        """
-        rest = change - np.median(change, axis=1, keepdims=True)
-        rest -= np.median(rest, axis=0, keepdims=True)
-        rest = np.abs(rest)
-        spread = MAD * float(np.median(rest))
-        excess = np.where(rest > self.significance * np.maximum(noise, spread), rest, 0.0)
+        """Of what stands out only the strongest: they spread along rows and columns, and hide what is weaker."""
+        excess = self._excess(_apart(change), noise)
         outstanding: NDArray[np.bool_] = excess > SHARE * excess.max()
         return outstanding
+
+    def _excess(self, apart: Array, noise: Array) -> Array:
+        """The same where noise does not explain it, 0 elsewhere; NaN does not count."""
+        spread = MAD * float(np.nanmedian(apart))
+        return np.where(apart > self.significance * np.maximum(noise, spread), apart, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +268,20 @@ def _model(inside: Inside, here: BlockPoint, sharpness: int) -> tuple[Array, Arr
             slope += direct[place] * cells
             matrix += terms[place][:, place].toarray() * np.outer(cells, cells) + np.diag(bend)
     return slope, matrix
+
+
+def _apart(change: Array) -> Array:
+    """By how much a change differs from those of its row and column, either way."""
+    rest = change - np.nanmedian(change, axis=1, keepdims=True)
+    return np.asarray(np.abs(rest - np.nanmedian(rest, axis=0, keepdims=True)))
+
+
+def _repaired(data: Data, wild: NDArray[np.bool_], fit: Network) -> Data:
+    """The data with the fit's readings in the place of wild ones."""
+    if not wild.any():
+        return data
+    measured = np.where(wild, fit.reading(), data.measured[0])[None]
+    return replace(data, given=replace(data.given, measured=measured))
 
 
 def _chosen(data: Data, pick: Callable[[Array], Array]) -> Data:

@@ -1,0 +1,272 @@
+"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy. No test stands here.
+
+It shares no code with the package: potentials by one dense inverse, all derivatives as matrices, SciPy's trust region.
+Cells are u = log r, flat, one frame after the other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """kind : two_point, loaded, grounded, grounded_one or virtual; rows are driven. joined : groups of lines.
+
+    drive, sense, load : ohm, of which a kind takes what it has; load is the feedback's of virtual. supply : volt.
+    """
+
+    kind: str
+    joined: tuple[tuple[int, ...], ...] = ()
+    drive: float = 0.0
+    sense: float = 0.0
+    load: float = 1.0
+    supply: float = 1.0
+
+    def impedance(self, conductance: Array) -> Array:
+        """Z (lines, lines) of cells (rows, columns) siemens."""
+        rows, columns = conductance.shape
+        node = np.arange(rows + columns)
+        for group in self.joined:
+            node[list(group)] = group[0]
+        ends = np.stack([np.repeat(node[:rows], columns), np.tile(node[rows:], rows)])
+        matrix = np.zeros((rows + columns, rows + columns))
+        for one, other, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
+            np.add.at(matrix, (ends[one], ends[other]), sign * conductance.ravel())
+        for line, tie in enumerate(self._ties(rows, columns)):
+            matrix[node[line], node[line]] += tie
+        used = np.unique(node)
+        if self.kind == "two_point":
+            used = np.delete(used, np.argmax(np.diag(matrix)[used]))
+        small = np.zeros_like(matrix)
+        small[np.ix_(used, used)] = np.linalg.inv(matrix[np.ix_(used, used)])
+        return small[np.ix_(node, node)]
+
+    def _ties(self, rows: int, columns: int) -> Array:
+        driven, sensed = {
+            "two_point": (0.0, 0.0),
+            "loaded": (0.0, 1 / self.load),
+            "grounded": (1 / (self.drive or 1), 1 / (self.sense + self.load)),
+            "grounded_one": (1 / (self.drive or 1), 0.0),
+            "virtual": (1 / (self.drive or 1), 1 / (self.sense or 1)),
+        }[self.kind]
+        return np.repeat([driven, sensed], [rows, columns])
+
+    def reading(self, cells: Array) -> tuple[Array, Array]:
+        """(y (rows, columns), ∂y/∂u (cells, cells)) of cells (rows, columns) ohm."""
+        rows, columns = cells.shape
+        impedance = self.impedance(1 / cells)
+        row, column = np.repeat(np.arange(rows), columns), rows + np.tile(np.arange(columns), rows)
+        own, other, mutual = impedance[row, row], impedance[column, column], impedance[row, column]
+        one, zero, total = np.ones_like(own), np.zeros_like(own), self.sense + self.load
+        if self.kind == "two_point":
+            value, slopes = own + other - 2 * mutual, (one, one, -2 * one)
+        elif self.kind == "loaded":
+            value = self.supply * mutual / (self.drive + own)
+            slopes = (-value / (self.drive + own), zero, self.supply / (self.drive + own))
+        elif self.kind == "virtual":
+            gain = self.supply * self.load / (self.drive * self.sense)
+            value, slopes = gain * mutual, (zero, zero, gain * one)
+        else:
+            gain = self.supply * self.load / (self.drive * total)
+            loaded = 1 + other / total if self.kind == "grounded_one" else one
+            value = gain * mutual / loaded
+            slopes = (zero, -value / loaded / total * (self.kind == "grounded_one"), gain / loaded)
+        drop = impedance[:, row] - impedance[:, column]
+        by_cell = sum(
+            slope[:, None] * pair
+            for slope, pair in zip(slopes, (drop[row] ** 2, drop[column] ** 2, drop[row] * drop[column]), strict=True)
+        )
+        return value.reshape(cells.shape), by_cell / cells.ravel()
+
+
+def nabla(rows: int, columns: int) -> Array:
+    """MATLAB's gradient as a matrix (2·cells, cells), down the rows and then along the columns."""
+    units = np.eye(rows * columns).reshape(-1, rows, columns)
+    parts = [np.gradient(units, axis=axis) if units.shape[axis] > 1 else 0 * units for axis in (1, 2)]
+    return np.concatenate([part.reshape(len(units), -1) for part in parts], axis=1).T
+
+
+def edges(rows: int, columns: int) -> Array:
+    """Differences of all pairs of neighbours, (pairs, cells)."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:])]
+    unit = np.eye(number.size)
+    return np.concatenate([unit[after.ravel()] - unit[before.ravel()] for before, after in pairs])
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """weight·Σ ρ(residual) of a term by its kind; loss: squared, huber (with its corner) or absolute.
+
+    against : 'baseline' or 'previous', of those that compare. scaled : a misfit in σ. walk : of arrival, of log r.
+    """
+
+    kind: str
+    weight: float
+    loss: str = "squared"
+    corner: float = 1.0
+    against: str = "previous"
+    scaled: bool = False
+    walk: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class LeastCost:
+    """φ(u) of frames (frames, rows, columns); with two frames the first is the baseline and the second's previous one.
+
+    measured, sigma, side, seen, lower, upper : (frames, rows, columns); previous, baseline, deviation : (rows, columns)
+    of one frame, of terms that compare. faulty : (rows, columns), cells that no penalty may read.
+    """
+
+    circuit: Circuit
+    terms: tuple[Penalty, ...]
+    measured: Array
+    sigma: Array
+    side: Array
+    seen: Array
+    lower: Array
+    upper: Array
+    faulty: NDArray[np.bool_]
+    previous: Array | None = None
+    baseline: Array | None = None
+    deviation: Array | None = None
+
+    def blocks(self, position: Array) -> Iterator[tuple[Penalty, Array, Array]]:
+        """(term, residuals x, ∂x/∂u) of every term in every frame."""
+        shape, count = self.measured.shape, self.faulty.size
+        places = position.reshape(shape[0], -1)
+        for frame, place in enumerate(places):
+            cells = np.exp(place)
+            reading, response = self.circuit.reading(cells.reshape(shape[1:]))
+            for term in self.terms:
+                if term.kind == "misfit":
+                    value, rows = self._misfit(term, frame, reading.ravel(), response)
+                    yield term, value, self._placed(rows, frame, shape[0])
+                    continue
+                compares = term.kind not in ("cell_resistance", "gradient", "total_variation")
+                if compares and shape[0] == 2 and frame == 0:
+                    continue
+                if compares:
+                    before = places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
+                    ratio = np.exp(place - before)
+                else:
+                    before, ratio = np.zeros(count), cells
+                log = term.kind in ("log_ratio", "total_variation", "total_variation_of_change", "arrival")
+                value, inner = (place - before, np.ones(count)) if log else (ratio - compares, ratio)
+                factor, operator = self._operator(term)
+                sound = ~np.any((operator != 0) & self.faulty.ravel(), axis=1)
+                operator = factor * operator[sound]
+                rows = self._placed(operator * inner, frame, shape[0])
+                if compares and shape[0] == 2:
+                    rows[:, :count] -= operator * inner
+                yield term, operator @ value, rows
+
+    def _placed(self, rows: Array, frame: int, frames: int) -> Array:
+        blank = [np.zeros_like(rows)] * frames
+        blank[frame] = rows
+        return np.concatenate(blank, axis=1)
+
+    def _reference(self, term: Penalty) -> Array:
+        reference = self.baseline if term.against == "baseline" else self.previous
+        assert reference is not None
+        return reference
+
+    def _operator(self, term: Penalty) -> tuple[Array | float, Array]:
+        rows, columns = self.faulty.shape
+        if term.kind in ("gradient", "gradient_of_relative_change"):
+            return (1.0 if term.kind == "gradient" else 100.0), nabla(rows, columns)
+        if term.kind.startswith("total_variation"):
+            return 100.0, edges(rows, columns)
+        if term.kind == "arrival":
+            assert self.deviation is not None
+            return 1.0, np.diag(1 / np.sqrt(self.deviation.ravel() ** 2 + term.walk**2))
+        return (1.0 if term.kind == "cell_resistance" else 100.0), np.eye(rows * columns)
+
+    def _misfit(self, term: Penalty, frame: int, reading: Array, response: Array) -> tuple[Array, Array]:
+        measured, sigma, side, seen = (
+            part[frame].ravel() for part in (self.measured, self.sigma, self.side, self.seen)
+        )
+        difference = reading - measured
+        counts = seen * np.where(side == 0, 1.0, side * difference < 0)
+        scale = counts / (sigma if term.scaled else 1.0)
+        return difference * scale, response * scale[:, None]
+
+    def value(self, position: Array) -> float:
+        """φ."""
+        return float(sum(term.weight * np.sum(loss(term, x, 0.0)[0]) for term, x, _ in self.blocks(position)))
+
+    def blank(self) -> float:
+        """The data terms' cost where all readings are zero: what a rounded misfit is small against."""
+        total = 0.0
+        for term in self.terms:
+            if term.kind == "misfit":
+                x = self.seen * self.measured / (self.sigma if term.scaled else 1.0)
+                total += term.weight * float(np.sum(loss(term, x, 0.0)[0]))
+        return total
+
+    def as_squares(self, position: Array, smooth: float) -> tuple[Array, Array]:
+        """(f, ∂f/∂u) with Σ f² = φ, absolute losses rounded within `smooth`."""
+        residuals, slopes = [], []
+        for term, x, rows in self.blocks(position):
+            value, slope = loss(term, x, smooth)
+            root = np.sqrt(np.maximum(value, 0))
+            bend = np.where(root > 0, slope / np.where(root > 0, 2 * root, 1), 1.0 if term.loss != "absolute" else 0.0)
+            residuals.append(np.sqrt(term.weight) * np.sign(x) * root)
+            slopes.append(np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(bend))[:, None] * rows)
+        return np.concatenate(residuals), np.concatenate(slopes)
+
+    def minimised(self, start: Array, most: int = 100) -> Array:
+        """u from SciPy's trust-region reflective method; absolute losses less and less rounded."""
+        place = np.clip(start, np.log(self.lower).ravel(), np.log(self.upper).ravel())
+        rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(place) if term.loss == "absolute"]
+        if not rough:
+            return self._nearer(place, 0.0, most)
+        for smooth in max(rough) * 10.0 ** -np.arange(1, 9):
+            place = self._nearer(place, float(smooth), max(most // 8, 10))
+        return place
+
+    def _nearer(self, place: Array, smooth: float, most: int) -> Array:
+        """One run of it; cells that bounds leave no room stay."""
+        low, high = np.log(self.lower).ravel(), np.log(self.upper).ravel()
+        free, whole = high > low + 1e-12, place.copy()
+        low, high = low[free], high[free]
+        last: list[Any] = []
+
+        def both(part: Array) -> tuple[Array, Array]:
+            if not last or not np.array_equal(last[0], part):
+                whole[free] = part
+                value, slope = self.as_squares(whole, smooth)
+                last[:] = part.copy(), (value, slope[:, free])
+            pair: tuple[Array, Array] = last[1]
+            return pair
+
+        found = least_squares(
+            lambda part: both(part)[0],
+            np.clip(place[free], low + 1e-9 * (high - low), high - 1e-9 * (high - low)),
+            lambda part: both(part)[1],
+            (low, high),
+            ftol=1e-14,
+            xtol=1e-14,
+            gtol=1e-14,
+            max_nfev=most,
+        )
+        whole[free] = found.x
+        return whole
+
+
+def loss(term: Penalty, x: Array, smooth: float) -> tuple[Array, Array]:
+    """(ρ(x), ρ'(x))."""
+    if term.loss == "huber":
+        inside = np.clip(x, -term.corner, term.corner)
+        return inside * (2 * x - inside), 2 * inside
+    if term.loss == "absolute":
+        size = np.sqrt(x**2 + smooth**2)
+        return size - smooth, np.divide(x, size, out=np.zeros_like(x), where=size > 0)
+    return x**2, 2 * x

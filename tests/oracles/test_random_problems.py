@@ -1,0 +1,41 @@
+"""Random problems of every kind: no estimate costs more than what anything else finds, and each has one or a sentence.
+
+`python -m tests.studies.random_problems` is the same for a thousand.
+"""
+
+import numpy as np
+import pytest
+
+from lampest.solvers.solution import Status
+from tests.random_problem import RandomProblem
+from tests.studies.random_problems import examine
+
+SMALL = 40  # cells: problems that are solved in every way within a second
+FEW = [number for number in range(110) if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= SMALL][:40]
+# Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are rounding.
+ROUNDED = [(1, 17), (1, 21), (2, 19), (2, 28), (2, 35), (2, 45)]
+
+
+@pytest.mark.parametrize("number", [0, 3, 17, 36, 60])
+def test_the_cost_is_that_of_the_second_statement(number: int) -> None:
+    """At a point that is no optimum, and its derivatives by differences."""
+    problem = RandomProblem.drawn(11, number)
+    oracle = problem.oracle
+    place = np.log(problem.data.uniform_start).ravel() + 0.1 * np.random.default_rng(number).standard_normal(
+        problem.data.measured.size
+    )
+    value, slope = oracle.as_squares(place, 0.0)
+    assert np.sum(value**2) == pytest.approx(oracle.value(place), rel=1e-12)
+    step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
+    sides = [oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
+    by_differences = (sides[0] - sides[1]) / 2
+    np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "number"), [*((11, number) for number in FEW), *ROUNDED])
+def test_no_other_solver_finds_less(seed: int, number: int) -> None:
+    found = examine(seed, number)
+    if not found.asked:
+        return
+    assert found.verdict in ("equal", "better") or found.status == Status.ROUNDED.name, found

@@ -1,0 +1,271 @@
+"""Random problems of estimation, and the least cost that anything finds of each. No test stands here.
+
+A problem is drawn from two numbers, a seed and its own: 1 × N and N × 1 to 24 × 24 cells, every readout, noise of 0 to
+10 %, weights of 1e-9 to 1e9, all terms and losses, known faults, wild readings, rails and holes; a frame alone, a joint
+first pair, or a frame after others.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lampest.cost.given import Given
+from lampest.cost.losses import Absolute, Huber, Squared
+from lampest.cost.problem import Data
+from lampest.cost.terms import Misfit, term_types
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Readout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
+from lampest.panel.scene import Faults, Scene
+from lampest.recording.readings import Readings
+from tests.least_cost import Array, Circuit, LeastCost, Penalty
+
+SIZES = {"line": 0.1, "to 6": 0.3, "to 10": 0.3, "to 16": 0.2, "to 24": 0.1}
+TERMS = {
+    "misfit": 0.14,
+    "cell_resistance": 0.12,
+    "relative_change": 0.15,
+    "gradient": 0.16,
+    "gradient_of_relative_change": 0.14,
+    "total_variation": 0.08,
+    "log_ratio": 0.09,
+    "total_variation_of_change": 0.06,
+    "arrival": 0.06,
+}
+CIRCUITS = {"two_point": 0.5, "loaded": 0.2, "grounded": 0.1, "grounded_one": 0.1, "virtual": 0.1}
+LOSSES = {"squared": Squared, "huber": Huber, "absolute": Absolute}
+
+
+def chosen(random: np.random.Generator, shares: dict[str, float]) -> str:
+    """A key, as often as its share says."""
+    return str(random.choice(list(shares), p=np.array([*shares.values()]) / sum(shares.values())))
+
+
+@dataclass(frozen=True, eq=False)
+class RandomProblem:
+    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm of which the first rests."""
+
+    seed: int
+    number: int
+    circuit: Circuit
+    scene: Scene
+    penalties: tuple[Penalty, ...]
+    cells: Array
+    recorded: Array
+    sigma: Array | None
+    pushed: int
+    about: str
+
+    @classmethod
+    def drawn(cls, seed: int, number: int) -> "RandomProblem":
+        """The problem of these two numbers."""
+        random = np.random.default_rng([seed, number])
+        shape = _shape(random)
+        cells = _cells(random, shape)
+        kind = chosen(random, CIRCUITS)
+        faults = _faults(random, shape) if random.random() < 0.15 else None
+        circuit, readout = _circuit(random, kind, float(np.exp(np.mean(np.log(cells)))), faults, shape[0])
+        actual = _with_faults(cells, faults)
+        exact = np.stack([circuit.reading(frame)[0] for frame in actual])
+        noise = 0.0 if random.random() < 0.15 else float(10 ** random.uniform(-4, -1))
+        sigma = np.maximum(noise, 1e-4) * np.abs(exact)
+        recorded = exact + noise * np.abs(exact) * random.standard_normal(exact.shape)
+        troubles = _troubled(random, recorded, circuit)
+        known = random.random() < 0.8 or kind != "two_point"
+        penalties = _penalties(random, known, exact, sigma)
+        pushed = int(random.integers(0, 3))
+        scene = Scene(Panel(*shape), readout, faults=faults)
+        words = [f"{shape[0]}×{shape[1]}", kind, f"noise {noise:.1e}" + ("" if known else " untold")]
+        words += [f"{one.kind}({one.weight:.1e}, {one.loss}{', σ' if one.scaled else ''})" for one in penalties]
+        words += [("resting", "first frame", "second frame")[pushed], *troubles, "" if faults is None else "faults"]
+        about = ", ".join(filter(None, words))
+        return cls(seed, number, circuit, scene, penalties, cells, recorded, sigma if known else None, pushed, about)
+
+    @cached_property
+    def estimator(self) -> Estimator:
+        """The reduced one."""
+        terms = []
+        for one in self.penalties:
+            loss = Huber(corner=one.corner) if one.loss == "huber" else LOSSES[one.loss]()
+            more: dict[str, Any] = {"weight": one.weight, "loss": loss}
+            if one.kind == "misfit":
+                terms.append(Misfit(weighting="noise" if one.scaled else "plain", loss=loss))
+                continue
+            if one.kind in ("log_ratio", "total_variation_of_change"):
+                more["reference"] = one.against
+            terms.append(term_types()[one.kind](**more))
+        bars = any(one.kind == "arrival" for one in self.penalties)
+        bounds = Bounds() if self.sigma is not None else Bounds(upper="none")
+        return Estimator(tuple(terms), formulation="reduced", bounds=bounds, error_bars=bars)
+
+    @property
+    def alone(self) -> Estimator:
+        """Without the terms that compare, as a baseline that is asked for alone is solved."""
+        return replace(self.estimator, terms=self.estimator.absolute_terms)
+
+    @cached_property
+    def _readings(self) -> list[Readings]:
+        sigmas = [None] * 3 if self.sigma is None else list(self.sigma)
+        return [Readings.of(self.scene, *pair) for pair in zip(self.recorded, sigmas, strict=True)]
+
+    @cached_property
+    def asked(self) -> tuple[Stream, Readings] | None:
+        """The stream before the frame that is asked for, and that frame; None where it is the baseline."""
+        stream = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0])
+        if self.pushed == 0 and stream.baseline is not None:
+            return None
+        for frame in range(1, self.pushed):
+            stream, _ = stream.push(self._readings[frame])
+        return stream, self._readings[max(self.pushed, 1)]
+
+    @cached_property
+    def data(self) -> Data:
+        """What that solve is given."""
+        if self.asked is None:
+            stream = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
+            return stream.given(self._readings[0])[0]
+        stream, readings = self.asked
+        return stream.given(readings)[0]
+
+    def solved(self) -> Step:
+        """That solve."""
+        if self.asked is None:
+            baseline = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0]).baseline
+            assert baseline is not None
+            return baseline
+        stream, readings = self.asked
+        return stream.push(readings)[1]
+
+    @cached_property
+    def oracle(self) -> LeastCost:
+        """The same problem in the second statement."""
+        given: Given = self.data.given
+        shape = given.measured.shape
+        alone = self.asked is None
+        terms = tuple(one for one in self.penalties if not alone or one.kind in ABSOLUTE)
+        broken = np.zeros(shape[1:], dtype=bool)
+        if self.scene.faults is not None:
+            broken = self.scene.faults.open_cells(self.scene.panel) | self.scene.faults.shorted_cells(self.scene.panel)
+        side = np.zeros(shape) if given.side is None else given.side
+        seen = np.ones(shape) if given.seen is None else given.seen
+        baseline = given.previous if given.baseline is None else given.baseline
+        return LeastCost(
+            self.circuit, terms, given.measured, given.sigma, side, seen, self.data.lower, self.data.upper,
+            broken, given.previous, baseline, given.previous_deviation,
+        )  # fmt: skip
+
+
+ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
+
+
+def _shape(random: np.random.Generator) -> tuple[int, int]:
+    size = chosen(random, SIZES)
+    if size == "line":
+        length = int(random.integers(1, 25))
+        return (1, length) if random.random() < 0.5 else (length, 1)
+    low, high = {"to 6": (2, 6), "to 10": (4, 10), "to 16": (8, 16), "to 24": (15, 24)}[size]
+    rows, columns = random.integers(low, high + 1, 2)
+    return int(rows), int(columns)
+
+
+def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
+    """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more, or not at all."""
+    level, spread = 10 ** random.uniform(2.5, 4.5), random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])
+    resting = level * np.exp(spread * random.standard_normal(shape))
+    down, along = np.indices(shape)
+    change = np.zeros(shape)
+    for _ in range(int(random.integers(0, 4))):
+        centre = random.uniform(0, 1, 2) * shape
+        near = np.hypot(down - centre[0], along - centre[1]) < random.uniform(0.6, 0.4 * max(shape) + 0.7)
+        change = np.where(near, random.uniform(-3, 3), change)
+    return np.stack([resting * np.exp(share * change) for share in (0.0, random.uniform(0.3, 1.0), 1.0)])
+
+
+def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | None:
+    """One or two of what a scene may tell; none on panels that are too small for it."""
+    if min(shape) < 3:
+        return None
+    which = random.choice(["open", "shorted", "dead", "joined"])
+    first, second = random.choice(shape[0], 2, replace=False), random.choice(shape[1], 2, replace=False)
+    pairs = tuple((int(row), int(column)) for row, column in zip(first, second, strict=True))
+    if which == "joined":
+        return Faults(joined_rows=(tuple(int(row) for row in sorted(first)),))
+    if which == "dead":
+        return Faults(dead_rows=(int(first[0]),), dead_columns=(int(second[0]),) if random.random() < 0.5 else ())
+    return Faults(open=pairs) if which == "open" else Faults(shorted=pairs[:1])
+
+
+def _with_faults(cells: Array, faults: Faults | None) -> Array:
+    if faults is None:
+        return cells
+    panel = Panel(*cells.shape[1:])
+    typical = np.exp(np.mean(np.log(cells)))
+    broken = np.where(faults.open_cells(panel), 1e9 * typical, cells)
+    return np.where(faults.shorted_cells(panel), 1e-6 * typical, broken)
+
+
+def _circuit(
+    random: np.random.Generator, kind: str, level: float, faults: Faults | None, rows: int
+) -> tuple[Circuit, Readout | None]:
+    drive, sense = float(random.uniform(20, 200)), float(random.uniform(20, 200))
+    load = float(level * 10 ** random.uniform(-1, 0.7))
+    joined = () if faults is None else faults.joined_rows
+    converter = {"adc_bits": 16, "readings": 20, "noise_lsb": 0.5, "supply_volt": 5.0}
+    circuit = Circuit(kind, joined, drive, sense, load, 5.0)
+    if kind == "two_point":
+        return circuit, TwoPointReadout(reference_ohm=level, **converter) if random.random() < 0.5 else None
+    if kind == "loaded":
+        return circuit, LoadedColumnsReadout(drive_ohm=drive, load_ohm=load, **converter)
+    if kind == "virtual":
+        return circuit, VirtualGroundReadout(drive_ohm=drive, sense_ohm=sense, feedback_ohm=load, **converter)
+    one = "one" if kind == "grounded_one" else "all"
+    return circuit, GroundedReadout(drive_ohm=drive, sense_ohm=sense, load_ohm=load, sense=one, **converter)
+
+
+def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) -> list[str]:
+    """Wild readings, holes and rails, put into `recorded`; their names."""
+    names = []
+    for name, share in (("wild", 0.12), ("rails", 0.12), ("holes", 0.15)):
+        if random.random() >= share:
+            continue
+        names.append(name)
+        struck = random.random(recorded.shape) < 10 ** random.uniform(-2, -0.7)
+        if name == "wild":
+            struck &= random.random(recorded.shape) < 0.3
+            recorded[struck] *= np.exp(random.choice([-1, 1], struck.sum()) * random.uniform(0.2, 2, struck.sum()))
+        elif name == "rails":
+            high = np.inf if circuit.kind == "two_point" else circuit.supply
+            recorded[struck] = np.where(random.random(struck.sum()) < 0.7, high, 0.0)
+        else:
+            recorded[struck] = np.nan
+    return names
+
+
+def _penalties(random: np.random.Generator, known: bool, exact: Array, sigma: Array) -> tuple[Penalty, ...]:
+    scaled = known and random.random() < 0.4
+    shares = {"squared": 0.8, "huber": 0.12, "absolute": 0.08}
+    corner = float(random.uniform(1, 4) * (1.0 if scaled else np.median(sigma)))
+    data = Penalty("misfit", 1.0, chosen(random, shares), corner, scaled=scaled)
+    kind = chosen(random, TERMS)
+    if kind == "misfit" or (kind == "arrival" and not known):
+        return (data,)
+    own = {"total_variation": "absolute", "log_ratio": "absolute", "total_variation_of_change": "absolute"}
+    loss = own.get(kind, "huber" if kind == "arrival" else "squared")
+    if random.random() < 0.2:
+        loss = chosen(random, {"squared": 1, "huber": 1, "absolute": 1})
+    weight = 10 ** (random.uniform(-9, 9) if random.random() < 0.5 else random.uniform(-5, 2))
+    corner = float(10 ** random.uniform(0, 2))
+    if kind == "arrival":
+        corner, weight = 1.25, 1.0 if scaled else float(np.median(sigma) ** 2)
+    against = str(random.choice(["baseline", "previous"])) if kind in own else "previous"
+    return data, Penalty(kind, float(weight), loss, corner, against)
