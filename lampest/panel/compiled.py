@@ -54,3 +54,11 @@ class Compiled:
         """(row of every nonzero, number of the first nonzero of every column and of all)."""
         sparsity = self.function.sparsity_out(0)
         return np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32)
+
+
+def library() -> str:
+    """The path of CasADi's compiled part."""
+    from casadi import _casadi  # type: ignore[attr-defined]
+
+    path: str = _casadi.__file__
+    return path

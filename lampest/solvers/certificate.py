@@ -39,13 +39,23 @@ class Bend(Enum):
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """bend : of the cost over the free cells. step : (cells) of log r by which a Newton step would move each, within
-    its bounds. decrement : √(gᵀ H⁻¹ g). curvature : where.
+    its bounds. decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that
+    count: what |s_c| is at most of its cell's posterior deviation; infinite where the noise is not known, or where the
+    step is a millionth without that. curvature : where, if it is known.
     """
 
     bend: Bend
     step: Array
     decrement: float
-    curvature: Curvature
+    deviations: float
+    curvature: Curvature | None = None
+
+    @classmethod
+    def at(cls, curvature: Curvature, bend: Bend, step: Array, decrement: float) -> "Certificate":
+        """Of a step from where second derivatives are known."""
+        short = float(np.abs(step).max(initial=0.0)) <= MILLIONTH
+        deviations = float("inf") if short or bend is not Bend.UP else _deviations(curvature, decrement)
+        return cls(bend, step, decrement, deviations, curvature)
 
     @property
     def settled(self) -> bool:
@@ -54,17 +64,14 @@ class Certificate:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
 
-    @property
-    def deviations(self) -> float:
-        """δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: what |s_c| is at most of its cell's
-        posterior deviation; infinite where the noise is not known.
-        """
-        data = self.curvature.at.data
-        bend = self.curvature.terms.diagonal()[data.measured.size :]
-        counting = bend > 0
-        if not (data.noise_known and counting.any()):
-            return float("inf")
-        return self.decrement / float(np.sqrt(np.mean(bend[counting] * data.sigma.ravel()[counting] ** 2)))
+
+def _deviations(curvature: Curvature, decrement: float) -> float:
+    data = curvature.at.data
+    bend = curvature.terms.diagonal()[data.measured.size :]
+    counting = bend > 0
+    if not (data.noise_known and counting.any()):
+        return float("inf")
+    return decrement / float(np.sqrt(np.mean(bend[counting] * data.sigma.ravel()[counting] ** 2)))
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
@@ -89,7 +96,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     else:
         bend, step = _by_conjugate_gradients(curvature, gradient[free], free, factor)
     decrement = float(np.sqrt(max(-float(gradient[free] @ step), 0.0)))
-    return Certificate(bend, _within_bounds(curvature.at, free, step), decrement, curvature)
+    return Certificate.at(curvature, bend, _within_bounds(curvature.at, free, step), decrement)
 
 
 def _of_reproduced(curvature: Curvature) -> Certificate | None:
@@ -108,9 +115,9 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return Certificate(Bend.FLAT, np.zeros(len(reading)), np.inf, curvature)
+        return Certificate.at(curvature, Bend.FLAT, np.zeros(len(reading)), np.inf)
     decrement = float(np.sqrt(np.sum(bend * (missed * reading) ** 2)))
-    return Certificate(Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement, curvature)
+    return Certificate.at(curvature, Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement)
 
 
 def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:

@@ -11,6 +11,7 @@ from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.panel.panel import Array
+from lampest.solvers.kernel.following import from_previous
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
@@ -40,6 +41,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
     """
     with np.errstate(all="ignore"):
+        if isinstance(solver, Newton) and previous is not None and (solution := from_previous(solver, data, previous)):
+            return solution
         return _best(solver, data, previous)
 
 
