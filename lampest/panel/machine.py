@@ -13,9 +13,6 @@ from llvmlite import ir
 from numba.extending import intrinsic, overload
 from scipy.linalg import cython_blas, cython_lapack
 
-# Of `void casadi::_function_buffer_eval(void*)`, as compilers of Linux, macOS and MinGW name it.
-EVALUATES = "_ZN6casadi21_function_buffer_evalEPv"
-
 
 def machine_code(function: Callable[..., Any]) -> Any:
     """The function compiled for the types of its arguments, once: later processes read it from numba's cache.
@@ -67,9 +64,3 @@ def capsule_address(capsule: Any) -> int:
     interface.PyCapsule_GetPointer.restype = ctypes.c_void_p
     interface.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
     return int(interface.PyCapsule_GetPointer(capsule, interface.PyCapsule_GetName(capsule)))
-
-
-def evaluation_address(library: str) -> int | None:
-    """Of what evaluates one of CasADi's function buffers; library : CasADi's, by path. None where it hides that."""
-    function = getattr(ctypes.CDLL(library), EVALUATES, None)
-    return None if function is None else ctypes.cast(function, ctypes.c_void_p).value

@@ -136,7 +136,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
-    evaluation = Evaluation.at(cost, data, cells)
+    evaluation = start.elsewhere(cells)
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost, CostFunctions
 from lampest.cost.problem import Data
-from lampest.panel.compiled import Compiled, library
-from lampest.panel.machine import blas_address, capsule_address, evaluation_address
+from lampest.panel.compiled import Compiled, evaluation_address
+from lampest.panel.machine import blas_address, capsule_address
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.equation import PARTS, compiled_equation
@@ -100,12 +100,12 @@ class Arena:
         """Of what evaluates, of the three functions, and of BLAS."""
         buffers = [capsule_address(buffer._self()) for buffer in self._buffers]
         subroutines = [blas_address(name) for name in ("dsyrk", "dpotrf", "dpotrs", "dgemm")]
-        return np.array([evaluation_address(library()) or 0, *buffers, *subroutines], dtype=np.int64)
+        return np.array([evaluation_address(), *buffers, *subroutines], dtype=np.int64)
 
-    @property
-    def available(self) -> bool:
-        """Whether this build of CasADi can be called."""
-        return bool(self.addresses[0])
+    @cached_property
+    def bound(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """(addresses, where, memory)."""
+        return self.addresses, self.where, self.memory
 
     def told(self, cost: Cost, data: Data) -> Array:
         """What the terms are given, as the memory's end holds it."""

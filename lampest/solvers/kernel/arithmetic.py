@@ -15,7 +15,8 @@ import numpy as np
 from lampest.panel.machine import call, machine_code
 
 FELL_SHORT, SETTLED = 0, 1
-MOST_STEPS, MOST_FACTORS, MOST_STOPS = 24, 4, 6
+MOST_STEPS, MOST_STOPS = 60, 6
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
 
@@ -153,29 +154,42 @@ def _priced(addresses: Any, where: Any, arena: Any, ties: Any, point: Any) -> tu
 
 
 @machine_code
-def _curvature(addresses: Any, where: Any, arena: Any, entries: Any, point: Any, free: Any) -> Any:
-    """∇²φ over the free cells, its upper triangle; the point is the one that was priced last."""
+def _curvature(addresses: Any, where: Any, arena: Any, entries: Any, point: Any, free: Any, whole: bool) -> Any:
+    """∇²φ over the free cells, its upper triangle; the point is the one that was priced last.
+
+    Or, not `whole`, Gauss and Newton's: without the second derivatives of readings, and of r where they bend down.
+    """
     vectors, impedance, twice = point
     rows, cells, count = where[9], vectors.shape[1], len(free)
     columns = cells // rows
     stiffness = _stiffness(addresses, where, arena, entries, cells)
-    across, bent = np.empty((rows + columns, count)), np.empty((rows + columns, count))
+    across, conductance = np.empty((rows + columns, count)), np.empty(count)
     _across_cells(impedance, free, rows, across)
-    _across_cells(twice, free, rows, bent)
-    conductance = np.empty(count)
     for number in range(count):
         conductance[number] = 1 / vectors[1, free[number]]
-    matrix = np.empty((count, count))
+    matrix = np.zeros((count, count))
+    if whole:
+        _add_second_order(twice, free, rows, across, conductance, matrix)
+        _add_bends(addresses, where, arena, vectors[4], across, conductance, matrix)
+    for number in range(count):
+        direct, through = vectors[2, free[number]], vectors[3, free[number]]
+        matrix[number, number] += direct - through if whole else max(direct, 0.0)
+    _add_responses(addresses, where, arena, stiffness, across, conductance, matrix)
+    _add_entries(where, arena, entries, vectors[1], free, matrix)
+    return matrix
+
+
+@machine_code
+def _add_second_order(twice: Any, free: Any, rows: int, across: Any, conductance: Any, matrix: Any) -> None:
+    """matrix += 2 g (BᵀZB ∘ BᵀKB) g over the free cells, the upper triangle."""
+    count, columns = len(free), len(twice) - rows
+    bent = np.empty(across.shape)
+    _across_cells(twice, free, rows, bent)
     for one in range(count):
         j, k = free[one] // columns, rows + free[one] % columns
         for other in range(one, count):
             both = (across[j, other] - across[k, other]) * (bent[j, other] - bent[k, other])
-            matrix[one, other] = 2 * conductance[one] * conductance[other] * both
-        matrix[one, one] += vectors[2, free[one]] - vectors[3, free[one]]
-    _add_responses(addresses, where, arena, stiffness, across, conductance, matrix)
-    _add_bends(addresses, where, arena, vectors[4], across, conductance, matrix)
-    _add_entries(where, arena, entries, vectors[1], free, matrix)
-    return matrix
+            matrix[one, other] += 2 * conductance[one] * conductance[other] * both
 
 
 @machine_code
@@ -426,6 +440,64 @@ def _stop_at_bounds(addresses: Any, matrix: Any, vectors: Any, bounds: Any, free
 
 
 @machine_code
+def _trial(
+    addresses: Any, where: Any, arena: Any, ties: Any, bounds: Any, limits: Any, here: Any, there: Any, step: Any,
+    shares: int, costs: Any,
+) -> bool:  # fmt: skip
+    """Whether a step, or the best of so many shares of it, leads to a better point, which `there` is then.
+
+    costs : φ, its scale and what the step promised, first of `here`, then of `there`.
+    """
+    vectors, target = here[0], np.empty(len(step))
+    for number in range(shares):
+        length, promise = SHARES[number], 0.0
+        for cell in range(len(step)):
+            moved = vectors[0, cell] + max(length * step[cell], -limits[5])
+            target[cell] = min(max(moved, bounds[0, cell]), bounds[1, cell])
+            promise -= (vectors[2, cell] + vectors[3, cell]) * (target[cell] - vectors[0, cell])
+        _put(there[0], target, bounds)
+        costs[3], costs[4] = _priced(addresses, where, arena, ties, there)
+        costs[5], gain = promise, costs[0] - costs[3]
+        if promise > 0 and gain >= limits[2] * promise:
+            return True
+        if abs(gain) <= limits[3] * abs(costs[0]):
+            residual = _residual(vectors, bounds, costs[1])
+            if _residual(there[0], bounds, costs[4]) < limits[4] * residual:
+                return True
+    return False
+
+
+@machine_code
+def _certified(
+    addresses: Any, where: Any, arena: Any, entries: Any, limits: Any, sigma: Any, step: Any, told: Any
+) -> bool:
+    """Whether a step is as short as a certificate asks for; told : its promise, then its decrement and its share."""
+    told[1], told[2] = np.sqrt(max(told[0], 0.0)), np.inf
+    longest = 0.0
+    for cell in range(len(step)):
+        longest = max(longest, abs(step[cell]))
+    if longest > limits[8] and len(sigma) > 0:
+        told[2] = told[1] / _deviation(_stiffness(addresses, where, arena, entries, len(step)), sigma)
+    return bool(longest <= limits[8] or told[2] <= limits[9])
+
+
+@machine_code
+def _spread(vectors: Any, bounds: Any, free: Any, along: Any, step: Any, told: Any) -> bool:
+    """step (cells) ← a step over the free cells, within bounds; told[0] : −∇φ·s; whether no bound was in its way."""
+    inside, told[0] = True, 0.0
+    for cell in range(len(step)):
+        step[cell] = 0.0
+    for number in range(len(free)):
+        cell = free[number]
+        target = vectors[0, cell] + along[number]
+        held = min(max(target, bounds[0, cell]), bounds[1, cell])
+        inside = inside and held == target
+        step[cell] = held - vectors[0, cell]
+        told[0] -= (vectors[2, cell] + vectors[3, cell]) * along[number]
+    return inside
+
+
+@machine_code
 def descend(
     addresses: Any,
     where: Any,
@@ -445,88 +517,83 @@ def descend(
 
     Of one frame from `start` on. given : all that the terms know, copied to the arena's end. bounds : (2, cells) of u.
     start : u. kept : a factor of second derivatives over `kept_cells`, taken at `kept_at`, or nothing. sigma : of the
-    readings, or nothing where it is not known. limits : see `LIMITS` of `lampest.solvers.kernel.following`. SETTLED : the
-    projected gradient was below the tolerance before the last step, and that is as short as a certificate asks for.
+    readings, or nothing where it is not known. limits : see `limits` of `lampest.solvers.kernel.following`. SETTLED :
+    the projected gradient was below the tolerance before the last step, and that is as short as a certificate asks for.
     FELL_SHORT : anything else; u then says nothing.
     """
-    tolerance, contraction, decrease, equal, halved, longest_step, followed, nearby, millionth, least_share = (
-        limits[0], limits[1], limits[2], limits[3], limits[4], limits[5], limits[6], limits[7], limits[8], limits[9]
-    )  # fmt: skip
     rows, cells = where[9], len(start)
     lines = rows + cells // rows
     for number in range(len(given)):
         arena[where[6] + number] = given[number]
-    here, there, step = _blank(lines, cells), _blank(lines, cells), np.zeros(cells)
+    here, there = _blank(lines, cells), _blank(lines, cells)
+    step, told, costs = np.zeros(cells), np.zeros(3), np.zeros(6)
     _put(here[0], start, bounds)
-    objective, scale = _priced(addresses, where, arena, ties, here)
-    promised, factors = np.inf, 0
-    inherited = len(kept_cells) > 0 and _away(here[0][0], kept_at) <= followed
-    usable = inherited
+    costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
+    costs[2], factors = np.inf, 0
+    usable = len(kept_cells) > 0 and _away(here[0][0], kept_at) <= limits[6]
+    exact = True
     for _ in range(MOST_STEPS):
         vectors = here[0]
-        residual = _residual(vectors, bounds, scale)
-        if not (abs(objective) < np.inf and residual < np.inf):
+        residual = _residual(vectors, bounds, costs[1])
+        if not (abs(costs[0]) < np.inf and residual < np.inf):
             break
-        free, near = _free(vectors, bounds), residual <= tolerance
-        usable = usable and _same(free, kept_cells) and not (near and _away(vectors[0], kept_at) > nearby)
+        free, near = _free(vectors, bounds), residual <= limits[0]
+        usable = usable and exact and _same(free, kept_cells) and not (near and _away(vectors[0], kept_at) > limits[7])
         along, stopped, fresh = np.empty(len(free)), False, not usable
         _pull(vectors, free, along)
         if fresh:
-            if factors == MOST_FACTORS:
+            if factors >= limits[10]:
                 break
-            matrix = _curvature(addresses, where, arena, entries, here, free)
-            kept = matrix.copy()
-            if not _factored(addresses, kept):
-                break
-            kept_cells, kept_at, usable, inherited = free, vectors[0].copy(), True, False
             factors += 1
+            matrix = _curvature(addresses, where, arena, entries, here, free, True)
+            kept = matrix.copy()
+            exact = _factored(addresses, kept)
+            if not exact:
+                matrix = _curvature(addresses, where, arena, entries, here, free, False)
+                kept = matrix.copy()
+                if near or not _factored(addresses, kept):
+                    break
+            kept_cells, kept_at, usable = free, vectors[0].copy(), True
             _divided(addresses, kept, along)
             stopped = _stop_at_bounds(addresses, matrix, vectors, bounds, free, along)
         else:
             _divided(addresses, kept, along)
-        promise, longest, shortest, inside = 0.0, 0.0, 0.0, True
-        for cell in range(cells):
-            step[cell] = 0.0
-        for number in range(len(free)):
-            cell = free[number]
-            promise -= (vectors[2, cell] + vectors[3, cell]) * along[number]
-            target = vectors[0, cell] + along[number]
-            held = min(max(target, bounds[0, cell]), bounds[1, cell])
-            inside = inside and held == target
-            step[cell] = held - vectors[0, cell]
-            longest, shortest = max(longest, abs(step[cell])), min(shortest, step[cell])
-        if not (longest < np.inf and abs(promise) < np.inf):
+        inside = _spread(vectors, bounds, free, along, step, told)
+        if not abs(told[0]) < np.inf:
             break
-        if near and not stopped:
-            decrement, share = np.sqrt(max(promise, 0.0)), np.inf
-            if longest > millionth and len(sigma) > 0:
-                share = decrement / _deviation(_stiffness(addresses, where, arena, entries, cells), sigma)
-            if longest <= millionth or share <= least_share:
-                for cell in range(cells):
-                    vectors[0, cell] += step[cell]
-                return SETTLED, vectors[0].copy(), step, decrement, share, factors, kept, kept_cells, kept_at
-        if not fresh and not (inside and 0 < promise <= contraction**2 * promised):
-            usable = False
-            continue
-        if not promise > 0 or shortest < -longest_step:
-            break
-        for cell in range(cells):
-            step[cell] += vectors[0, cell]
-        _put(there[0], step, bounds)
-        moved, moved_scale = _priced(addresses, where, arena, ties, there)
-        gain = objective - moved
-        better = gain >= decrease * promise
-        if not better and abs(gain) <= equal * abs(objective):
-            better = _residual(there[0], bounds, moved_scale) < halved * residual
-        if better:
-            here, there = there, here
-            objective, scale, promised = moved, moved_scale, promise
-        elif inherited:
-            objective, scale = _priced(addresses, where, arena, ties, here)
-            usable = False
-        else:
-            break
+        if near and not stopped and _certified(addresses, where, arena, entries, limits, sigma, step, told):
+            for cell in range(cells):
+                vectors[0, cell] += step[cell]
+            return SETTLED, vectors[0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
+        if fresh or (inside and 0 < told[0] <= limits[1] ** 2 * costs[2]):
+            if _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs):
+                here, there = there, here
+                costs[0], costs[1], costs[2] = costs[3], costs[4], costs[5]
+                continue
+            if fresh:
+                break
+            _priced(addresses, where, arena, ties, here)
+        usable = False
     return FELL_SHORT, start, step, np.inf, np.inf, factors, kept, kept_cells, kept_at
+
+
+@machine_code
+def appraised(addresses: Any, where: Any, arena: Any, given: Any, ties: Any, cell_resistance: Any) -> Any:
+    """(readings, what the cost's `first` returns, ∇φ in u) of cells (cells) ohm; no number where Z does not exist."""
+    cells, rows = len(cell_resistance), where[9]
+    for number in range(len(given)):
+        arena[where[6] + number] = given[number]
+    point = _blank(rows + cells // rows, cells)
+    reading, first, gradient = np.empty(cells), np.empty(2 * where[7] + 2 * cells), np.empty(cells)
+    for cell in range(cells):
+        point[0][1, cell] = cell_resistance[cell]
+    objective, _ = _priced(addresses, where, arena, ties, point)
+    for number in range(len(first)):
+        first[number] = arena[where[3] + number] if objective < np.inf else np.nan
+    for cell in range(cells):
+        reading[cell] = arena[where[1] + cell]
+        gradient[cell] = point[0][2, cell] + point[0][3, cell]
+    return reading, first, gradient
 
 
 @machine_code

@@ -1,0 +1,91 @@
+"""How many frames the machine code solves, and whether Newton's method, which takes the others, finds the same.
+
+Run it with: OMP_NUM_THREADS=1 python -m tests.studies.kernel data/*.h5 (recordings; without any, invented scenes)
+Of every method: frames after the first, the share solved in one call, the largest relative difference of the objective
+(negative: the machine code's is lower) and of log r, and how many statuses differ. Every frame is solved both ways from
+the same estimate of the frame before.
+"""
+
+import sys
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import lampest
+from lampest.estimate.sequence import frame_period
+from lampest.estimate.stream import Stream
+from lampest.recording.readings import Readings
+from lampest.solvers import search
+from lampest.solvers.kernel.following import from_previous
+from tests.studies.speed import simulated
+
+MOST_FRAMES = 60
+METHODS = {
+    "LSM": (),
+    "LSR-CR": (lampest.CellResistance(weight=1e-7),),
+    "LSR-dCR": (lampest.RelativeChange(weight=1e-2),),
+    "LSR-gCR": (lampest.Gradient(weight=1e-6),),
+    "LSR-gdCR": (lampest.GradientOfRelativeChange(weight=1e-2),),
+    "huber": (lampest.Gradient(weight=1e-6),),
+}
+
+
+def scenes() -> dict[str, lampest.Recording]:
+    """Invented ones: a rod, and the same seen by loaded columns and by a virtual ground."""
+    found = {"rod 10": simulated(10), "rod 16": simulated(16)}
+    rod = lampest.Rod(centre_mm=(50.0, 50.0), diameter_mm=40.0, mass_g=500.0)
+    kinds = {
+        "loaded": lampest.LoadedColumnsReadout(adc_bits=12, load_ohm=300.0, drive_ohm=20.0),
+        "ground": lampest.VirtualGroundReadout(adc_bits=12),
+    }
+    for name, readout in kinds.items():
+        scene = lampest.Scene(lampest.Panel(10, 9), readout)
+        found[name] = lampest.simulate(
+            lampest.Simulation(1, 5, scene, frames=12, loads=(rod,), baseline_frames=2, frame_period_s=0.2)
+        )
+    return found
+
+
+def compared(recording: lampest.Recording, name: str) -> str:
+    """One method on one recording, as a line."""
+    loss = lampest.Huber(corner=3.0) if name == "huber" else lampest.Squared()
+    data_term = lampest.Misfit(weighting="noise", loss=loss)
+    estimator = lampest.Estimator((data_term, *METHODS[name]), formulation="reduced", error_bars=False)
+    resting = Readings.of(recording.scene, recording.recorded[recording.role == 0]).mean()
+    stream = Stream.begin(estimator, recording.scene, frame_period(recording), resting)
+    frames = recording.recorded[recording.role == 1][:MOST_FRAMES]
+    stream, _ = stream.push(Readings.of(recording.scene, frames[0]))
+    lower, apart, answers, other = [], [], [], 0
+
+    def noted(*given: Any) -> Any:
+        answers.append(from_previous(*given))
+        return answers[-1]
+
+    with np.errstate(all="ignore"):
+        for frame in frames[1:]:
+            readings = Readings.of(recording.scene, frame)
+            with patch.object(search, "from_previous", lambda *given: None):
+                _, newton = stream.push(readings)
+            with patch.object(search, "from_previous", noted):
+                stream, step = stream.push(readings)
+            other += step.status != newton.status
+            if step.solution.solved and newton.solution.solved:
+                lower.append(step.solution.objective / newton.solution.objective - 1)
+                apart.append(np.abs(np.log(step.cell_resistance / newton.cell_resistance)).max())
+    return (
+        f"{len(frames) - 1:4d} frames, {answers.count(None):3d} fell back, objective {min(lower, default=0):9.1e} to "
+        f"{max(lower, default=0):9.1e}, log r {max(apart, default=0):8.1e}, {other} statuses differ"
+    )
+
+
+def main(paths: list[str]) -> None:
+    """Print all methods of all recordings."""
+    recordings = {path: lampest.Recording.load(path) for path in paths} or scenes()
+    for title, recording in recordings.items():
+        for name in METHODS:
+            print(f"{title:28s} {name:10s} {compared(recording, name)}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
