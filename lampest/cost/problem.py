@@ -115,7 +115,7 @@ class Evaluation:
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
         """The same cost and data at other cells, evaluated in the same way."""
-        return type(self).at(self.cost, self.data, cell_resistance)
+        return Evaluation.at(self.cost, self.data, cell_resistance)
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:

@@ -102,11 +102,6 @@ class Arena:
         subroutines = [blas_address(name) for name in ("dsyrk", "dpotrf", "dpotrs", "dgemm")]
         return np.array([evaluation_address(), *buffers, *subroutines], dtype=np.int64)
 
-    @cached_property
-    def bound(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """(addresses, where, memory)."""
-        return self.addresses, self.where, self.memory
-
     def told(self, cost: Cost, data: Data) -> Array:
         """What the terms are given, as the memory's end holds it."""
         flat = data.given.flat

@@ -15,7 +15,7 @@ import numpy as np
 from lampest.panel.machine import call, machine_code
 
 FELL_SHORT, SETTLED = 0, 1
-MOST_STEPS, MOST_STOPS = 60, 6
+MOST_STEPS, MOST_STOPS, MOST_SEEN = 60, 6, 8
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
@@ -118,7 +118,7 @@ def _priced(addresses: Any, where: Any, arena: Any, ties: Any, point: Any) -> tu
     conductance = np.empty((rows, columns))
     for cell in range(cells):
         conductance[cell // columns, cell % columns] = 1 / vectors[1, cell]
-    if not _solved(addresses, conductance, ties, impedance):
+    if not _solved(addresses, conductance, ties[0], impedance):
         return np.inf, 1.0
     for cell in range(cells):
         j, k = cell // columns, rows + cell % columns
@@ -400,6 +400,45 @@ def _pull(vectors: Any, free: Any, step: Any) -> None:
 
 
 @machine_code
+def _along(addresses: Any, kept: Any, seen: Any, count: int, along: Any) -> None:
+    """along ← H⁻¹·along, H the second derivatives of a kept factor mended by what `count` steps have shown.
+
+    seen : (2, steps, free) steps and what they changed ∇φ by. Source: Nocedal, Math. Comput. 35, 1980.
+    """
+    shares = np.empty(count)
+    for back in range(count):
+        number = count - 1 - back
+        step, change = seen[0, number], seen[1, number]
+        shares[number] = _dot(step, along) / _dot(step, change)
+        for cell in range(len(along)):
+            along[cell] -= shares[number] * change[cell]
+    _divided(addresses, kept, along)
+    for number in range(count):
+        step, change = seen[0, number], seen[1, number]
+        more = shares[number] - _dot(change, along) / _dot(step, change)
+        for cell in range(len(along)):
+            along[cell] += more * step[cell]
+
+
+@machine_code
+def _dot(one: Any, other: Any) -> float:
+    total = 0.0
+    for number in range(len(one)):
+        total += one[number] * other[number]
+    return total
+
+
+@machine_code
+def _noted(before: Any, after: Any, free: Any, seen: Any, count: int) -> bool:
+    """A step from one point to another as the next of `seen`; whether ∇φ grew along it."""
+    for number in range(len(free)):
+        cell = free[number]
+        seen[0, count, number] = after[0, cell] - before[0, cell]
+        seen[1, count, number] = after[2, cell] + after[3, cell] - before[2, cell] - before[3, cell]
+    return bool(_dot(seen[0, count], seen[1, count]) > 0)
+
+
+@machine_code
 def _stop_at_bounds(addresses: Any, matrix: Any, vectors: Any, bounds: Any, free: Any, step: Any) -> bool:
     """Let cells that a step over the free ones takes beyond their bounds stop there, and ask the others again; whether
     there were any.
@@ -531,18 +570,18 @@ def descend(
     costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
     costs[2], factors = np.inf, 0
     usable = len(kept_cells) > 0 and _away(here[0][0], kept_at) <= limits[6]
-    exact = True
+    exact, begun, steps, seen = True, 0.0, 0, np.empty((2, MOST_SEEN, len(kept_cells)))
     for _ in range(MOST_STEPS):
         vectors = here[0]
         residual = _residual(vectors, bounds, costs[1])
         if not (abs(costs[0]) < np.inf and residual < np.inf):
             break
         free, near = _free(vectors, bounds), residual <= limits[0]
-        usable = usable and exact and _same(free, kept_cells) and not (near and _away(vectors[0], kept_at) > limits[7])
+        usable = usable and exact and _same(free, kept_cells)
         along, stopped, fresh = np.empty(len(free)), False, not usable
         _pull(vectors, free, along)
         if fresh:
-            if factors >= limits[10]:
+            if factors >= limits[12]:
                 break
             factors += 1
             matrix = _curvature(addresses, where, arena, entries, here, free, True)
@@ -554,13 +593,18 @@ def descend(
                 if near or not _factored(addresses, kept):
                     break
             kept_cells, kept_at, usable = free, vectors[0].copy(), True
-            _divided(addresses, kept, along)
+            _along(addresses, kept, seen, 0, along)
+            steps, seen = 0, np.empty((2, MOST_SEEN, len(free)))
             stopped = _stop_at_bounds(addresses, matrix, vectors, bounds, free, along)
         else:
-            _divided(addresses, kept, along)
+            _along(addresses, kept, seen, steps, along)
         inside = _spread(vectors, bounds, free, along, step, told)
         if not abs(told[0]) < np.inf:
             break
+        away = _away(vectors[0], kept_at)
+        if near and away > limits[7] and not (away <= limits[10] and 0 < told[0] <= limits[11] ** 2 * begun):
+            usable = False
+            continue
         if near and not stopped and _certified(addresses, where, arena, entries, limits, sigma, step, told):
             for cell in range(cells):
                 vectors[0, cell] += step[cell]
@@ -568,7 +612,11 @@ def descend(
         if fresh or (inside and 0 < told[0] <= limits[1] ** 2 * costs[2]):
             if _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs):
                 here, there = there, here
+                begun = costs[5] if costs[2] == np.inf else begun
                 costs[0], costs[1], costs[2] = costs[3], costs[4], costs[5]
+                if steps < MOST_SEEN:
+                    usable = _noted(there[0], here[0], kept_cells, seen, steps)
+                    steps += 1
                 continue
             if fresh:
                 break

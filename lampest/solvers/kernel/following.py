@@ -1,6 +1,8 @@
 """A frame that follows another one, solved in one call of machine code where nothing is unusual."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
@@ -17,8 +19,14 @@ from lampest.solvers.newton.steps import CONTRACTION, DECREASE, EQUAL, HALVED
 from lampest.solvers.newton.ways import LONGEST_STEP
 from lampest.solvers.solution import Outcome, Solution, Status, check
 
+if TYPE_CHECKING:
+    from lampest.solvers.kernel.arena import Arena
+
 NOTHING = np.zeros(0)
-LIMITS = (CONTRACTION, DECREASE, EQUAL, HALVED, LONGEST_STEP, FOLLOWED, NEARBY, MILLIONTH, SHARE)
+NO_FACTOR = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
+CONTRACTED = 1e-3  # of its first step by the last one: a direction that bends down would still hold its share of that
+SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
+LIMITS = (CONTRACTION, DECREASE, EQUAL, HALVED, LONGEST_STEP, FOLLOWED, NEARBY, MILLIONTH, SHARE, SIMILAR, CONTRACTED)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,27 +37,49 @@ class KeptFactor(Factor):
     position: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A cost and the data of one frame, as machine code takes them."""
+
+    cost: Cost
+    data: Data
+
+    @cached_property
+    def arena(self) -> "Arena":
+        """Functions and memory."""
+        from lampest.solvers.kernel.arena import arena
+
+        return arena(self.cost.functions, self.data.readout, *self.data.measured.shape[1:], len(self.cost.terms))
+
+    @cached_property
+    def told(self) -> Array:
+        """What the terms are given."""
+        return self.arena.told(self.cost, self.data)
+
+    def point(self, cell_resistance: Array) -> "MachineEvaluation":
+        """The cost at cells (1, rows, columns) ohm."""
+        from lampest.solvers.kernel.arithmetic import appraised
+
+        shape, arena = cell_resistance.shape, self.arena
+        reading, values, gradient = appraised(
+            arena.addresses, arena.where, arena.memory, self.told, self.data.ties, cell_resistance.ravel()
+        )
+        reading, gradient = reading.reshape(shape), gradient.reshape(shape)
+        return MachineEvaluation(
+            self.cost, self.data, cell_resistance, reading, None, values=values, gradient=gradient, bench=self
+        )
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MachineEvaluation(Evaluation):
     """The cost at a point of one frame, from machine code; what that does not say follows as elsewhere.
 
-    values : what the cost's `first` returns. gradient : ∇φ in u, (1, rows, columns).
+    values : what the cost's `first` returns. gradient : ∇φ in u, (1, rows, columns). bench : where it was computed.
     """
 
     values: Array
     gradient: Array
-
-    @classmethod
-    def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "MachineEvaluation":
-        """Of cells (1, rows, columns) ohm."""
-        from lampest.solvers.kernel.arena import arena
-        from lampest.solvers.kernel.arithmetic import appraised
-
-        known = arena(cost.functions, data.readout, *data.measured.shape[1:], len(cost.terms))
-        shape, told = cell_resistance.shape, known.told(cost, data)
-        reading, values, gradient = appraised(*known.bound, told, data.ties[0], cell_resistance.ravel())
-        gradient = gradient.reshape(shape)
-        return cls(cost, data, cell_resistance, reading.reshape(shape), None, values=values, gradient=gradient)
+    bench: Bench
 
     @property
     def first(self) -> Array:
@@ -60,6 +90,10 @@ class MachineEvaluation(Evaluation):
         """∇φ: no loss here has duals."""
         return self.gradient
 
+    def elsewhere(self, cell_resistance: Array) -> "MachineEvaluation":
+        """At other cells."""
+        return self.bench.point(cell_resistance)
+
 
 def from_previous(solver: Newton, data: Data, previous: Array, most_factors: int) -> Solution | None:
     """The checked optimum near the last estimate (1, rows, columns) ohm; None where it takes more than that.
@@ -69,8 +103,8 @@ def from_previous(solver: Newton, data: Data, previous: Array, most_factors: int
     """
     if not serves(solver.cost, data):
         return None
-    start = MachineEvaluation.at(solver.cost, data, np.clip(previous, data.lower, data.upper))
-    found = descended(solver, data, start.position, most_factors)
+    start = Bench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
+    found = descended(solver, start, most_factors)
     solution = None if found is None else check(start, found)
     return solution if solution is not None and solution.status is Status.OPTIMUM else None
 
@@ -85,37 +119,31 @@ def serves(cost: Cost, data: Data) -> bool:
     return entries.at_model is not None and not entries.crossed and evaluation_address() != 0
 
 
-def descended(solver: Newton, data: Data, start: Array, most_factors: int) -> Outcome | None:
-    """What the machine code makes of a frame from u = `start` (1, rows, columns) on; None where it fell short."""
-    from lampest.solvers.kernel.arena import arena
+def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Outcome | None:
+    """What the machine code makes of a frame from a start on; None where it fell short."""
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
-    cost, (lower, upper) = solver.cost, data.log_bounds
-    known = arena(cost.functions, data.readout, *data.measured.shape[1:], len(cost.terms))
+    data, arena, tolerance = start.data, start.bench.arena, solver.settings.tolerance
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
-    factor = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
-    ending, position, step, decrement, share, factors, upper_factor, cells, place = descend(
-        *known.bound,
-        known.told(cost, data),
-        known.entries,
-        data.ties[0],
-        np.concatenate([lower, upper]).reshape(2, -1),
-        start.ravel(),
-        *(factor if kept is None else (kept.upper, kept.cells, kept.position)),
-        np.array([solver.settings.tolerance, *LIMITS, most_factors]),
+    ending, position, step, decrement, share, factors, upper, cells, place = descend(
+        arena.addresses,
+        arena.where,
+        arena.memory,
+        start.bench.told,
+        arena.entries,
+        data.ties,
+        np.concatenate(data.log_bounds).reshape(2, -1),
+        start.position.ravel(),
+        *(NO_FACTOR if kept is None else (kept.upper, kept.cells, kept.position)),
+        np.array([tolerance, *LIMITS, most_factors]),
         data.sigma.ravel() if data.noise_known else NOTHING,
     )
     if ending != SETTLED:
         return None
+    shape = start.cell_resistance.shape
     certificate = Certificate(Bend.UP, step, decrement, share)
-    left = KeptFactor(
-        cells,
-        np.exp(place).reshape(start.shape),
-        _by_factor(upper_factor),
-        upper=upper_factor,
-        position=place,
-    )
-    cell_resistance = np.exp(position).reshape(start.shape)
+    left = KeptFactor(cells, np.exp(place).reshape(shape), _by_factor(upper), upper=upper, position=place)
+    cell_resistance = np.exp(position).reshape(shape)
     return Outcome(cell_resistance, NOTHING, Status.OPTIMUM, factors, certificate, left)
 
 
