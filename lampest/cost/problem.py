@@ -87,6 +87,8 @@ class Data:
     @cached_property
     def ties(self) -> Array:
         """(frames, rows + columns) siemens: each frame's ties to ground."""
+        if len(self.measured) == 1:
+            return self.readout.ties(self.measured[0])[None]
         return np.stack([self.readout.ties(measured) for measured in self.measured])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:

@@ -104,8 +104,8 @@ class Arena:
 
     def told(self, cost: Cost, data: Data) -> Array:
         """What the terms are given, as the memory's end holds it."""
-        flat = data.given.flat
-        return np.concatenate([cost.weights if name == "weights" else flat[name] for name in self.given])
+        field = data.given.flat_field
+        return np.concatenate([cost.weights if name == "weights" else field(name) for name in self.given])
 
 
 @lru_cache(maxsize=32)

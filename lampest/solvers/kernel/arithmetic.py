@@ -510,14 +510,14 @@ def _trial(
 def _certified(
     addresses: Any, where: Any, arena: Any, entries: Any, limits: Any, sigma: Any, step: Any, told: Any
 ) -> bool:
-    """Whether a step is as short as a certificate asks for; told : its promise, then its decrement and its share."""
+    """Whether a step is as short as a certificate asks for; told : its promise, decrement, share and length."""
     told[1], told[2] = np.sqrt(max(told[0], 0.0)), np.inf
-    longest = 0.0
+    told[3] = 0.0
     for cell in range(len(step)):
-        longest = max(longest, abs(step[cell]))
-    if longest > limits[8] and len(sigma) > 0:
+        told[3] = max(told[3], abs(step[cell]))
+    if told[3] > limits[8] and len(sigma) > 0:
         told[2] = told[1] / _deviation(_stiffness(addresses, where, arena, entries, len(step)), sigma)
-    return bool(longest <= limits[8] or told[2] <= limits[9])
+    return bool(told[3] <= limits[8] or told[2] <= limits[9])
 
 
 @machine_code
@@ -565,12 +565,12 @@ def descend(
     for number in range(len(given)):
         arena[where[6] + number] = given[number]
     here, there = _blank(lines, cells), _blank(lines, cells)
-    step, told, costs = np.zeros(cells), np.zeros(3), np.zeros(6)
+    step, told, costs = np.zeros(cells), np.zeros(4), np.zeros(6)
     _put(here[0], start, bounds)
     costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
     costs[2], factors = np.inf, 0
     usable = len(kept_cells) > 0 and _away(here[0][0], kept_at) <= limits[6]
-    exact, begun, steps, seen = True, 0.0, 0, np.empty((2, MOST_SEEN, len(kept_cells)))
+    ending, exact, begun, steps, seen = FELL_SHORT, True, 0.0, 0, np.empty((2, MOST_SEEN, len(kept_cells)))
     for _ in range(MOST_STEPS):
         vectors = here[0]
         residual = _residual(vectors, bounds, costs[1])
@@ -581,7 +581,7 @@ def descend(
         along, stopped, fresh = np.empty(len(free)), False, not usable
         _pull(vectors, free, along)
         if fresh:
-            if factors >= limits[12]:
+            if factors >= limits[13]:
                 break
             factors += 1
             matrix = _curvature(addresses, where, arena, entries, here, free, True)
@@ -601,28 +601,30 @@ def descend(
         inside = _spread(vectors, bounds, free, along, step, told)
         if not abs(told[0]) < np.inf:
             break
-        away = _away(vectors[0], kept_at)
-        if near and away > limits[7] and not (away <= limits[10] and 0 < told[0] <= limits[11] ** 2 * begun):
-            usable = False
-            continue
-        if near and not stopped and _certified(addresses, where, arena, entries, limits, sigma, step, told):
-            for cell in range(cells):
-                vectors[0, cell] += step[cell]
-            return SETTLED, vectors[0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
+        sure = _away(vectors[0], kept_at) <= limits[7]
+        sure = sure or (_away(vectors[0], kept_at) <= limits[10] and told[0] <= limits[11] ** 2 * begun)
+        if near and sure and not stopped and _certified(addresses, where, arena, entries, limits, sigma, step, told):
+            ending = SETTLED
+            if told[3] <= limits[12]:
+                break
         if fresh or (inside and 0 < told[0] <= limits[1] ** 2 * costs[2]):
             if _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs):
-                here, there = there, here
+                here, there, ending = there, here, FELL_SHORT
                 begun = costs[5] if costs[2] == np.inf else begun
                 costs[0], costs[1], costs[2] = costs[3], costs[4], costs[5]
                 if steps < MOST_SEEN:
                     usable = _noted(there[0], here[0], kept_cells, seen, steps)
                     steps += 1
                 continue
-            if fresh:
+            if fresh or ending == SETTLED:
                 break
             _priced(addresses, where, arena, ties, here)
+        if ending == SETTLED:
+            break
         usable = False
-    return FELL_SHORT, start, step, np.inf, np.inf, factors, kept, kept_cells, kept_at
+    for cell in range(cells):
+        here[0][0, cell] += step[cell]
+    return ending, here[0][0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
 
 
 @machine_code

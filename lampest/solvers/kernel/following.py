@@ -24,9 +24,23 @@ if TYPE_CHECKING:
 
 NOTHING = np.zeros(0)
 NO_FACTOR = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
-CONTRACTED = 1e-3  # of its first step by the last one: a direction that bends down would still hold its share of that
+CONTRACTED = 1e-7  # of its first step by the last one: a direction that bends down would still hold its share of that
+SHORT = 1e-8  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
-LIMITS = (CONTRACTION, DECREASE, EQUAL, HALVED, LONGEST_STEP, FOLLOWED, NEARBY, MILLIONTH, SHARE, SIMILAR, CONTRACTED)
+LIMITS = (
+    CONTRACTION,
+    DECREASE,
+    EQUAL,
+    HALVED,
+    LONGEST_STEP,
+    FOLLOWED,
+    NEARBY,
+    MILLIONTH,
+    SHARE,
+    SIMILAR,
+    CONTRACTED,
+    SHORT,
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +52,7 @@ class KeptFactor(Factor):
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class Workbench:
     """A cost and the data of one frame, as machine code takes them."""
 
     cost: Cost
@@ -79,7 +93,7 @@ class MachineEvaluation(Evaluation):
 
     values: Array
     gradient: Array
-    bench: Bench
+    bench: Workbench
 
     @property
     def first(self) -> Array:
@@ -103,7 +117,7 @@ def from_previous(solver: Newton, data: Data, previous: Array, most_factors: int
     """
     if not serves(solver.cost, data):
         return None
-    start = Bench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
+    start = Workbench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
     found = descended(solver, start, most_factors)
     solution = None if found is None else check(start, found)
     return solution if solution is not None and solution.status is Status.OPTIMUM else None
