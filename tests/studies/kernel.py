@@ -1,6 +1,7 @@
 """How many frames the machine code solves, and whether Newton's method, which takes the others, finds the same.
 
-Run it with: OMP_NUM_THREADS=1 python -m tests.studies.kernel data/*.h5 (recordings; without any, invented scenes)
+Run it with: OMP_NUM_THREADS=1 python -m tests.studies.kernel data/*.h5 (recordings; without any, invented scenes), or
+with --parts 10 for the microseconds of each part of a frame on a square panel.
 Of every method: frames after the first, the share solved in one call, the largest relative difference of the objective
 (negative: the machine code's is lower; of costs below a millionth a reading, of that) and of log r, how many statuses
 differ, and how many are no settled minimum by second derivatives taken at the very place. Every frame is solved both
@@ -8,6 +9,7 @@ ways from the same estimate of the frame before.
 """
 
 import sys
+from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -21,10 +23,11 @@ from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.solvers import search
 from lampest.solvers.certificate import certificate
-from lampest.solvers.kernel.following import from_previous
+from lampest.solvers.kernel.following import Workbench, descended, from_previous
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.smoothing import Smoothing
-from tests.studies.speed import simulated
+from lampest.solvers.solution import check
+from tests.studies.speed import least, simulated
 
 MOST_FRAMES = 60
 METHODS = {
@@ -98,8 +101,42 @@ def settled(estimator: lampest.Estimator, stream: Stream, readings: Readings, ce
     return certificate(curvature, curvature.gradient).settled
 
 
+def parts(side: int) -> None:
+    """Print microseconds of each part of a frame of LSR-CR, the least of many turns."""
+    recording = simulated(side)
+    terms = (lampest.Misfit(weighting="noise"), *METHODS["LSR-CR"])
+    estimator = lampest.Estimator(terms, formulation="reduced", error_bars=False)
+    frames, scene = recording.recorded[recording.role == 1], recording.scene
+    stream = Stream.begin(estimator, scene, 0.2, Readings.of(scene, recording.recorded[recording.role == 0]).mean())
+    for frame in frames[:5]:
+        stream, _ = stream.push(Readings.of(scene, frame))
+    readings = Readings.of(scene, frames[5])
+    data, previous = stream.given(readings)
+    assert previous is not None
+    solver = estimator.problem(scene, 1, 0.2).following(stream.prepared)
+    start = Workbench(solver.cost, data).point(np.clip(previous, data.lower, data.upper))
+    found = descended(solver, start, 4)
+    new = descended(replace(solver, factor=None), start, 4)
+    assert found is not None and new is not None
+    turns = {
+        "recorded values to readings": lambda: Readings.of(scene, frames[5]),
+        "what a solve is given, with its bounds": lambda: stream.given(readings),
+        "a point: network, cost, gradient": lambda: start.elsewhere(previous),
+        "the same by Newton's classes": lambda: Evaluation.at(solver.cost, data, previous).log_gradient(np.zeros(0)),
+        "all steps, factor of the frame before": lambda: descended(solver, start, 4),
+        "all steps, a factor of its own": lambda: descended(replace(solver, factor=None), start, 4),
+        "the check outside the solver": lambda: check(start, found),
+        "the frame, readings to step": lambda: stream.push(readings),
+    }
+    for name, turn in turns.items():
+        print(f"{name:40s} {1e3 * least(turn):8.1f}")
+    print("factors of its own:", found.iterations, "with the frame before's,", new.iterations, "without")
+
+
 def main(paths: list[str]) -> None:
     """Print all methods of all recordings."""
+    if paths[:1] == ["--parts"]:
+        return parts(int(paths[1]))
     recordings = {path: lampest.Recording.load(path) for path in paths} or scenes()
     for title, recording in recordings.items():
         for name in METHODS:

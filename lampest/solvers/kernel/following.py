@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NOTHING = np.zeros(0)
 NO_FACTOR = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
 CONTRACTED = 1e-7  # of its first step by the last one: a direction that bends down would still hold its share of that
-SHORT = 1e-8  # of log r: where the last step is longer, there is one more if that is better
+SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
 LIMITS = (
     CONTRACTION,
