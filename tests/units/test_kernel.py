@@ -194,8 +194,22 @@ def test_newton_goes_on_where_it_falls_short() -> None:
     assert few.push(readings)[1].solution.status in (Status.OPTIMUM, Status.ITERATIONS)
 
 
-def test_a_saddle_is_left_to_others() -> None:
-    """A factor that bends the wrong way is refused: no promise, no step, no certificate."""
+def test_it_is_compiled_once() -> None:
+    """Arrays that may only be read, and noise that nobody knows, ask for no other machine code."""
+    from lampest.solvers.kernel.arithmetic import appraised, descend
+
+    scene, recorded = frames(READOUTS["two_point"])
+    sigma = np.broadcast_to(np.full((5, 6), 0.5), (5, 6))
+    for given in (Readings.of(scene, recorded[2], sigma), replace(Readings.of(scene, recorded[2]), sigma=None)):
+        stream = begun(
+            scene, recorded, Estimator((lampest.Misfit(),), "reduced", bounds=Bounds(upper=1e6), error_bars=False)
+        )
+        assert stream.push(given)[1].solution.status is Status.OPTIMUM
+    assert len(descend.signatures) == len(appraised.signatures) == 1
+
+
+def test_a_wrong_factor_spoils_nothing() -> None:
+    """One that makes far too long or short steps, or none, costs steps, no digit and no verdict."""
     scene, recorded = frames(READOUTS["two_point"])
     stream = begun(scene, recorded, Estimator(TERMS["LSR-CR"], "reduced", error_bars=False))
     stream, _ = stream.push(Readings.of(scene, recorded[2]))

@@ -1,7 +1,7 @@
 """A frame that follows another one, solved in one call of machine code where nothing is unusual."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -133,6 +133,19 @@ def serves(cost: Cost, data: Data) -> bool:
     return entries.at_model is not None and not entries.crossed and evaluation_address() != 0
 
 
+@cache
+def load() -> None:
+    """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
+    from lampest.solvers.kernel.arithmetic import appraised, descend
+
+    addresses, where, arena = np.zeros(8, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
+    entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
+    where[9], bounds[0], bounds[1], open_cell[0] = 1, -np.inf, np.inf, np.inf
+    appraised(addresses, where, arena, NOTHING, ties, open_cell)
+    limits = np.zeros(2 + len(LIMITS))
+    descend(addresses, where, arena, NOTHING, entries, ties, bounds, open_cell, *NO_FACTOR, limits, NOTHING)
+
+
 def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Outcome | None:
     """What the machine code makes of a frame from a start on; None where it fell short."""
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
@@ -150,7 +163,7 @@ def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Ou
         start.position.ravel(),
         *(NO_FACTOR if kept is None else (kept.upper, kept.cells, kept.position)),
         np.array([tolerance, *LIMITS, most_factors]),
-        data.sigma.ravel() if data.noise_known else NOTHING,
+        data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
     )
     if ending != SETTLED:
         return None
