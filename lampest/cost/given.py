@@ -6,7 +6,7 @@ know is one more field here: what it is, where it comes from, and what stands fo
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Protocol, Self
 
 import casadi
@@ -113,8 +113,9 @@ class Given:
         )
     )
 
-    @classmethod
-    def sources(cls) -> dict[str, Source]:
+    @staticmethod
+    @cache
+    def sources() -> dict[str, Source]:
         """name → source, in the order of the fields."""
         return {part.name: part.metadata["source"] for part in fields(Given)}
 
@@ -150,12 +151,15 @@ class Given:
     @cached_property
     def flat(self) -> dict[str, Array]:
         """Flat arrays by name, with the number that stands for what is not known."""
-        size = self.measured[0].size
-        return {
-            name: np.full(size, source.absent) if (value := getattr(self, name)) is None else value.ravel()
-            for name, source in self.sources().items()
-            if getattr(self, name) is not None or not source.partial
-        }
+        names = (
+            name for name, source in self.sources().items() if getattr(self, name) is not None or not source.partial
+        )
+        return {name: self.flat_field(name) for name in names}
+
+    def flat_field(self, name: str) -> Array:
+        """One of them."""
+        value: Array | None = getattr(self, name)
+        return np.full(self.measured[0].size, self.sources()[name].absent) if value is None else value.ravel()
 
     def named(self) -> Iterable[tuple[str, Any]]:
         """(name, value) of all that is there."""

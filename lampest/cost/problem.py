@@ -87,6 +87,8 @@ class Data:
     @cached_property
     def ties(self) -> Array:
         """(frames, rows + columns) siemens: each frame's ties to ground."""
+        if len(self.measured) == 1:
+            return self.readout.ties(self.measured[0])[None]
         return np.stack([self.readout.ties(measured) for measured in self.measured])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
@@ -96,19 +98,31 @@ class Data:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns)."""
+    """φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns).
+
+    solved : the networks of the frames, or None where nobody needed them yet.
+    """
 
     cost: Cost
     data: Data
     cell_resistance: Array
     reading: Array
-    networks: tuple[Network, ...]
+    solved: tuple[Network, ...] | None
 
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
-        networks = tuple(data.network(frame, cells) for frame, cells in enumerate(cell_resistance))
+        networks = _solved(data, cell_resistance)
         return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
+
+    def elsewhere(self, cell_resistance: Array) -> "Evaluation":
+        """The same cost and data at other cells, evaluated in the same way."""
+        return Evaluation.at(self.cost, self.data, cell_resistance)
+
+    @cached_property
+    def networks(self) -> tuple[Network, ...]:
+        """The solved network of every frame."""
+        return _solved(self.data, self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array) -> Array:
         """One of the cost's functions at this point."""
@@ -125,6 +139,11 @@ class Evaluation:
         """A function of the terms' residuals at this point, which knows neither weights nor duals."""
         return self.call(function, self._no_dual)
 
+    @property
+    def first(self) -> Array:
+        """What the cost's `first` returns here."""
+        return self._first
+
     @cached_property
     def _first(self) -> Array:
         """The costs of the terms, here and at f(r) = 0, and their derivatives without duals."""
@@ -133,7 +152,7 @@ class Evaluation:
     @property
     def costs(self) -> Array:
         """weight · loss of each term, summed over frames, in the order of the terms."""
-        return self._first[: len(self.cost.terms)]
+        return self.first[: len(self.cost.terms)]
 
     @cached_property
     def objective(self) -> float:
@@ -146,7 +165,7 @@ class Evaluation:
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """(∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
-        values = self.call(self.cost.functions.first, dual) if len(dual) else self._first
+        values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
         direct, through = values[2 * len(self.cost.terms) :].reshape(2, *self.cell_resistance.shape)
         return direct, through
 
@@ -161,7 +180,7 @@ class Evaluation:
     @cached_property
     def cost_scale(self) -> float:
         """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
-        blank = self._first[len(self.cost.terms) : 2 * len(self.cost.terms)]
+        blank = self.first[len(self.cost.terms) : 2 * len(self.cost.terms)]
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property
@@ -194,6 +213,10 @@ class Evaluation:
     def position(self) -> Array:
         """u = log r, (frames, rows, columns)."""
         return np.log(self.cell_resistance)
+
+
+def _solved(data: Data, cell_resistance: Array) -> tuple[Network, ...]:
+    return tuple(data.network(frame, cells) for frame, cells in enumerate(cell_resistance))
 
 
 def within_one(dual: Array) -> Array:

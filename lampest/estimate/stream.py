@@ -196,7 +196,7 @@ class Stream:
                 estimator = with_chosen_weights(estimator, self.scene, data, previous, noisy)
             choice = perf_counter() - begin
             solver = estimator.problem(self.scene, len(data.measured), self.period, data.partial)
-            solver.prepare()
+            estimator.method.prepare(solver, data, previous)
             begin = perf_counter()
             solution = estimator.method.solution(solver, data, previous, self.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)

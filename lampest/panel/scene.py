@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 from typing import Any, ClassVar
 
@@ -239,7 +240,7 @@ class Scene:
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
 
-    @property
+    @cached_property
     def wiring(self) -> Wiring | None:
         """What lies between terminals and cells; None where there is nothing."""
         joined = () if self.faults is None else self.faults.joined(self.panel)

@@ -1,6 +1,7 @@
 """What recorded values say to an estimator: numbers, bounds, or nothing. All values, of a file or not, come in here."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,7 @@ class Readings:
         least = min(-(-int(asked.sum()) // 2), lines - 1)
         return np.asarray((self.plain & asked).sum(axis=(-2, -1)) >= least)
 
-    @property
+    @cached_property
     def partial(self) -> bool:
         """Whether any reading is not a plain value."""
         return bool(np.any(self.side) or np.any(self.seen < 1))

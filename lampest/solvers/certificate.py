@@ -42,13 +42,22 @@ class Bend(Enum):
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """bend : of the cost over the free cells. step : (cells) of log r by which a Newton step would move each, within
-    its bounds. decrement : √(gᵀ H⁻¹ g). curvature : where.
+    its bounds. decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that
+    count: what |s_c| is at most of its cell's posterior deviation; infinite where the noise is not known, or where the
+    step is a millionth without that.
     """
 
     bend: Bend
     step: Array
     decrement: float
-    curvature: Curvature
+    deviations: float
+
+    @classmethod
+    def at(cls, curvature: Curvature, bend: Bend, step: Array, decrement: float) -> "Certificate":
+        """Of a step from where second derivatives are known."""
+        short = float(np.abs(step).max(initial=0.0)) <= MILLIONTH
+        deviations = float("inf") if short or bend is not Bend.UP else _deviations(curvature, decrement)
+        return cls(bend, step, decrement, deviations)
 
     @property
     def settled(self) -> bool:
@@ -57,27 +66,23 @@ class Certificate:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
 
-    @property
-    def converged(self) -> bool:
+    def converged(self, cost_scale: float) -> bool:
         """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
 
         A gradient may be far from small there: of a penalty that outweighs the data by 10⁸ it is rounding, and the
         curvature that multiplies the rounding divides it again in the step.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-        return small and self.bend is Bend.UP and self.decrement**2 <= NOTHING * self.curvature.at.cost_scale
+        return small and self.bend is Bend.UP and self.decrement**2 <= NOTHING * cost_scale
 
-    @property
-    def deviations(self) -> float:
-        """δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: what |s_c| is at most of its cell's
-        posterior deviation; infinite where the noise is not known.
-        """
-        data = self.curvature.at.data
-        bend = self.curvature.terms.diagonal()[data.measured.size :]
-        counting = bend > 0
-        if not (data.noise_known and counting.any()):
-            return float("inf")
-        return self.decrement / float(np.sqrt(np.mean(bend[counting] * data.sigma.ravel()[counting] ** 2)))
+
+def _deviations(curvature: Curvature, decrement: float) -> float:
+    data = curvature.at.data
+    bend = curvature.terms.diagonal()[data.measured.size :]
+    counting = bend > 0
+    if not (data.noise_known and counting.any()):
+        return float("inf")
+    return decrement / float(np.sqrt(np.mean(bend[counting] * data.sigma.ravel()[counting] ** 2)))
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
@@ -96,7 +101,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
         return exact
     free = np.flatnonzero(free_cells(curvature.at, gradient))
     if not len(free):
-        return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, curvature)
+        return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, 0.0)
     if factor is not None and factor.exact and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif len(gradient) <= DENSE_UNKNOWNS:
@@ -104,7 +109,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     else:
         bend, step = _by_conjugate_gradients(curvature, gradient[free], free, factor)
     decrement = float(np.sqrt(max(-float(gradient[free] @ step), 0.0)))
-    return Certificate(bend, _within_bounds(curvature.at, free, step), decrement, curvature)
+    return Certificate.at(curvature, bend, _within_bounds(curvature.at, free, step), decrement)
 
 
 def _of_reproduced(curvature: Curvature) -> Certificate | None:
@@ -124,9 +129,9 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return Certificate(Bend.FLAT, np.zeros(len(reading)), np.inf, curvature)
+        return Certificate.at(curvature, Bend.FLAT, np.zeros(len(reading)), np.inf)
     decrement = float(np.sqrt(np.sum(bend * (missed * reading) ** 2)))
-    return Certificate(Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement, curvature)
+    return Certificate.at(curvature, Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement)
 
 
 def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:

@@ -11,8 +11,9 @@ from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.panel.panel import Array
+from lampest.solvers.kernel.following import from_previous
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.softest import along_softest
+from lampest.solvers.newton.softest import either_side
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
 POLISHED = 0.1 * VERIFIED
@@ -41,12 +42,32 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
     """
     with np.errstate(all="ignore"):
-        return _best(solver, data, previous)
+        near = None if previous is None or not isinstance(solver, Newton) else _followed(solver, data, previous)
+        return near or _best(solver, data, previous)
+
+
+def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
+    """The frame after another one without any search, where it is easy."""
+    most = solver.settings.max_iterations
+    most = most if _one_minimum(solver.cost, data) else min(EASY_KEPT, most)
+    found = from_previous(solver, data, previous, most)
+    if found is None and (near := _squared(solver)) is not None:
+        begun = from_previous(near, data, previous, most)
+        found = None if begun is None else from_previous(solver, data, begun.cell_resistance, most)
+    if found is None or _one_minimum(solver.cost, data) or not _beside(solver, found):
+        return found
+    return None
+
+
+def _one_minimum(cost: Cost, data: Data) -> bool:
+    """Whether only one minimum was ever found beside a known previous frame, whatever the number of iterations."""
+    comparing = [term for term in cost.terms if term.needs_previous]
+    plain = all(term.reads_measurement for term in cost.terms)
+    return (plain and data.readout.unique) or (bool(comparing) and all(term.convex_in_log for term in comparing))
 
 
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    comparing = [term for term in solver.cost.terms if term.needs_previous]
-    relative = bool(comparing)
+    relative = any(term.needs_previous for term in solver.cost.terms)
     if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
         return solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
@@ -60,7 +81,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     points = _with_squared(solver, points)
     found = solved_from(solver, points[0])
     easy = EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
-    one_minimum = (plain and data.readout.unique) or (relative and all(term.convex_in_log for term in comparing))
+    one_minimum = _one_minimum(solver.cost, data)
     hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
     more = [] if one_minimum else _beside(solver, found)
     if found.solved and not hard and not more:
@@ -82,13 +103,20 @@ def _with_squared(solver: Solver, points: list[Evaluation]) -> list[Evaluation]:
     Beyond a corner a loss pulls but does not bend: from afar, where all readings lie there, Newton's method gropes for
     a hundred iterations for what squares reach in five.
     """
-    squared = tuple(replace(term, loss=Squared()) if _corners(term) else term for term in solver.cost.terms)
-    if squared == solver.cost.terms or not isinstance(solver, Newton):
+    near = _squared(solver)
+    if near is None:
         return points
-    near = Newton(replace(solver.cost, terms=squared), solver.settings)
     found = solved_from(near, evaluated(near.cost, points[0].data, points[0].cell_resistance))
     reached = list(_evaluable(solver.cost, points[0].data, [found.cell_resistance])) if found.solved else []
     return sorted((*reached, *points), key=lambda point: point.objective)
+
+
+def _squared(solver: Solver) -> Newton | None:
+    """The same with squared losses of the readings; None where they are squared, or bend everywhere, already."""
+    squared = tuple(replace(term, loss=Squared()) if _corners(term) else term for term in solver.cost.terms)
+    if squared == solver.cost.terms or not isinstance(solver, Newton):
+        return None
+    return Newton(replace(solver.cost, terms=squared), solver.settings)
 
 
 def _corners(term: Term) -> bool:
@@ -97,13 +125,16 @@ def _corners(term: Term) -> bool:
 
 
 def _beside(solver: Solver, found: Solution) -> list[Array]:
-    """Starts on either side of an estimate that may be one of two; see `along_softest`.
+    """Starts on either side of an estimate that may be one of two, as its factor tells; none where it does not.
 
     Second derivatives of rounded absolute losses tell of their kinks.
     """
     if not found.solved or found.at is None or not isinstance(solver, Newton) or len(solver.cost.slope):
         return []
-    return list(along_softest(found.at, found.factor or solver.factor))
+    factor, position = found.factor or solver.factor, found.at.position
+    if factor is None or factor.cell_resistance.shape != position.shape or (along := factor.softest) is None:
+        return []
+    return list(either_side(position, factor.cells, along))
 
 
 def convex(data: Data, near: Array | None) -> Array:

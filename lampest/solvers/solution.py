@@ -139,7 +139,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
-    evaluation = Evaluation.at(cost, data, cells)
+    evaluation = start.elsewhere(cells)
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
@@ -157,7 +157,7 @@ def _rounded(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> bool:
     """Whether what is left of the gradient is rounding: see `Certificate.converged`. Duals are held to their own."""
     if not np.all(np.isfinite(gradient)) or evaluation.dual_gap(outcome.dual) > VERIFIED * evaluation.cost_scale:
         return False
-    return _certificate(evaluation, gradient, outcome).converged
+    return _certificate(evaluation, gradient, outcome).converged(evaluation.cost_scale)
 
 
 def _certificate(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Certificate:

@@ -51,6 +51,10 @@ class Method(ABC):
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return Newton(cost, settings)
 
+    def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
+        """Build what can be built before the first solve of its kind, so that no frame is charged for it."""
+        solver.prepare()
+
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : what `begin` has prepared."""

@@ -13,6 +13,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
+from lampest.solvers.kernel.following import load, serves
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solution, Solver
@@ -52,6 +53,12 @@ class OptimalMethod(Method):
             slow = cost.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
             kind = "nodal" if slow and scene.wiring is None else "reduced"
         return _solver(cost, scene.circuit, kind, settings)
+
+    def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
+        """The compiled cost, and machine code where a frame follows another one."""
+        solver.prepare()
+        if isinstance(solver, Newton) and previous is not None and serves(solver.cost, data):
+            load()
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""

@@ -341,6 +341,10 @@ class Readout(ABC):
 
         A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
         """
+        return self._rails
+
+    @cached_property
+    def _rails(self) -> tuple[float, float]:
         top = 2.0**self.adc_bits - 1
         ends = self.recorded_from_volt(np.array([1.0, top]) * self.lsb_volt)
         return float(ends.min()), float(ends.max())

@@ -1,6 +1,7 @@
 """Newton directions: (∇²φ + μ·diag) s = −∇φ on the free cells, by Cholesky or by conjugate gradients."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.reach import within_reach
+from lampest.solvers.newton.softest import softest
 
 LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
 REACH, TINY = 2.5, 0.1  # changes of log r
@@ -30,6 +32,11 @@ class Factor:
     cell_resistance: Array
     solve: Linear
     exact: bool = True
+
+    @cached_property
+    def softest(self) -> Array | None:
+        """(cells) the direction in which the cost bends far less than in any other, length one; None without such."""
+        return softest(self.solve, len(self.cells)) if self.exact and len(self.cells) > 1 else None
 
     def serves(self, free: NDArray[np.intp], cell_resistance: Array, reach: float) -> bool:
         """Whether it is of the same cells, none of which has moved by more than `reach` in log r since."""

@@ -49,7 +49,7 @@ class Newton:
         stands = False
         while iteration < self.settings.max_iterations:
             residual, gap = point.residual(), point.gap()
-            near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.certificate.converged)
+            near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.converged)
             if near and gap > self.settings.tolerance:
                 point, iteration, stands = point.sharpened(), iteration + 1, False
                 continue
@@ -58,7 +58,7 @@ class Newton:
             unsettled += near
             moved = (certain_step(point, data, residual) if near else None) or advance(point, data, residual)
             if moved is None:
-                if not near and not stands and point.certificate.converged:
+                if not near and not stands and point.converged:
                     stands = True
                     continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)

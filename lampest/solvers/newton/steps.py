@@ -18,6 +18,7 @@ from lampest.solvers.newton.ways import LONGEST_STEP, ways
 
 LARGEST_DAMPING = 1e10
 DECREASE = 1e-4
+EQUAL, HALVED = 1e-12, 0.5  # of the cost: where rounding hides a decrease, the residual must fall to this share
 MOST_STOPS = 6
 CONTRACTION = 0.2  # of a step by the next one: a new factor costs as much as two to three such steps
 TIGHT = 0.5
@@ -59,6 +60,11 @@ class Iterate:
     def certificate(self) -> Certificate:
         """What one more step would do."""
         return certificate(self.curvature, self.curvature.gradient, self.factor)
+
+    @property
+    def converged(self) -> bool:
+        """Whether one more step would do nothing: see `Certificate.converged`."""
+        return self.certificate.converged(self.at.cost_scale)
 
 
 def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
@@ -152,7 +158,7 @@ def trial(
     found = Iterate(Curvature(at, smoothing), smoothing.objective(at), damping)
     gain = point.objective - found.objective
     better = promised > 0 and gain >= DECREASE * promised
-    if not better and not (abs(gain) <= 1e-12 * abs(point.objective) and found.residual() < 0.5 * residual):
+    if not better and not (abs(gain) <= EQUAL * abs(point.objective) and found.residual() < HALVED * residual):
         return None
     damping = relaxed(damping, gain / promised) if better else damping
     return Iterate(Curvature(at, smoothing.moved(point.at, at)), found.objective, damping)

@@ -1,0 +1,657 @@
+"""The arithmetic of a warm frame on a small panel, in one call: the easy cases of `lampest.solvers.newton`.
+
+With the blocks of Z over rows (r) and columns (c), by elimination of the rows from L(g) + diag(t):
+S = C − gᵀR⁻¹g, Z_cc = S⁻¹, Z_rc = R⁻¹g S⁻¹, Z_rr = R⁻¹ + R⁻¹g Z_rcᵀ, R and C diagonal. With weights e of the readings
+and slopes h of their equation W = [[diag Σ e h_p, ½ e h_t], [·, diag Σ e h_q]], K = Z W Z, Jᵀe = g·bᵀ K b.
+What the terms and the readout's equation say comes from CasADi's functions, called by their addresses.
+
+All functions stand in this one file: numba's cache asks for the date of the file of the function that is called.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.machine import call, machine_code
+
+FELL_SHORT, SETTLED = 0, 1
+MOST_STEPS, MOST_STOPS, MOST_SEEN = 60, 6, 8
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
+LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
+
+
+@machine_code
+def _product(addresses: Any, one: Any, turned: bool, other: Any, other_turned: bool, result: Any) -> None:
+    """result = A·B, of either its transpose where it is `turned`; BLAS reads rows as columns."""
+    rows, columns = result.shape
+    inner = one.shape[0] if turned else one.shape[1]
+    words, factors = np.empty(7, dtype=np.int32), np.empty(2)
+    words[0] = TRANSPOSED if other_turned else PLAIN
+    words[1] = TRANSPOSED if turned else PLAIN
+    words[2], words[3], words[4], words[5], words[6] = columns, rows, inner, other.shape[1], one.shape[1]
+    factors[0], factors[1] = 1.0, 0.0
+    start, unit = words.ctypes.data, factors.ctypes.data
+    call(
+        addresses[7],
+        (start, start + 4, start + 8, start + 12, start + 16, unit, other.ctypes.data, start + 20,
+         one.ctypes.data, start + 24, unit + 8, result.ctypes.data, start + 8),
+    )  # fmt: skip
+    factors[0] = words[0]
+
+
+@machine_code
+def _solved(addresses: Any, conductance: Any, ties: Any, impedance: Any) -> bool:
+    """Z (lines, lines); whether every pivot is positive.
+
+    Elimination of a Laplacian needs no exchange of rows: its pivots are sums of what is left to ground.
+    """
+    rows, columns = conductance.shape
+    over, total = np.empty((rows, columns)), np.empty(rows)
+    for j in range(rows):
+        total[j] = ties[j]
+        for k in range(columns):
+            total[j] += conductance[j, k]
+        if not total[j] > 0:
+            return False
+        for k in range(columns):
+            over[j, k] = conductance[j, k] / total[j]
+    rest, across, between = np.empty((columns, columns)), np.empty((rows, columns)), np.empty((rows, rows))
+    _product(addresses, conductance, True, over, False, rest)
+    for k in range(columns):
+        whole = ties[rows + k]
+        for j in range(rows):
+            whole += conductance[j, k]
+        for other in range(columns):
+            rest[k, other] = -rest[k, other]
+        rest[k, k] += whole
+    if not _inverted(rest):
+        return False
+    _product(addresses, over, False, rest, False, across)
+    _product(addresses, across, False, over, True, between)
+    for j in range(rows):
+        for other in range(rows):
+            impedance[j, other] = between[j, other]
+        impedance[j, j] += 1 / total[j]
+        for k in range(columns):
+            impedance[j, rows + k] = across[j, k]
+            impedance[rows + k, j] = across[j, k]
+    for k in range(columns):
+        for other in range(columns):
+            impedance[rows + k, rows + other] = rest[k, other]
+    return True
+
+
+@machine_code
+def _inverted(matrix: Any) -> bool:
+    """A symmetric positive definite matrix to its inverse in place, by Gauss and Jordan; whether it was definite."""
+    size = len(matrix)
+    for pivot in range(size):
+        head = matrix[pivot, pivot]
+        if not head > 0:
+            return False
+        matrix[pivot, pivot] = 1.0
+        for column in range(size):
+            matrix[pivot, column] /= head
+        for row in range(size):
+            if row != pivot:
+                factor = matrix[row, pivot]
+                matrix[row, pivot] = 0.0
+                for column in range(size):
+                    matrix[row, column] -= factor * matrix[pivot, column]
+    for row in range(size):
+        for column in range(row):
+            middle = (matrix[row, column] + matrix[column, row]) / 2
+            matrix[row, column] = middle
+            matrix[column, row] = middle
+    return True
+
+
+@machine_code
+def _priced(addresses: Any, where: Any, arena: Any, ties: Any, point: Any) -> tuple[float, float]:
+    """(φ, the scale of its gradient) at vectors[0] = u, and all else of a point; infinite where Z does not exist.
+
+    vectors : (5, cells) u, r, r·∂φ/∂r, Jᵀ∂φ/∂y and ∂φ/∂y. impedance, twice : Z and K (lines, lines).
+    """
+    vectors, impedance, twice = point
+    rows, cells, terms = where[9], vectors.shape[1], where[7]
+    columns = cells // rows
+    conductance = np.empty((rows, columns))
+    for cell in range(cells):
+        conductance[cell // columns, cell % columns] = 1 / vectors[1, cell]
+    if not _solved(addresses, conductance, ties[0], impedance):
+        return np.inf, 1.0
+    for cell in range(cells):
+        j, k = cell // columns, rows + cell % columns
+        arena[where[2] + cell] = impedance[j, j]
+        arena[where[2] + cells + cell] = impedance[k, k]
+        arena[where[2] + 2 * cells + cell] = impedance[j, k]
+    call(addresses[0], (addresses[3],))
+    for cell in range(cells):
+        arena[where[0] + cell] = vectors[1, cell]
+        arena[where[1] + cell] = arena[where[4] + cell]
+    call(addresses[0], (addresses[1],))
+    first, objective, blank = where[3], 0.0, 0.0
+    for term in range(terms):
+        objective += arena[first + term]
+        blank += arena[first + terms + term]
+    for cell in range(cells):
+        vectors[2, cell] = arena[first + 2 * terms + cell] * vectors[1, cell]
+        vectors[4, cell] = arena[first + 2 * terms + cells + cell]
+    loading, half = np.zeros(impedance.shape), np.empty(impedance.shape)
+    slopes = where[4] + cells
+    for cell in range(cells):
+        j, k, weight = cell // columns, rows + cell % columns, vectors[4, cell]
+        loading[j, j] += weight * arena[slopes + cell]
+        loading[k, k] += weight * arena[slopes + cells + cell]
+        loading[j, k] = loading[k, j] = weight * arena[slopes + 2 * cells + cell] / 2
+    _product(addresses, loading, False, impedance, False, half)
+    _product(addresses, impedance, False, half, False, twice)
+    for cell in range(cells):
+        j, k = cell // columns, rows + cell % columns
+        vectors[3, cell] = (twice[j, j] + twice[k, k] - 2 * twice[j, k]) / vectors[1, cell]
+    scale = blank / cells + objective
+    return objective, scale if scale != 0 else 1.0
+
+
+@machine_code
+def _curvature(addresses: Any, where: Any, arena: Any, entries: Any, point: Any, free: Any, whole: bool) -> Any:
+    """∇²φ over the free cells, its upper triangle; the point is the one that was priced last.
+
+    Or, not `whole`, Gauss and Newton's: without the second derivatives of readings, and of r where they bend down.
+    """
+    vectors, impedance, twice = point
+    rows, cells, count = where[9], vectors.shape[1], len(free)
+    columns = cells // rows
+    stiffness = _stiffness(addresses, where, arena, entries, cells)
+    across, conductance = np.empty((rows + columns, count)), np.empty(count)
+    _across_cells(impedance, free, rows, across)
+    for number in range(count):
+        conductance[number] = 1 / vectors[1, free[number]]
+    matrix = np.zeros((count, count))
+    if whole:
+        _add_second_order(twice, free, rows, across, conductance, matrix)
+        _add_bends(addresses, where, arena, vectors[4], across, conductance, matrix)
+    for number in range(count):
+        direct, through = vectors[2, free[number]], vectors[3, free[number]]
+        matrix[number, number] += direct - through if whole else max(direct, 0.0)
+    _add_responses(addresses, where, arena, stiffness, across, conductance, matrix)
+    _add_entries(where, arena, entries, vectors[1], free, matrix)
+    return matrix
+
+
+@machine_code
+def _add_second_order(twice: Any, free: Any, rows: int, across: Any, conductance: Any, matrix: Any) -> None:
+    """matrix += 2 g (BᵀZB ∘ BᵀKB) g over the free cells, the upper triangle."""
+    count, columns = len(free), len(twice) - rows
+    bent = np.empty(across.shape)
+    _across_cells(twice, free, rows, bent)
+    for one in range(count):
+        j, k = free[one] // columns, rows + free[one] % columns
+        for other in range(one, count):
+            both = (across[j, other] - across[k, other]) * (bent[j, other] - bent[k, other])
+            matrix[one, other] += 2 * conductance[one] * conductance[other] * both
+
+
+@machine_code
+def _stiffness(addresses: Any, where: Any, arena: Any, entries: Any, cells: int) -> Any:
+    """(cells) ∂²φ/∂y² of every reading, where the point is that was priced last."""
+    call(addresses[0], (addresses[2],))
+    stiffness = np.zeros(cells)
+    for number in range(entries.shape[1]):
+        if entries[0, number] >= cells:
+            stiffness[entries[0, number] - cells] += arena[where[5] + number]
+    return stiffness
+
+
+@machine_code
+def _across_cells(matrix: Any, free: Any, rows: int, across: Any) -> None:
+    """A·b of every free cell (lines, free), of a matrix A (lines, lines)."""
+    lines = len(matrix)
+    columns = lines - rows
+    for line in range(lines):
+        for number in range(len(free)):
+            across[line, number] = matrix[line, free[number] // columns] - matrix[line, rows + free[number] % columns]
+
+
+@machine_code
+def _add_responses(
+    addresses: Any, where: Any, arena: Any, stiffness: Any, across: Any, conductance: Any, matrix: Any
+) -> None:
+    """matrix += Jᵀ·diag(stiffness)·J over the free cells, the upper triangle."""
+    rows, cells, count = where[9], len(stiffness), len(conductance)
+    columns, slopes = cells // rows, where[4] + cells
+    response, least = np.empty((cells, count)), 0.0
+    for number in range(cells):
+        j, k, root = number // columns, rows + number % columns, np.sqrt(abs(stiffness[number]))
+        p, q = root * arena[slopes + number], root * arena[slopes + cells + number]
+        t, least = root * arena[slopes + 2 * cells + number], min(least, stiffness[number])
+        for cell in range(count):
+            at_row, at_column = across[j, cell], across[k, cell]
+            slope = p * at_row * at_row + q * at_column * at_column + t * at_row * at_column
+            response[number, cell] = conductance[cell] * slope
+    if least >= 0:
+        words, one = np.empty(4, dtype=np.int32), np.empty(1)
+        words[0], words[1], words[2], words[3], one[0] = LOWER, PLAIN, count, cells, 1.0
+        start, unit = words.ctypes.data, one.ctypes.data
+        call(
+            addresses[4],
+            (start, start + 4, start + 8, start + 12, unit, response.ctypes.data, start + 8, unit,
+             matrix.ctypes.data, start + 8),
+        )  # fmt: skip
+        one[0] = words[0] * response[0, 0]
+    else:
+        signed, square = response.copy(), np.empty((count, count))
+        for number in range(cells):
+            if stiffness[number] < 0:
+                for cell in range(count):
+                    signed[number, cell] = -response[number, cell]
+        _product(addresses, signed, True, response, False, square)
+        _add(matrix, square, False)
+
+
+@machine_code
+def _add(matrix: Any, more: Any, turned: bool) -> None:
+    """matrix += A, or Aᵀ."""
+    for one in range(len(matrix)):
+        for other in range(len(matrix)):
+            matrix[one, other] += more[other, one] if turned else more[one, other]
+
+
+@machine_code
+def _add_bends(
+    addresses: Any, where: Any, arena: Any, weights: Any, across: Any, conductance: Any, matrix: Any
+) -> None:
+    """matrix += Σ_i e_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i for weights e, as far as h bends at all."""
+    rows, cells, count = where[9], len(weights), len(conductance)
+    columns, bends, largest = cells // rows, where[4] + 4 * cells, 0.0
+    for number in range(6 * cells):
+        largest = max(largest, abs(arena[bends + number]))
+    if largest == 0:
+        return
+    lines = rows + columns
+    own, pulled, square = np.empty((lines, count)), np.zeros((lines, count)), np.empty((count, count))
+    mutual, bent, largest = np.empty((cells, count)), np.empty((cells, count)), 0.0
+    for line in range(lines):
+        for cell in range(count):
+            own[line, cell] = across[line, cell] ** 2 * conductance[cell]
+    for number in range(cells):
+        j, k, weight, at = number // columns, rows + number % columns, weights[number], bends + number
+        pp, pq, pt = weight * arena[at], weight * arena[at + cells], weight * arena[at + 2 * cells]
+        qq, qt, tt = weight * arena[at + 3 * cells], weight * arena[at + 4 * cells], weight * arena[at + 5 * cells]
+        largest = max(largest, abs(tt))
+        for cell in range(count):
+            both = across[j, cell] * across[k, cell] * conductance[cell]
+            mutual[number, cell], bent[number, cell] = both, tt * both
+            pulled[j, cell] += pp / 2 * own[j, cell] + pq * own[k, cell] + pt * both
+            pulled[k, cell] += qq / 2 * own[k, cell] + qt * both
+    _product(addresses, own, True, pulled, False, square)
+    _add(matrix, square, False)
+    _add(matrix, square, True)
+    if largest > 0:
+        _product(addresses, mutual, True, bent, False, square)
+        _add(matrix, square, False)
+
+
+@machine_code
+def _add_entries(where: Any, arena: Any, entries: Any, resistance: Any, free: Any, matrix: Any) -> None:
+    """matrix += r·(second derivatives of the terms between cells)·r, the upper triangle."""
+    cells = len(resistance)
+    slot = np.full(cells, -1)
+    for number in range(len(free)):
+        slot[free[number]] = number
+    for number in range(entries.shape[1]):
+        one, other = entries[0, number], entries[1, number]
+        if one < cells and slot[one] >= 0 and slot[one] <= slot[other]:
+            bend = arena[where[5] + number]
+            matrix[slot[one], slot[other]] += bend * resistance[one] * resistance[other]
+
+
+@machine_code
+def _factored(addresses: Any, matrix: Any) -> bool:
+    """The upper triangle of a matrix to that of its Cholesky factor, in place; whether it is positive definite."""
+    words = np.empty(3, dtype=np.int32)
+    words[0], words[1], words[2] = LOWER, len(matrix), 0
+    start = words.ctypes.data
+    if len(matrix) > 0:
+        call(addresses[5], (start, start + 4, matrix.ctypes.data, start + 4, start + 8))
+    return bool(words[2] == 0)
+
+
+@machine_code
+def _divided(addresses: Any, factor: Any, right: Any) -> None:
+    """right ← (the matrix of a factor)⁻¹·right."""
+    words = np.empty(4, dtype=np.int32)
+    words[0], words[1], words[2], words[3] = LOWER, len(factor), 1, 0
+    start = words.ctypes.data
+    if len(factor) > 0:
+        call(
+            addresses[6],
+            (start, start + 4, start + 8, factor.ctypes.data, start + 4, right.ctypes.data, start + 4, start + 12),
+        )
+    if words[3] != 0:
+        right[0] = np.nan
+
+
+@machine_code
+def _free(vectors: Any, bounds: Any) -> Any:
+    """The numbers of the cells that have room and are not pressed against a bound; bounds : (2, cells) of u."""
+    cells = vectors.shape[1]
+    chosen, count = np.empty(cells, dtype=np.int64), 0
+    for cell in range(cells):
+        slope = vectors[2, cell] + vectors[3, cell]
+        low, high = bounds[0, cell], bounds[1, cell]
+        pressed = (vectors[0, cell] <= low and slope > 0) or (vectors[0, cell] >= high and slope < 0)
+        if low < high and not pressed:
+            chosen[count] = cell
+            count += 1
+    return chosen[:count].copy()
+
+
+@machine_code
+def _residual(vectors: Any, bounds: Any, scale: float) -> float:
+    """max |u − Π(u − ∇φ/s)|."""
+    largest = 0.0
+    for cell in range(vectors.shape[1]):
+        target = vectors[0, cell] - (vectors[2, cell] + vectors[3, cell]) / scale
+        target = min(max(target, bounds[0, cell]), bounds[1, cell])
+        away = abs(vectors[0, cell] - target)
+        if not away <= largest:
+            largest = away
+    return largest
+
+
+@machine_code
+def _same(one: Any, other: Any) -> bool:
+    same = len(one) == len(other)
+    for number in range(min(len(one), len(other))):
+        same = same and one[number] == other[number]
+    return same
+
+
+@machine_code
+def _away(one: Any, other: Any) -> float:
+    """max |a − b|."""
+    largest = 0.0
+    for number in range(len(one)):
+        largest = max(largest, abs(one[number] - other[number]))
+    return largest
+
+
+@machine_code
+def _put(vectors: Any, target: Any, bounds: Any) -> None:
+    """A target as the place of a point, within the bounds."""
+    for cell in range(len(target)):
+        held = min(max(target[cell], bounds[0, cell]), bounds[1, cell])
+        vectors[0, cell] = held
+        vectors[1, cell] = np.exp(held)
+
+
+@machine_code
+def _blank(lines: int, cells: int) -> Any:
+    """Where a point is put."""
+    return np.empty((5, cells)), np.empty((lines, lines)), np.empty((lines, lines))
+
+
+@machine_code
+def _pull(vectors: Any, free: Any, step: Any) -> None:
+    """step ← −∇φ at the free cells."""
+    for number in range(len(free)):
+        step[number] = -(vectors[2, free[number]] + vectors[3, free[number]])
+
+
+@machine_code
+def _along(addresses: Any, kept: Any, seen: Any, count: int, along: Any) -> None:
+    """along ← H⁻¹·along, H the second derivatives of a kept factor mended by what `count` steps have shown.
+
+    seen : (2, steps, free) steps and what they changed ∇φ by. Source: Nocedal, Math. Comput. 35, 1980.
+    """
+    shares = np.empty(count)
+    for back in range(count):
+        number = count - 1 - back
+        step, change = seen[0, number], seen[1, number]
+        shares[number] = _dot(step, along) / _dot(step, change)
+        for cell in range(len(along)):
+            along[cell] -= shares[number] * change[cell]
+    _divided(addresses, kept, along)
+    for number in range(count):
+        step, change = seen[0, number], seen[1, number]
+        more = shares[number] - _dot(change, along) / _dot(step, change)
+        for cell in range(len(along)):
+            along[cell] += more * step[cell]
+
+
+@machine_code
+def _dot(one: Any, other: Any) -> float:
+    total = 0.0
+    for number in range(len(one)):
+        total += one[number] * other[number]
+    return total
+
+
+@machine_code
+def _noted(before: Any, after: Any, free: Any, seen: Any, count: int) -> bool:
+    """A step from one point to another as the next of `seen`; whether ∇φ grew along it."""
+    for number in range(len(free)):
+        cell = free[number]
+        seen[0, count, number] = after[0, cell] - before[0, cell]
+        seen[1, count, number] = after[2, cell] + after[3, cell] - before[2, cell] - before[3, cell]
+    return bool(_dot(seen[0, count], seen[1, count]) > 0)
+
+
+@machine_code
+def _stop_at_bounds(addresses: Any, matrix: Any, vectors: Any, bounds: Any, free: Any, step: Any) -> bool:
+    """Let cells that a step over the free ones takes beyond their bounds stop there, and ask the others again; whether
+    there were any.
+    """
+    count = len(free)
+    known, moving, left = np.zeros(count), np.ones(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    for stops in range(MOST_STOPS):
+        remaining, before = 0, len(left)
+        for number in range(count):
+            place = vectors[0, free[number]]
+            target = place + step[number]
+            held = min(max(target, bounds[0, free[number]]), bounds[1, free[number]])
+            if moving[number] and held != target:
+                known[number], moving[number] = held - place, 0
+            if moving[number]:
+                left[remaining] = number
+                remaining += 1
+        if remaining == before:
+            return stops > 0
+        left = left[:remaining]
+        part, right, found = np.empty((remaining, remaining)), np.empty(count), np.empty(remaining)
+        _pull(vectors, free, right)
+        for one in range(remaining):
+            found[one] = right[left[one]]
+            for number in range(count):
+                if not moving[number]:
+                    found[one] -= matrix[min(left[one], number), max(left[one], number)] * known[number]
+            for other in range(one, remaining):
+                part[one, other] = matrix[left[one], left[other]]
+        if not _factored(addresses, part):
+            return True
+        _divided(addresses, part, found)
+        for number in range(count):
+            step[number] = known[number]
+        for one in range(remaining):
+            step[left[one]] = found[one]
+    return True
+
+
+@machine_code
+def _trial(
+    addresses: Any, where: Any, arena: Any, ties: Any, bounds: Any, limits: Any, here: Any, there: Any, step: Any,
+    shares: int, costs: Any,
+) -> bool:  # fmt: skip
+    """Whether a step, or the best of so many shares of it, leads to a better point, which `there` is then.
+
+    costs : φ, its scale and what the step promised, first of `here`, then of `there`.
+    """
+    vectors, target = here[0], np.empty(len(step))
+    for number in range(shares):
+        length, promise = SHARES[number], 0.0
+        for cell in range(len(step)):
+            moved = vectors[0, cell] + max(length * step[cell], -limits[5])
+            target[cell] = min(max(moved, bounds[0, cell]), bounds[1, cell])
+            promise -= (vectors[2, cell] + vectors[3, cell]) * (target[cell] - vectors[0, cell])
+        _put(there[0], target, bounds)
+        costs[3], costs[4] = _priced(addresses, where, arena, ties, there)
+        costs[5], gain = promise, costs[0] - costs[3]
+        if promise > 0 and gain >= limits[2] * promise:
+            return True
+        if abs(gain) <= limits[3] * abs(costs[0]):
+            residual = _residual(vectors, bounds, costs[1])
+            if _residual(there[0], bounds, costs[4]) < limits[4] * residual:
+                return True
+    return False
+
+
+@machine_code
+def _certified(
+    addresses: Any, where: Any, arena: Any, entries: Any, limits: Any, sigma: Any, step: Any, told: Any
+) -> bool:
+    """Whether a step is as short as a certificate asks for; told : its promise, decrement, share and length."""
+    told[1], told[2] = np.sqrt(max(told[0], 0.0)), np.inf
+    told[3] = 0.0
+    for cell in range(len(step)):
+        told[3] = max(told[3], abs(step[cell]))
+    if told[3] > limits[8] and len(sigma) > 0:
+        told[2] = told[1] / _deviation(_stiffness(addresses, where, arena, entries, len(step)), sigma)
+    return bool(told[3] <= limits[8] or told[2] <= limits[9])
+
+
+@machine_code
+def _spread(vectors: Any, bounds: Any, free: Any, along: Any, step: Any, told: Any) -> bool:
+    """step (cells) ← a step over the free cells, within bounds; told[0] : −∇φ·s; whether no bound was in its way."""
+    inside, told[0] = True, 0.0
+    for cell in range(len(step)):
+        step[cell] = 0.0
+    for number in range(len(free)):
+        cell = free[number]
+        target = vectors[0, cell] + along[number]
+        held = min(max(target, bounds[0, cell]), bounds[1, cell])
+        inside = inside and held == target
+        step[cell] = held - vectors[0, cell]
+        told[0] -= (vectors[2, cell] + vectors[3, cell]) * along[number]
+    return inside
+
+
+@machine_code
+def descend(
+    addresses: Any,
+    where: Any,
+    arena: Any,
+    given: Any,
+    entries: Any,
+    ties: Any,
+    bounds: Any,
+    start: Any,
+    kept: Any,
+    kept_cells: Any,
+    kept_at: Any,
+    limits: Any,
+    sigma: Any,
+) -> Any:
+    """(ending, u, the last step, its decrement and share, factors made, the last one, its cells, where it was taken).
+
+    Of one frame from `start` on. given : all that the terms know, copied to the arena's end. bounds : (2, cells) of u.
+    start : u. kept : a factor of second derivatives over `kept_cells`, taken at `kept_at`, or nothing. sigma : of the
+    readings, or nothing where it is not known. limits : see `limits` of `lampest.solvers.kernel.following`. SETTLED :
+    the projected gradient was below the tolerance before the last step, and that is as short as a certificate asks for.
+    FELL_SHORT : anything else; u then says nothing.
+    """
+    rows, cells = where[9], len(start)
+    lines = rows + cells // rows
+    for number in range(len(given)):
+        arena[where[6] + number] = given[number]
+    here, there = _blank(lines, cells), _blank(lines, cells)
+    step, told, costs = np.zeros(cells), np.zeros(4), np.zeros(6)
+    _put(here[0], start, bounds)
+    costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
+    costs[2], factors = np.inf, 0
+    usable = len(kept_cells) > 0 and _away(here[0][0], kept_at) <= limits[6]
+    ending, exact, begun, steps, seen = FELL_SHORT, True, 0.0, 0, np.empty((2, MOST_SEEN, len(kept_cells)))
+    for _ in range(MOST_STEPS):
+        vectors = here[0]
+        residual = _residual(vectors, bounds, costs[1])
+        if not (abs(costs[0]) < np.inf and residual < np.inf):
+            break
+        free, near = _free(vectors, bounds), residual <= limits[0]
+        usable = usable and exact and _same(free, kept_cells)
+        along, stopped, fresh = np.empty(len(free)), False, not usable
+        _pull(vectors, free, along)
+        if fresh:
+            if factors >= limits[13]:
+                break
+            factors += 1
+            matrix = _curvature(addresses, where, arena, entries, here, free, True)
+            kept = matrix.copy()
+            exact = _factored(addresses, kept)
+            if not exact:
+                matrix = _curvature(addresses, where, arena, entries, here, free, False)
+                kept = matrix.copy()
+                if near or not _factored(addresses, kept):
+                    break
+            kept_cells, kept_at, usable = free, vectors[0].copy(), True
+            _along(addresses, kept, seen, 0, along)
+            steps, seen = 0, np.empty((2, MOST_SEEN, len(free)))
+            stopped = _stop_at_bounds(addresses, matrix, vectors, bounds, free, along)
+        else:
+            _along(addresses, kept, seen, steps, along)
+        inside = _spread(vectors, bounds, free, along, step, told)
+        if not abs(told[0]) < np.inf:
+            break
+        sure = _away(vectors[0], kept_at) <= limits[7]
+        sure = sure or (_away(vectors[0], kept_at) <= limits[10] and told[0] <= limits[11] ** 2 * begun)
+        if near and sure and not stopped and _certified(addresses, where, arena, entries, limits, sigma, step, told):
+            ending = SETTLED
+            if told[3] <= limits[12]:
+                break
+        if fresh or (inside and 0 < told[0] <= limits[1] ** 2 * costs[2]):
+            if _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs):
+                here, there, ending = there, here, FELL_SHORT
+                begun = costs[5] if costs[2] == np.inf else begun
+                costs[0], costs[1], costs[2] = costs[3], costs[4], costs[5]
+                if steps < MOST_SEEN:
+                    usable = _noted(there[0], here[0], kept_cells, seen, steps)
+                    steps += 1
+                continue
+            if fresh or ending == SETTLED:
+                break
+            _priced(addresses, where, arena, ties, here)
+        if ending == SETTLED:
+            break
+        usable = False
+    for cell in range(cells):
+        here[0][0, cell] += step[cell]
+    return ending, here[0][0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
+
+
+@machine_code
+def appraised(addresses: Any, where: Any, arena: Any, given: Any, ties: Any, cell_resistance: Any) -> Any:
+    """(readings, what the cost's `first` returns, ∇φ in u) of cells (cells) ohm; no number where Z does not exist."""
+    cells, rows = len(cell_resistance), where[9]
+    for number in range(len(given)):
+        arena[where[6] + number] = given[number]
+    point = _blank(rows + cells // rows, cells)
+    reading, first, gradient = np.empty(cells), np.empty(2 * where[7] + 2 * cells), np.empty(cells)
+    for cell in range(cells):
+        point[0][1, cell] = cell_resistance[cell]
+    objective, _ = _priced(addresses, where, arena, ties, point)
+    for number in range(len(first)):
+        first[number] = arena[where[3] + number] if objective < np.inf else np.nan
+    for cell in range(cells):
+        reading[cell] = arena[where[1] + cell]
+        gradient[cell] = point[0][2, cell] + point[0][3, cell]
+    return reading, first, gradient
+
+
+@machine_code
+def _deviation(stiffness: Any, sigma: Any) -> float:
+    """√(mean ∂²φ/∂y² σ²) over the readings that count."""
+    total, count = 0.0, 0
+    for number in range(len(stiffness)):
+        if stiffness[number] > 0:
+            total += stiffness[number] * sigma[number] ** 2
+            count += 1
+    return np.sqrt(total / count) if count else 0.0

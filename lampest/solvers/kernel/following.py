@@ -1,0 +1,184 @@
+"""A frame that follows another one, solved in one call of machine code where nothing is unusual."""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import lapack
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.compiled import evaluation_address
+from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear
+from lampest.panel.panel import Array
+from lampest.solvers.certificate import MILLIONTH, NEARBY, SHARE, Bend, Certificate
+from lampest.solvers.newton.directions import FOLLOWED, Factor
+from lampest.solvers.newton.newton import Newton
+from lampest.solvers.newton.steps import CONTRACTION, DECREASE, EQUAL, HALVED
+from lampest.solvers.newton.ways import LONGEST_STEP
+from lampest.solvers.solution import Outcome, Solution, Status, check
+
+if TYPE_CHECKING:
+    from lampest.solvers.kernel.arena import Arena
+
+NOTHING = np.zeros(0)
+NO_FACTOR = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
+CONTRACTED = 1e-7  # of its first step by the last one: a direction that bends down would still hold its share of that
+SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
+SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
+LIMITS = (
+    CONTRACTION,
+    DECREASE,
+    EQUAL,
+    HALVED,
+    LONGEST_STEP,
+    FOLLOWED,
+    NEARBY,
+    MILLIONTH,
+    SHARE,
+    SIMILAR,
+    CONTRACTED,
+    SHORT,
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KeptFactor(Factor):
+    """upper : the factor itself, (cells, cells), above the diagonal. position : u where it was taken."""
+
+    upper: Array
+    position: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Workbench:
+    """A cost and the data of one frame, as machine code takes them."""
+
+    cost: Cost
+    data: Data
+
+    @cached_property
+    def arena(self) -> "Arena":
+        """Functions and memory."""
+        from lampest.solvers.kernel.arena import arena
+
+        return arena(self.cost.functions, self.data.readout, *self.data.measured.shape[1:], len(self.cost.terms))
+
+    @cached_property
+    def told(self) -> Array:
+        """What the terms are given."""
+        return self.arena.told(self.cost, self.data)
+
+    def point(self, cell_resistance: Array) -> "MachineEvaluation":
+        """The cost at cells (1, rows, columns) ohm."""
+        from lampest.solvers.kernel.arithmetic import appraised
+
+        shape, arena = cell_resistance.shape, self.arena
+        reading, values, gradient = appraised(
+            arena.addresses, arena.where, arena.memory, self.told, self.data.ties, cell_resistance.ravel()
+        )
+        reading, gradient = reading.reshape(shape), gradient.reshape(shape)
+        return MachineEvaluation(
+            self.cost, self.data, cell_resistance, reading, None, values=values, gradient=gradient, bench=self
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MachineEvaluation(Evaluation):
+    """The cost at a point of one frame, from machine code; what that does not say follows as elsewhere.
+
+    values : what the cost's `first` returns. gradient : ∇φ in u, (1, rows, columns). bench : where it was computed.
+    """
+
+    values: Array
+    gradient: Array
+    bench: Workbench
+
+    @property
+    def first(self) -> Array:
+        """The costs of the terms, and their derivatives."""
+        return self.values
+
+    def log_gradient(self, dual: Array) -> Array:
+        """∇φ: no loss here has duals."""
+        return self.gradient
+
+    def elsewhere(self, cell_resistance: Array) -> "MachineEvaluation":
+        """At other cells."""
+        return self.bench.point(cell_resistance)
+
+
+def from_previous(solver: Newton, data: Data, previous: Array, most_factors: int) -> Solution | None:
+    """The checked optimum near the last estimate (1, rows, columns) ohm; None where it takes more than that.
+
+    Then nothing was decided: the frame has several minima nearby, cells that stop at many bounds, a penalty or a panel
+    that the machine code does not know. most_factors : of second derivatives.
+    """
+    if not serves(solver.cost, data):
+        return None
+    start = Workbench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
+    found = descended(solver, start, most_factors)
+    solution = None if found is None else check(start, found)
+    return solution if solution is not None and solution.status is Status.OPTIMUM else None
+
+
+def serves(cost: Cost, data: Data) -> bool:
+    """Whether there is machine code for a cost: one frame of a small panel without wire, losses that are smooth, and
+    terms of which each speaks of cells or of one reading.
+    """
+    if len(data.measured) > 1 or data.measured.size > DENSE_UNKNOWNS or data.wiring is not None or len(cost.slope):
+        return False
+    entries = cost.functions.entries
+    return entries.at_model is not None and not entries.crossed and evaluation_address() != 0
+
+
+@cache
+def load() -> None:
+    """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
+    from lampest.solvers.kernel.arithmetic import appraised, descend
+
+    addresses, where, arena = np.zeros(8, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
+    entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
+    where[9], bounds[0], bounds[1], open_cell[0] = 1, -np.inf, np.inf, np.inf
+    appraised(addresses, where, arena, NOTHING, ties, open_cell)
+    limits = np.zeros(2 + len(LIMITS))
+    descend(addresses, where, arena, NOTHING, entries, ties, bounds, open_cell, *NO_FACTOR, limits, NOTHING)
+
+
+def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Outcome | None:
+    """What the machine code makes of a frame from a start on; None where it fell short."""
+    from lampest.solvers.kernel.arithmetic import SETTLED, descend
+
+    data, arena, tolerance = start.data, start.bench.arena, solver.settings.tolerance
+    kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
+    ending, position, step, decrement, share, factors, upper, cells, place = descend(
+        arena.addresses,
+        arena.where,
+        arena.memory,
+        start.bench.told,
+        arena.entries,
+        data.ties,
+        np.concatenate(data.log_bounds).reshape(2, -1),
+        start.position.ravel(),
+        *(NO_FACTOR if kept is None else (kept.upper, kept.cells, kept.position)),
+        np.array([tolerance, *LIMITS, most_factors]),
+        data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
+    )
+    if ending != SETTLED:
+        return None
+    shape = start.cell_resistance.shape
+    certificate = Certificate(Bend.UP, step, decrement, share)
+    left = KeptFactor(cells, np.exp(place).reshape(shape), _by_factor(upper), upper=upper, position=place)
+    cell_resistance = np.exp(position).reshape(shape)
+    return Outcome(cell_resistance, NOTHING, Status.OPTIMUM, factors, certificate, left)
+
+
+def _by_factor(upper: Array) -> Linear:
+    """Solves with a Cholesky factor."""
+
+    def solve(right: Array) -> Array:
+        solution: Array = lapack.dpotrs(upper.T, right, lower=1)[0]
+        return solution
+
+    return solve
