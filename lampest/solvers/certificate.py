@@ -102,7 +102,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     free = np.flatnonzero(free_cells(curvature.at, gradient))
     if not len(free):
         return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, 0.0)
-    if factor is not None and factor.exact and factor.serves(free, curvature.at.cell_resistance, NEARBY):
+    if factor is not None and factor.solid and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif len(gradient) <= DENSE_UNKNOWNS:
         bend, step = _by_factorisation(curvature, gradient[free], free)

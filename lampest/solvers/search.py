@@ -54,9 +54,11 @@ def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
     if found is None and (near := _squared(solver)) is not None:
         begun = from_previous(near, data, previous, most)
         found = None if begun is None else from_previous(solver, data, begun.cell_resistance, most)
-    if found is None or _one_minimum(solver.cost, data) or not _beside(solver, found):
+    if found is None or _one_minimum(solver.cost, data):
         return found
-    return None
+    return _least(
+        found, [solved_from(solver, point) for point in _evaluable(solver.cost, data, _beside(solver, found))]
+    )
 
 
 def _one_minimum(cost: Cost, data: Data) -> bool:
@@ -93,6 +95,11 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     else:
         points = points[:1]
     others = [solved_from(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
+    return _least(found, others)
+
+
+def _least(found: Solution, others: list[Solution]) -> Solution:
+    """The first, unless one of the others is a lower minimum."""
     best = min((other for other in others if other.solved), key=lambda one: one.objective, default=found)
     return best if not found.solved or best.objective < found.objective * (1 - SAME) else found
 

@@ -216,8 +216,10 @@ def test_a_wrong_factor_spoils_nothing() -> None:
     readings, kept = Readings.of(scene, recorded[3]), stream.prepared
     assert isinstance(kept, KeptFactor)
     right = stream.push(readings)[1].solution
-    for upper in (kept.upper * 1e-3, kept.upper * 1e3, np.full_like(kept.upper, np.nan), np.zeros_like(kept.upper)):
-        found = replace(stream, prepared=replace(kept, upper=upper)).push(readings)[1].solution
+    assert kept.triangle is not None
+    for factor in (1e-3, 1e3, np.nan, 0.0):
+        wrong = replace(kept, triangle=kept.triangle * factor)
+        found = replace(stream, prepared=wrong).push(readings)[1].solution
         assert found.status is Status.OPTIMUM
         assert_allclose(found.cell_resistance, right.cell_resistance, rtol=1e-6)
 

@@ -5,12 +5,13 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.compiled import evaluation_address
-from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear
+from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MILLIONTH, NEARBY, SHARE, Bend, Certificate
 from lampest.solvers.newton.directions import FOLLOWED, Factor
@@ -45,9 +46,8 @@ LIMITS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KeptFactor(Factor):
-    """upper : the factor itself, (cells, cells), above the diagonal. position : u where it was taken."""
+    """position : u where it was taken."""
 
-    upper: Array
     position: Array
 
 
@@ -161,7 +161,7 @@ def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Ou
         data.ties,
         np.concatenate(data.log_bounds).reshape(2, -1),
         start.position.ravel(),
-        *(NO_FACTOR if kept is None else (kept.upper, kept.cells, kept.position)),
+        *(NO_FACTOR if kept is None else (kept.triangle, kept.cells, kept.position)),
         np.array([tolerance, *LIMITS, most_factors]),
         data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
     )
@@ -169,16 +169,18 @@ def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Ou
         return None
     shape = start.cell_resistance.shape
     certificate = Certificate(Bend.UP, step, decrement, share)
-    left = KeptFactor(cells, np.exp(place).reshape(shape), _by_factor(upper), upper=upper, position=place)
+    left = kept if kept is not None and not factors else _taken(upper, cells, place, shape)
+    if not left.solid:
+        return None
     cell_resistance = np.exp(position).reshape(shape)
     return Outcome(cell_resistance, NOTHING, Status.OPTIMUM, factors, certificate, left)
 
 
-def _by_factor(upper: Array) -> Linear:
-    """Solves with a Cholesky factor."""
+def _taken(upper: Array, cells: NDArray[np.intp], position: Array, shape: tuple[int, ...]) -> KeptFactor:
+    """A factor as the machine code leaves it, over some cells."""
 
     def solve(right: Array) -> Array:
         solution: Array = lapack.dpotrs(upper.T, right, lower=1)[0]
         return solution
 
-    return solve
+    return KeptFactor(cells, np.exp(position).reshape(shape), solve, upper, position=position)

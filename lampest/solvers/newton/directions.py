@@ -25,13 +25,27 @@ FOLLOWED = 0.5  # of log r: frames in sequence differ by less in most cells, and
 class Factor:
     """(∇²φ)⁻¹ over some cells, and where it was taken: cell_resistance (frames, rows, columns) ohm.
 
-    solve : of a vector over these cells. exact : by Cholesky; else what conjugate gradients are preconditioned with.
+    solve : of a vector over these cells. triangle : U with ∇²φ = UᵀU, where it is exact; else it is what conjugate
+    gradients are preconditioned with.
     """
 
     cells: NDArray[np.intp]
     cell_resistance: Array
     solve: Linear
-    exact: bool = True
+    triangle: Array | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is by Cholesky."""
+        return self.triangle is not None
+
+    @cached_property
+    def solid(self) -> bool:
+        """Whether no pivot U_ii² is so small a part of ∂²φ/∂u_i² = Σ_k U_ki² that rounding may have made it."""
+        if self.triangle is None:
+            return False
+        upper = np.triu(self.triangle)
+        return bool(np.all(np.diag(upper) ** 2 > FLAT * np.einsum("ki,ki->i", upper, upper)))
 
     @cached_property
     def softest(self) -> Array | None:
@@ -111,7 +125,7 @@ def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array
     if used and np.abs(step).max() < TINY and (used > damping or bends_down(matrix, size)):
         return Direction(within_reach(matrix, slope, REACH / (1 + damping / LEAST_DAMPING)), damping)
     solve: Linear = lambda right: lapack.dpotrs(triangle, right)[0]  # noqa: E731
-    return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, solve))
+    return Direction(step, used, None if used else Factor(free, curvature.at.cell_resistance, solve, triangle))
 
 
 def bends_down(matrix: Array, size: Array) -> bool:
@@ -147,11 +161,11 @@ def preconditioner(curvature: Curvature, free: NDArray[np.intp], kept: Factor | 
     """
     cells = curvature.at.cell_resistance
     if curvature.only_misfit:
-        return Factor(free, cells, misfit_inverse(curvature, free), exact=False)
+        return Factor(free, cells, misfit_inverse(curvature, free))
     if kept is not None and not kept.exact and kept.near(cells, FOLLOWED) and not len(curvature.at.cost.slope):
         return kept
     everything = np.arange(cells.size)
-    return Factor(everything, cells, local_inverse(curvature.local, np.zeros(cells.size), everything), exact=False)
+    return Factor(everything, cells, local_inverse(curvature.local, np.zeros(cells.size), everything))
 
 
 def raised(damping: float) -> float:
