@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lampest.cost.losses import Huber as Huber
     from lampest.cost.losses import Loss as Loss
     from lampest.cost.losses import Squared as Squared
+    from lampest.cost.losses import Student as Student
     from lampest.cost.problem import Data as Data
     from lampest.cost.terms import term_types as term_types
     from lampest.cost.terms.arrival import Arrival as Arrival
