@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import OptimalMethod as OptimalMethod
     from lampest.estimate.methods import OralDiscMethod as OralDiscMethod
     from lampest.estimate.methods import RegionMethod as RegionMethod
+    from lampest.estimate.methods import SmootherMethod as SmootherMethod
     from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
     from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
     from lampest.estimate.model_check.check import ModelCheck as ModelCheck
