@@ -6,7 +6,7 @@ The matrix is block tridiagonal with a border,
 
 A_t (cells, cells) of frame t with all that ties add to its diagonal, Λ_t diagonal between the frames t and t + 1, B
 what each frame has in common with the border, C the border's. With S_1 = H_11, S_{t+1} = H_{t+1,t+1} − Λ_t S_t⁻¹ Λ_t
-and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ, those beside them K_t P_{t+1}.
+and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ, those beside K_t P_{t+1}.
 Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal. Appl. 13, 1992.
 """
 
