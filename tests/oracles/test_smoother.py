@@ -111,7 +111,7 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
     assert made.truth_cell_resistance is not None
     start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
     joint, _ = smoothed(
-        JointData.alone(cost, data, Shared.of(made.scene)), start, Walk(0.2, 3.0), Settings(tolerance=1e-10)
+        JointData.alone(cost, data, Shared.of(made.scene), start), start, Walk(0.2, 3.0), Settings(tolerance=1e-10)
     )
     shared, shift, free = joint.frames.shared, joint.shift, start.size
     sharing = shared.shape[2]
@@ -124,6 +124,7 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
         )
         misfit = CORNER**2 * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
         steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
+        misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
         return float(misfit + offsets @ offsets + np.sum((common / 0.1) ** 2) + np.sum(joint.stiffness * steps**2))
 
     here = np.concatenate([joint.position.ravel(), shift])

@@ -1,9 +1,11 @@
 """The cost of all frames together, and its linear surroundings.
 
-    Φ(u, z, c) = Σ_t misfit(f(u_t) + U_t z, y_t) + |z|² + Σ_t c_t²/τ² + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
+    Φ(u, z, c) = Σ_t misfit(f(u_t) + U_t z, y_t) + |z|² + Σ_t c_t²/τ² + ε |u − a|²
+                 + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
 
 over u_t = log r of the unloaded panel (t = 0) and of every frame, what all readings share (z, in standard deviations:
-reference, channels, contacts) and the steps c_t that all cells of a frame have in common. λ is the walk's.
+reference, channels, contacts) and the steps c_t that all cells of a frame have in common. λ is the walk's; a, with
+hardly any weight, is where cells stay that nothing tells.
 """
 
 from collections.abc import Sequence
@@ -30,18 +32,19 @@ NO_DUAL = np.zeros(0)
 class JointData:
     """cost, data : of every frame alone, the unloaded panel first. errors : what all readings share, or None.
 
-    shared : U (frames, readings, n), what that does to readings.
+    shared : U (frames, readings, n), what that does to readings. anchor : a (frames, cells).
     """
 
     cost: tuple[Cost, ...]
     data: tuple[Data, ...]
     errors: Shared | None
+    anchor: Array
     shared: Array
 
     @classmethod
-    def alone(cls, cost: Sequence[Cost], data: Sequence[Data], errors: Shared | None) -> "JointData":
+    def alone(cls, cost: Sequence[Cost], data: Sequence[Data], errors: Shared | None, anchor: Array) -> "JointData":
         """Before anything that is shared is known."""
-        return cls(tuple(cost), tuple(data), errors, np.zeros((len(data), data[0].measured.size, 0)))
+        return cls(tuple(cost), tuple(data), errors, anchor, np.zeros((len(data), data[0].measured.size, 0)))
 
     def sharing(self, at: Sequence[Evaluation]) -> "JointData":
         """With U at modelled readings: at measured ones a reference that shrinks the noise would seem to fit."""
@@ -92,7 +95,12 @@ class Joint:
     @cached_property
     def untied(self) -> float:
         """Φ without the last of its parts."""
-        return sum(at.objective for at in self.at) + float(np.sum(self.shift**2 * self.certainty))
+        misfit = sum(at.objective for at in self.at)
+        return misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+
+    @property
+    def _strayed(self) -> Array:
+        return np.asarray(self.position - self.frames.anchor)
 
     @property
     def certainty(self) -> Array:
@@ -104,7 +112,7 @@ class Joint:
         """½ ∂Φ/∂u, (frames, cells)."""
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
-        return misfit + pulls[:-1] - pulls[1:]
+        return misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
 
     @cached_property
     def shift_gradient(self) -> Array:
