@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lampest.cost.losses import Huber as Huber
     from lampest.cost.losses import Loss as Loss
     from lampest.cost.losses import Squared as Squared
+    from lampest.cost.losses import Student as Student
     from lampest.cost.problem import Data as Data
     from lampest.cost.terms import term_types as term_types
     from lampest.cost.terms.arrival import Arrival as Arrival
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import OptimalMethod as OptimalMethod
     from lampest.estimate.methods import OralDiscMethod as OralDiscMethod
     from lampest.estimate.methods import RegionMethod as RegionMethod
+    from lampest.estimate.methods import SmootherMethod as SmootherMethod
     from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
     from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
     from lampest.estimate.model_check.check import ModelCheck as ModelCheck

@@ -8,7 +8,6 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words
@@ -28,11 +27,9 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     frames = recording.measured_frames()
-    steps: list[Step] = []
-    for frame in frames:
-        stream, step = stream.push(readings[frame])
-        steps.append(step)
-        on_frame()
+    stream, steps = stream.estimator.method.sequence(
+        stream, readings[recording.role == UNLOADED], readings[frames], on_frame
+    )
     return Estimates(
         recording,
         stream.estimator,

@@ -80,7 +80,7 @@ class Stream:
         track = Track(Shared.of(scene)) if estimator.barred(resting) else None
         stream = cls(estimator, scene, period, resting, track=track)
         if not resting.enough(scene):
-            return replace(stream, baseline=stream._unsolved(Status.UNRESTED))
+            return replace(stream, baseline=stream.unsolved(Status.UNRESTED))
         return stream if estimator.joint_start else estimator.method.begin(stream)
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
@@ -90,13 +90,13 @@ class Stream:
         """
         _check_frame(readings, self.scene)
         if not readings.enough(self.scene):
-            return self, self._unsolved(Status.UNREAD)
+            return self, self.unsolved(Status.UNREAD)
         if self.estimator.method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
-            return self, self._unsolved(Status.UNRESTED)
+            return self, self.unsolved(Status.UNRESTED)
         return self.estimator.method.push(self, readings)
 
-    def _unsolved(self, status: Status) -> Step:
-        """A step that was not even tried."""
+    def unsolved(self, status: Status) -> Step:
+        """A step that was not even tried; for methods."""
         terms = self.estimator.terms
         weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)

@@ -171,7 +171,7 @@ def test_python_of_the_readme_runs(copy: Path) -> None:
 
 def test_estimators_of_the_readme_are_read(tmp_path: Path) -> None:
     blocks = [block for block in indented(README) if block.startswith("estimators:")]
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     for block in blocks:
         run = tmp_path / "run.yaml"
         run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{block}", encoding="utf-8")

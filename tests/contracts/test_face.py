@@ -24,8 +24,8 @@ ROOT = Path(__file__).parents[2]
 NAMES = (
     "Recording", "Readings", "Scene", "Panel", "Faults", "Water", "Temperature", "Systematic", "Readout",
     "TwoPointReadout", "LoadedColumnsReadout", "Estimator", "Method", "Bounds", "Settings", "AutoWeight", "Stream",
-    "Step", "Reconstruction", "Estimates", "Term", "State", "Loss", "Squared", "Huber", "Absolute", "Misfit",
-    "CellResistance", "RelativeChange", "Gradient", "GradientOfRelativeChange", "LogRatio", "TotalVariation",
+    "Step", "Reconstruction", "Estimates", "Term", "State", "Loss", "Squared", "Huber", "Student", "Absolute",
+    "Misfit", "CellResistance", "RelativeChange", "Gradient", "GradientOfRelativeChange", "LogRatio", "TotalVariation",
     "TotalVariationOfChange", "Arrival", "Shape", "Rod", "Ring", "SuctionCup", "OralDisc", "Block", "Column", "Plot",
     "simulate", "Simulation", "read_results", "Results", "CaseResult", "PublishedFigures", "StepFigures",
     "write_results", "import_file", "read_scene", "read_run", "read_simulations", "two_point_resistance",

@@ -6,7 +6,8 @@ from lampest.cost.losses.absolute import Absolute
 from lampest.cost.losses.huber import Huber
 from lampest.cost.losses.loss import Loss, PenaltyEvidence
 from lampest.cost.losses.squared import Squared
+from lampest.cost.losses.student import Student
 from lampest.files.tagged import ByKind
 
-__all__ = ["Absolute", "AnyLoss", "Huber", "Loss", "PenaltyEvidence", "Squared"]
-AnyLoss = Annotated[Squared | Huber | Absolute, ByKind("lampest.losses")]
+__all__ = ["Absolute", "AnyLoss", "Huber", "Loss", "PenaltyEvidence", "Squared", "Student"]
+AnyLoss = Annotated[Squared | Huber | Absolute | Student, ByKind("lampest.losses")]

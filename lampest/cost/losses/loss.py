@@ -50,13 +50,14 @@ class Loss(ABC):
 
     enters : how solvers take it. 'whole', as it is: its second derivative exists but for single points. 'split': its
     second derivative jumps, and an interior-point method takes `lowered` instead. 'dual': it is Σ |x|, and its duals z
-    stand for its derivative. squared : whether it is Σ x², so that the cost is one of least squares. Where ρ is not
-    convex the cost may have several minima, and an estimate is one of them.
+    stand for its derivative. squared : whether it is Σ x², so that the cost is one of least squares. convex : whether ρ
+    is; where it is not the cost may have several minima, and an estimate is one of them.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     enters: ClassVar[Entry] = "whole"
     squared: ClassVar[bool] = False
+    convex: ClassVar[bool] = True
 
     @abstractmethod
     def cost(self, residual: Any) -> Any:

@@ -7,6 +7,7 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.methods.oral_disc import OralDiscMethod
 from lampest.estimate.methods.region import RegionMethod
+from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.methods.truncated import TruncatedMethod
 from lampest.estimate.methods.uncorrected import UncorrectedMethod
 from lampest.files.errors import InputError, in_words
@@ -20,16 +21,33 @@ __all__ = [
     "OptimalMethod",
     "OralDiscMethod",
     "RegionMethod",
+    "SmootherMethod",
     "TruncatedMethod",
     "UncorrectedMethod",
     "named_method",
 ]
 AnyMethod = Annotated[
-    OptimalMethod | UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod | OralDiscMethod,
+    OptimalMethod
+    | UncorrectedMethod
+    | LinearisedMethod
+    | TruncatedMethod
+    | RegionMethod
+    | OralDiscMethod
+    | SmootherMethod,
     ByKind("lampest.methods"),
 ]
 MethodName = Literal[
-    "per_pixel", "nodal", "reduced", "auto", "naive", "scaled", "linearised", "truncated", "region", "oral_disc"
+    "per_pixel",
+    "nodal",
+    "reduced",
+    "auto",
+    "naive",
+    "scaled",
+    "linearised",
+    "truncated",
+    "region",
+    "oral_disc",
+    "smoother",
 ]
 
 

@@ -1,6 +1,7 @@
 """What a method of estimation must say: how the cells of a frame follow from its data."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -74,3 +75,17 @@ class Method(ABC):
     def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
         """The stream after one frame's readings (rows, columns), and how they were solved."""
         return stream.after_frame(readings)
+
+    def sequence(
+        self, stream: "Stream", resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> "tuple[Stream, list[Step]]":
+        """The stream after a whole recording's readings (frames, rows, columns), and how they were solved.
+
+        resting : of the unloaded frames, of which the stream has the mean. on_frame : called after every frame.
+        """
+        steps = []
+        for frame in range(len(readings.value)):
+            stream, step = stream.push(readings[frame])
+            steps.append(step)
+            on_frame()
+        return stream, steps

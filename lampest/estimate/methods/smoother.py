@@ -1,0 +1,189 @@
+"""`formulation: smoother`: all frames of a recording estimated together, in both directions."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import isfinite
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+
+from lampest.cost.problem import Data
+from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms.term import Term
+from lampest.estimate.methods.method import Method
+from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.smoothing.bars import error_bars
+from lampest.estimate.smoothing.joint import Joint, JointData
+from lampest.estimate.smoothing.rounds import smoothed
+from lampest.estimate.smoothing.walk import Walk
+from lampest.estimate.step import Step
+from lampest.files.errors import InputError
+from lampest.files.interrupts import delayed_interrupt
+from lampest.panel.panel import Array
+from lampest.panel.systematic import Shared
+from lampest.posterior.track import Track
+from lampest.recording.readings import Readings
+from lampest.solvers.search import BROKEN
+from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Solver, Status, blank
+
+if TYPE_CHECKING:
+    from lampest.estimate.stream import Stream
+
+STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
+MOST_PARTS = 5  # of the unloaded frames: a wrong reading among three is told apart, and more cost time
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The last frames of a stream. readings : of each, (rows, columns). cells : as they were estimated, ohm."""
+
+    readings: tuple[Readings, ...] = ()
+    cells: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True)
+class SmootherMethod(Method):
+    """Φ = misfits + what cells do from frame to frame + what all readings share, over all frames and the baseline.
+
+    Cells hardly walk, but may jump (`lampest.estimate.smoothing.walk`); a step that all cells have in common is free.
+    JointData as they come are estimated together with those before, back to `lag`.
+
+    walk : how far a cell walks from frame to frame, over the noise of a frame that is estimated alone, in the median.
+    jump : so many walks a jump costs at most. lag : of how many frames before.
+    Raises ValueError where a number is out of range.
+    """
+
+    optimum: ClassVar[bool] = True
+    kind: Literal["smoother"] = "smoother"
+    walk: float = 0.2
+    jump: float = 3.0
+    lag: int = 8
+
+    def __post_init__(self) -> None:
+        for name in ("walk", "jump"):
+            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive and finite")
+        if self.lag < 1:
+            raise ValueError("lag must be at least 1")
+
+    def check(self, terms: tuple[Term, ...]) -> None:
+        """Raise InputError unless the misfit is alone, in units of its noise, and one wrong reading harms one frame."""
+        [first, *others] = terms
+        fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
+        if others or not fits or first.loss.squared or first.loss.enters == "dual":
+            raise InputError(
+                "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: student, corner: 4}}, of "
+                "weight 1; its loss may be huber, but not squared: a wrong reading would pull at all frames"
+            )
+
+    def compares(self, terms: tuple[Term, ...]) -> bool:
+        """Always: the unloaded panel is the first frame."""
+        return True
+
+    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+        """A frame alone, from which all of them begin."""
+        return OptimalMethod("reduced").solution(solver, data, previous, None)
+
+    def sequence(
+        self, stream: "Stream", resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> "tuple[Stream, list[Step]]":
+        """All frames together; those of which too little was read are left out."""
+        enough = readings.enough(stream.scene) & stream.resting.enough(stream.scene)
+        read = [readings[frame] for frame in np.flatnonzero(enough)]
+        stream, found = self._together(stream, _groups(stream, resting), read, [], on_frame)
+        status = Status.UNREAD if stream.resting.enough(stream.scene) else Status.UNRESTED
+        solved = iter(found)
+        return stream, [next(solved) if one else stream.unsolved(status) for one in enough]
+
+    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
+        """One frame, together with those before it."""
+        window = stream.prepared or Window()
+        read, cells = (*window.readings, readings)[-1 - self.lag :], window.cells[-self.lag :]
+        after, steps = self._together(stream, [stream.resting], read, cells, lambda: None)
+        if not steps[-1].solution.solved:
+            return stream, steps[-1]
+        return replace(after, prepared=Window(tuple(read), tuple(step.cell_resistance for step in steps))), steps[-1]
+
+    def _together(
+        self,
+        stream: "Stream",
+        resting: Sequence[Readings],
+        readings: Sequence[Readings],
+        cells: Sequence[Array],
+        on_frame: Callable[[], None],
+    ) -> "tuple[Stream, list[Step]]":
+        """The stream with the baseline that the frames agree on, and their steps. cells : of the first, from before."""
+        if not readings or stream.baseline is None or not stream.baseline.solution.solved:
+            return stream, [stream.unsolved(Status.BREAKDOWN) for _ in readings]
+        begin = perf_counter()
+        data, start = _begun(stream, resting, readings, cells, on_frame)
+        costs = [stream.estimator.cost(stream.scene, 1, one.partial) for one in data]
+        frames = JointData.alone(costs, data, Shared.of(stream.scene), start)
+        with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
+            joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), stream.estimator.solver)
+            solutions = _checked(joint, rounds)[len(resting) - 1 :]
+            steps = [Step(solution, (perf_counter() - begin) / len(data), (1.0,)) for solution in solutions]
+            if stream.track is not None and steps[0].solution.solved:
+                stream, steps = _barred(stream, stream.track, joint, steps)
+            baseline = steps[0] if steps[0].solution.solved else stream.baseline
+            return replace(stream, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
+        return stream, [stream.unsolved(Status.BREAKDOWN) for _ in readings]
+
+
+def _groups(stream: "Stream", resting: Readings) -> list[Readings]:
+    """Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is."""
+    numbers = np.flatnonzero(resting.enough(stream.scene))
+    parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
+    return [resting[part].mean() for part in parts] or [stream.resting]
+
+
+def _begun(
+    stream: "Stream",
+    resting: Sequence[Readings],
+    readings: Sequence[Readings],
+    cells: Sequence[Array],
+    on_frame: Callable[[], None],
+) -> tuple[list[Data], Array]:
+    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone."""
+    assert stream.baseline is not None
+    data = [stream.estimator.data(one.alone(), stream.background) for one in (*resting, *readings)]
+    found = [stream.baseline.cell_resistance, *cells] if len(resting) == 1 else []
+    for number, one in enumerate(data[len(found) :], len(found)):
+        before = found[-1] if found else stream.baseline.cell_resistance
+        step = stream.solve(one, before[None])
+        found.append(before if step.estimate(0) is None else step.cell_resistance)
+        if number >= len(resting):
+            on_frame()
+    return data, np.log(np.stack(found)).reshape(len(data), -1)
+
+
+def _checked(joint: Joint, rounds: int) -> list[Solution]:
+    """Every frame where the joint cost's optimality conditions hold for it; NaN elsewhere."""
+    step, _ = joint.chain.solve(-np.where(joint.pressed, 0.0, joint.gradient), -joint.shift_gradient)
+    faint = np.any(np.abs(step) > STILL * np.sqrt(joint.chain.variance), axis=1)
+    solutions = []
+    for at, residual, weak in zip(joint.at, joint.kkt_residual, faint, strict=True):
+        cells, data = at.cell_resistance, at.data
+        if not residual <= VERIFIED:
+            failed = blank(cells.shape, 1, Status.UNVERIFIED)
+            solutions.append(replace(failed, kkt_residual=float(residual), iterations=rounds))
+            continue
+        low, high = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        status = Status.FAINT if weak else Status.OPTIMUM
+        outcome = (at.costs, at.objective, float(residual), low, high, status, rounds)
+        solutions.append(Solution(cells, at.reading, *outcome))
+    return solutions
+
+
+def _barred(stream: "Stream", track: Track, joint: Joint, steps: list[Step]) -> "tuple[Stream, list[Step]]":
+    """The stream with the baseline's error bars, and the steps, of which it is the first, with theirs."""
+    begin = perf_counter()
+    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1)
+    seconds = (perf_counter() - begin) / len(steps)
+    barred = [
+        replace(step, bars=one, bars_seconds=seconds) if step.solution.solved else step
+        for step, one in zip(steps[1:], bars, strict=True)
+    ]
+    return replace(stream, track=replace(track, baseline=baseline)), [steps[0], *barred]

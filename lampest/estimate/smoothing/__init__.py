@@ -1,0 +1,1 @@
+"""A whole recording's frames estimated together."""

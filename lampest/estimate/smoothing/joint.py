@@ -1,0 +1,208 @@
+"""The cost of all frames together, and its linear surroundings.
+
+    Φ(u, z, c) = Σ_t misfit(f(u_t) + U_t z, y_t) + |z|² + Σ_t c_t²/τ² + ε |u − a|²
+                 + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
+
+over u_t = log r of the unloaded panel (t = 0) and of every frame, what all readings share (z, in standard deviations:
+reference, channels, contacts) and the steps c_t that all cells of a frame have in common. λ is the walk's; a, with
+hardly any weight, is where cells stay that nothing tells.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.panel import Array
+from lampest.panel.systematic import Shared
+from lampest.posterior.chain import Chain
+from lampest.posterior.dense import IGNORANCE
+from lampest.posterior.linear import LinearModel
+
+COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
+ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
+NO_DUAL = np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class JointData:
+    """cost, data : of every frame alone, the unloaded panel first. errors : what all readings share, or None.
+
+    shared : U (frames, readings, n), what that does to readings. anchor : a (frames, cells).
+    """
+
+    cost: tuple[Cost, ...]
+    data: tuple[Data, ...]
+    errors: Shared | None
+    anchor: Array
+    shared: Array
+
+    @classmethod
+    def alone(cls, cost: Sequence[Cost], data: Sequence[Data], errors: Shared | None, anchor: Array) -> "JointData":
+        """Before anything that is shared is known."""
+        return cls(tuple(cost), tuple(data), errors, anchor, np.zeros((len(data), data[0].measured.size, 0)))
+
+    def sharing(self, at: Sequence[Evaluation]) -> "JointData":
+        """With U at modelled readings: at measured ones a reference that shrinks the noise would seem to fit."""
+        if self.errors is None:
+            return self
+        columns = [self.errors.columns(one.cell_resistance, one.reading, one.networks) for one in at]
+        return replace(self, shared=np.stack(columns))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of u, (frames, cells)."""
+        lower, upper = zip(*(data.log_bounds for data in self.data), strict=True)
+        shape = (len(self.data), -1)
+        return np.stack(lower).reshape(shape), np.stack(upper).reshape(shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Φ at a point. position : u (frames, cells). shift : (z, c) in one. stiffness : λ (frames − 1, cells)."""
+
+    frames: JointData
+    position: Array
+    shift: Array
+    stiffness: Array
+
+    @cached_property
+    def at(self) -> tuple[Evaluation, ...]:
+        """Every frame's misfit; what is shared is taken off its readings."""
+        offsets = self.frames.shared @ self.shift[: self._sharing]
+        return tuple(
+            _evaluated(*parts) for parts in zip(self.frames.cost, self.frames.data, self.position, offsets, strict=True)
+        )
+
+    @property
+    def _sharing(self) -> int:
+        return int(self.frames.shared.shape[2])
+
+    @property
+    def steps(self) -> Array:
+        """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
+        return np.asarray(np.diff(self.position, axis=0) - self.shift[self._sharing :, None])
+
+    @cached_property
+    def value(self) -> float:
+        """Φ."""
+        return self.untied + float(np.sum(self.stiffness * self.steps**2))
+
+    @cached_property
+    def untied(self) -> float:
+        """Φ without the last of its parts."""
+        misfit = sum(at.objective for at in self.at)
+        return misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+
+    @property
+    def _strayed(self) -> Array:
+        return np.asarray(self.position - self.frames.anchor)
+
+    @property
+    def certainty(self) -> Array:
+        """1/variance of z and c before anything is read."""
+        return np.concatenate([np.ones(self._sharing), np.full(len(self.stiffness), COMMON**-2)])
+
+    @cached_property
+    def gradient(self) -> Array:
+        """½ ∂Φ/∂u, (frames, cells)."""
+        pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
+        misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
+        return misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
+
+    @cached_property
+    def shift_gradient(self) -> Array:
+        """½ ∂Φ/∂(z, c)."""
+        through = np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
+        shared = np.einsum("tri,tr->i", self.frames.shared, through)
+        return np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
+
+    @cached_property
+    def pressed(self) -> NDArray[np.bool_]:
+        """(frames, cells) where a cell presses against a bound."""
+        lower, upper = self.frames.bounds
+        return ((self.position <= lower) & (self.gradient > 0)) | ((self.position >= upper) & (self.gradient < 0))
+
+    @property
+    def kkt_residual(self) -> Array:
+        """(frames) of `Evaluation.projected_gradient`, with the whole gradient."""
+        pairs = zip(self.at, 2 * self.gradient, strict=True)
+        return np.array([at.projected_gradient(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
+
+    @cached_property
+    def models(self) -> tuple[LinearModel, ...]:
+        """Every frame's misfit as a linear model."""
+        return tuple(LinearModel(at, NO_DUAL) for at in self.at)
+
+    @cached_property
+    def sensitivities(self) -> list[Array]:
+        """√ω ∂x/∂u of every frame's data, (rows, cells)."""
+        pairs = zip(self.models, self._sizes, strict=True)
+        return [np.asarray(model.through @ model.at.networks[0].sensitivity()) * size[:, None] for model, size in pairs]
+
+    @cached_property
+    def _sizes(self) -> list[Array]:
+        """√ω, ω a loss's curvature; where it has none, the weight of a squared loss with its slope there."""
+        sizes = []
+        for model in self.models:
+            loss, x = model.at.cost.terms[0].loss, model.residual
+            bend = loss.curvature(x)
+            flat = (bend <= 0) & (x != 0)
+            bend[flat] = loss.steady_pull(x[flat]) / np.abs(x[flat])
+            sizes.append(np.sqrt(bend))
+        return sizes
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Half of Φ's second derivatives, without those of the readings; cells at a bound stay."""
+        free = ~self.pressed
+        tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
+        border, corner = self._border()
+        own = np.stack([rows.T @ rows for rows in self.sensitivities])
+        own *= free[:, :, None] & free[:, None, :]
+        across = np.arange(own.shape[1])
+        own[:, across, across] = np.where(free, own[:, across, across] + tied[1:] + tied[:-1] + IGNORANCE, 1.0)
+        return Chain(own, self.stiffness * (free[1:] & free[:-1]), border * free[:, :, None], corner)
+
+    def _border(self) -> tuple[Array, Array]:
+        """What the border has in common with every frame (frames, cells, n), and its own part (n, n)."""
+        count, sharing = len(self.position), self._sharing
+        border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
+        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, strict=True)
+        for frame, (model, size, rows, shared) in enumerate(parts):
+            columns = np.asarray(model.through @ shared) * size[:, None]
+            border[frame, :, :sharing] = rows.T @ columns
+            corner[:sharing, :sharing] += columns.T @ columns
+        step = np.arange(count - 1)
+        border[step, :, sharing + step] = self.stiffness
+        border[step + 1, :, sharing + step] = -self.stiffness
+        corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
+        return border, corner
+
+    def expected_squares(self) -> Array:
+        """E x² of the steps, (frames − 1, cells)."""
+        less = np.zeros((len(self.stiffness), len(self.shift)))
+        less[:, self._sharing :] = np.eye(len(self.stiffness))
+        return np.asarray(self.steps**2 + self.chain.step_variance(less))
+
+    def stepped(self, most: int) -> "Joint":
+        """After a Newton step, halved until Φ is no larger; as it is where `most` halvings do not help."""
+        step, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient), -self.shift_gradient)
+        for halving in range(most):
+            size = 0.5**halving
+            there = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.frames.bounds)
+            trial = replace(self, position=there, shift=self.shift + size * shift)
+            if trial.value <= self.value + ROUNDING * abs(self.value):
+                return trial
+        return self
+
+
+def _evaluated(cost: Cost, data: Data, position: Array, offset: Array) -> Evaluation:
+    """One frame's misfit (cells) with an offset of its readings (readings)."""
+    shape = data.measured.shape
+    shifted = replace(data, given=replace(data.given, measured=data.measured - offset.reshape(shape)))
+    return Evaluation.at(cost, shifted, np.exp(position).reshape(shape))

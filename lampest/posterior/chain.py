@@ -1,0 +1,123 @@
+"""Frames in a row, each tied to its neighbours, and unknowns that all share: Gaussian elimination in both directions.
+
+The matrix is block tridiagonal with a border,
+
+    H = [[A_1 + …, −Λ_1, 0, …; −Λ_1, A_2 + …, −Λ_2, …], B; Bᵀ, C],
+
+A_t (cells, cells) of frame t with all that ties add to its diagonal, Λ_t diagonal between the frames t and t + 1, B
+what each frame has in common with the border, C the border's. With S_1 = H_11, S_{t+1} = H_{t+1,t+1} − Λ_t S_t⁻¹ Λ_t
+and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ, those beside K_t P_{t+1}.
+Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal. Appl. 13, 1992.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.posterior.dense import positive_inverse
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """own : (frames, cells, cells), A_t with the ties. tie : (frames − 1, cells). border : (frames, cells, n).
+
+    corner : (n, n). Raises numpy.linalg.LinAlgError, when it is asked for anything, where H is not positive definite.
+    """
+
+    own: Array
+    tie: Array
+    border: Array
+    corner: Array
+
+    @cached_property
+    def _inverses(self) -> list[Array]:
+        """S_t⁻¹."""
+        found = [positive_inverse(self.own[0])]
+        for own, tie in zip(self.own[1:], self.tie, strict=True):
+            found.append(positive_inverse(own - tie[:, None] * found[-1] * tie))
+        return found
+
+    @cached_property
+    def _gains(self) -> list[Array]:
+        """K_t."""
+        return [inverse * tie for inverse, tie in zip(self._inverses[:-1], self.tie, strict=True)]
+
+    def _solved(self, right: Array) -> Array:
+        """The frames' part of H alone, H⁻¹ x of columns (frames, cells, n)."""
+        ahead = [right[0]]
+        for gain, column in zip(self._gains, right[1:], strict=True):
+            ahead.append(column + gain.T @ ahead[-1])
+        found = [self._inverses[-1] @ ahead[-1]]
+        for frame in range(len(right) - 2, -1, -1):
+            found.append(self._inverses[frame] @ ahead[frame] + self._gains[frame] @ found[-1])
+        return np.stack(found[::-1])
+
+    @cached_property
+    def _follow(self) -> Array:
+        """E: what the frames do where the border moves, H⁻¹ B, (frames, cells, n)."""
+        return self._solved(self.border)
+
+    @cached_property
+    def border_covariance(self) -> Array:
+        """(n, n) of the border in H⁻¹."""
+        return positive_inverse(self._border_precision)
+
+    @cached_property
+    def _border_precision(self) -> Array:
+        return np.asarray(self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True))
+
+    def doubting(self, share: float, prior: Array) -> "Chain":
+        """The same where only a share of what frames tell of the border is believed; prior : (n), its own precision."""
+        told = self._border_precision - np.diag(prior)
+        return replace(self, corner=self.corner - (1 - share) * told)
+
+    def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
+        """H⁻¹ x of (frames, cells) and (n)."""
+        alone = self._solved(right[:, :, None])[:, :, 0]
+        moved = self.border_covariance @ (border - np.einsum("tci,tc->i", self.border, alone, optimize=True))
+        return alone - self._follow @ moved, moved
+
+    @cached_property
+    def blocks(self) -> list[Array]:
+        """P_t (cells, cells): the frames' diagonal blocks of H⁻¹, as if the border were known."""
+        found = [self._inverses[-1]]
+        for inverse, gain in zip(self._inverses[-2::-1], self._gains[::-1], strict=True):
+            found.append(inverse + gain @ found[-1] @ gain.T)
+        return found[::-1]
+
+    @cached_property
+    def _root(self) -> Array:
+        """E √(border_covariance), (frames, cells, n)."""
+        if not self.corner.size:
+            return self._follow
+        return np.asarray(self._follow @ np.linalg.cholesky(self.border_covariance))
+
+    @cached_property
+    def variance(self) -> Array:
+        """The frames' diagonal of H⁻¹, (frames, cells)."""
+        return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
+
+    def step_variance(self, less: Array) -> Array:
+        """Of the differences between neighbours less what the border does to them, (frames − 1, cells).
+
+        less : (frames − 1, n), of every step.
+        """
+        between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
+        alone = np.stack([np.diag(block) for block in self.blocks])
+        steps = alone[1:] + alone[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)
+        moved = np.diff(self._follow, axis=0) + less[:, None, :]
+        return np.asarray(steps + np.einsum("tci,ij,tcj->tc", moved, self.border_covariance, moved, optimize=True))
+
+    def covariance(self, frame: int) -> Array:
+        """One frame's diagonal block of H⁻¹, (cells, cells)."""
+        return np.asarray(self.blocks[frame] + self._root[frame] @ self._root[frame].T)
+
+    def since(self, first: int) -> Array:
+        """Covariance of a frame with itself and all that follow, cell by cell, (frames − first, cells)."""
+        across, found = np.eye(self.own.shape[1]), [np.diag(self.blocks[first])]
+        for gain, block in zip(self._gains[first:], self.blocks[first + 1 :], strict=True):
+            across = across @ gain
+            found.append(np.einsum("ij,ji->i", across, block))
+        return np.asarray(np.stack(found) + np.sum(self._root[first:] * self._root[first], axis=2))

@@ -1,0 +1,223 @@
+"""The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import approx_fprime, minimize
+
+from lampest import two_point_resistance
+from lampest.cost.given import Background
+from lampest.cost.losses import Huber, Squared, Student
+from lampest.cost.terms import Gradient, Misfit, Term
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import SmootherMethod
+from lampest.estimate.sequence import reconstruct
+from lampest.estimate.smoothing.joint import JointData
+from lampest.estimate.smoothing.rounds import smoothed
+from lampest.estimate.smoothing.walk import Walk
+from lampest.estimate.stream import Stream
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic
+from lampest.panel.systematic import Shared
+from lampest.posterior.chain import Chain
+from lampest.recording.recording import Recording
+from lampest.solvers.solution import Settings
+
+CORNER = 4.0
+ROBUST = (Misfit(weighting="noise", loss=Student(corner=CORNER)),)
+RESTING, FRAMES = 3, 12
+
+
+def panel(seed: int, side: int = 6, systematic: Systematic | None = None, resting: int = RESTING) -> Recording:
+    """A rod from the fifth frame on, a tap in the ninth alone; the readout's noise, nothing else."""
+    rng = np.random.default_rng(seed)
+    cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((side, side))), (resting + FRAMES, 1, 1))
+    cells[resting + 4 :, :2, 1:3] *= 0.3
+    cells[resting + 8, -2, -2] *= 0.5
+    scene = Scene(Panel(side, side), TwoPointReadout(), systematic=systematic)
+    exact = two_point_resistance(cells)
+    recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
+    role = (np.arange(len(cells)) >= resting).astype(np.uint8)
+    return Recording(scene, recorded, np.arange(len(cells), dtype=float), role, truth_cell_resistance=cells)
+
+
+def kirchhoff(cells: Array) -> Array:
+    """R of every pair of lines, flat, from the pseudoinverse of the Laplacian."""
+    rows, columns = cells.shape
+    laplacian = np.zeros((rows + columns, rows + columns))
+    laplacian[:rows, rows:], laplacian[rows:, :rows] = -1 / cells, -1 / cells.T
+    inverse = np.linalg.pinv(laplacian - np.diag(laplacian.sum(axis=1)))
+    own = np.diag(inverse)
+    return np.asarray((own[:rows, None] + own[None, rows:] - 2 * inverse[:rows, rows:]).ravel())
+
+
+def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
+    return reconstruct(recording, Estimator(terms, "smoother" if terms is ROBUST else "reduced"))
+
+
+def errors(found: Estimates) -> Array:
+    """log of the estimate over the truth."""
+    assert found.recording.truth_cell_resistance is not None
+    return np.asarray(np.log(found.cell_resistance / found.recording.truth_cell_resistance[found.frame]))
+
+
+def test_a_chain_is_the_inverse_of_its_matrix() -> None:
+    rng, frames, cells, shared = np.random.default_rng(0), 4, 3, 2
+    tie, border = rng.uniform(0.1, 5, (frames - 1, cells)), 0.2 * rng.standard_normal((frames, cells, shared))
+    corner, size = 4 * np.eye(shared), frames * cells
+    tied = np.zeros((size + shared, size + shared))
+    for frame in range(frames):
+        root, block = rng.standard_normal((cells, cells)), slice(frame * cells, (frame + 1) * cells)
+        tied[block, block] = root @ root.T + np.eye(cells)
+    for row, value in enumerate(tie.ravel()):
+        pair = np.ix_([row, row + cells], [row, row + cells])
+        tied[pair] += value * np.array([[1, -1], [-1, 1]])
+    own = np.stack([tied[k : k + cells, k : k + cells] for k in range(0, size, cells)])
+    tied[:size, size:], tied[size:, size:] = border.reshape(size, shared), corner
+    tied[size:, :size] = tied[:size, size:].T
+    chain, inverse, right = Chain(own, tie, border, corner), np.linalg.inv(tied), rng.standard_normal(size + shared)
+    parts = chain.solve(right[:size].reshape(frames, cells), right[size:])
+    assert_allclose(np.concatenate([part.ravel() for part in parts]), inverse @ right, rtol=1e-10)
+    assert_allclose(chain.variance.ravel(), np.diag(inverse)[:size], rtol=1e-10)
+    assert_allclose(chain.covariance(2), inverse[6:9, 6:9], rtol=1e-10)
+    assert_allclose(chain.since(1)[2], np.diag(inverse[3:6, 9:12]), rtol=1e-10)
+    less = rng.standard_normal((frames - 1, shared))
+    steps = np.hstack([np.eye(size)[cells:] - np.eye(size)[:-cells], -np.repeat(less, cells, axis=0)])
+    assert_allclose(chain.step_variance(less).ravel(), np.diag(steps @ inverse @ steps.T), rtol=1e-10)
+    prior = np.full(shared, 0.5)
+    schur = np.linalg.inv(inverse[size:, size:])
+    doubted = np.linalg.inv(0.25 * (schur - np.diag(prior)) + np.diag(prior))
+    assert_allclose(chain.doubting(0.25, prior).border_covariance, doubted, rtol=1e-10)
+
+
+def test_stiffness_is_the_slope_of_what_the_walk_costs() -> None:
+    walk, squares = Walk(0.01, 3.0), np.random.default_rng(1).uniform(0, 4e-3, (5, 4))
+    slope = approx_fprime(squares.ravel(), lambda flat: walk.cost(flat.reshape(5, 4)), 1e-9)
+    assert_allclose(walk.stiffness(squares).ravel(), slope, rtol=1e-4)
+    assert walk.cost(np.full((5, 4), 1e6)) == pytest.approx(20 * 3.0**2)
+
+
+def test_the_end_is_the_least_of_the_stated_cost() -> None:
+    """Φ written out once more, from Kirchhoff's laws, minimised by BFGS from the estimate and from beside it."""
+    made = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
+    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
+    cost = [estimator.cost(made.scene, 1)] * len(data)
+    assert made.truth_cell_resistance is not None
+    start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
+    joint, _ = smoothed(
+        JointData.alone(cost, data, Shared.of(made.scene), start), start, Walk(0.2, 3.0), Settings(tolerance=1e-10)
+    )
+    shared, shift, free = joint.frames.shared, joint.shift, start.size
+    sharing = shared.shape[2]
+
+    def stated(point: Array) -> float:
+        log_cells, offsets, common = point[:free], point[free : free + sharing], point[free + sharing :]
+        model = np.stack([kirchhoff(cells) for cells in np.exp(log_cells).reshape(len(data), 3, 3)])
+        measured, sigma = (
+            np.stack([getattr(one.given, name).ravel() for one in data]) for name in ("measured", "sigma")
+        )
+        misfit = CORNER**2 * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
+        steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
+        misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
+        return float(misfit + offsets @ offsets + np.sum((common / 0.1) ** 2) + np.sum(joint.stiffness * steps**2))
+
+    here = np.concatenate([joint.position.ravel(), shift])
+    assert not joint.pressed.any() and joint.kkt_residual.max() < 1e-7
+    assert stated(here) == pytest.approx(joint.value, rel=1e-10)
+    rng = np.random.default_rng(0)
+    for size in (0.0, 1e-3):
+        least = minimize(stated, here + size * rng.standard_normal(here.size), method="BFGS", options={"maxiter": 400})
+        assert least.fun > joint.value - 1e-6 * joint.value
+
+
+def test_it_halves_the_error_and_its_bars_hold() -> None:
+    """Standing cells, a jump, and a tap that lasts one frame."""
+    alone, together, held, tapped = [], [], [], []
+    for seed in range(6):
+        made = panel(seed)
+        found = found_of(made)
+        assert found.solved.all() and set(found.status) == {"optimum verified"}
+        lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
+        assert lower is not None and upper is not None and made.truth_cell_resistance is not None
+        truth = made.truth_cell_resistance[found.frame]
+        held.append((lower <= truth) & (truth <= upper))
+        together.append(np.abs(errors(found)))
+        alone.append(np.abs(errors(found_of(made, (Misfit(),)))))
+        tapped.append(errors(found)[8, 4, 4])
+    assert np.median(together) < 0.5 * np.median(alone)
+    assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
+    assert np.mean(held) > 0.92
+    assert np.mean(np.stack(held)[:, [3, 4, 5, 7, 8, 9]]) > 0.9  # frames beside the jump and the tap
+    assert np.max(np.abs(tapped)) < 0.1  # it fell by log 0.5
+
+
+def test_a_wrong_reading_harms_its_frame_no_more_than_it_would_alone() -> None:
+    made = panel(1)
+    recorded = made.recorded.copy()
+    recorded[RESTING + 6, 3, 0] *= 1.2
+    recorded[1, 5, 5] *= 0.9
+    spoilt, sound = found_of(replace(made, recorded=recorded)), found_of(made)
+    worst = np.abs(errors(found_of(replace(made, recorded=recorded), (Misfit(),)))).max()
+    assert np.median(np.abs(errors(spoilt))) < 1.5 * np.median(np.abs(errors(sound)))
+    assert np.abs(errors(spoilt)).max() < 0.5 * worst
+
+
+def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
+    told = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
+    silent = found_of(panel(2))
+    assert told.cell_resistance_errors is not None and silent.cell_resistance_errors is not None
+    assert np.median(told.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
+
+
+def test_frames_as_they_come_are_estimated_with_those_before() -> None:
+    made = panel(4)
+    readings = made.readings()
+    stream = Stream.begin(Estimator(ROBUST, SmootherMethod(lag=4)), made.scene, 1.0, readings[:RESTING].mean())
+    steps = []
+    for frame in made.measured_frames():
+        stream, step = stream.push(readings[frame])
+        steps.append(step)
+    assert all(step.solution.optimum and step.bars is not None for step in steps)
+    assert len(stream.prepared.readings) == 5
+    assert made.truth_cell_resistance is not None
+    live = np.log(np.stack([step.cell_resistance for step in steps]) / made.truth_cell_resistance[RESTING:])
+    assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(errors(found_of(made, (Misfit(),)))))
+
+
+def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
+    made = panel(5)
+    recorded = made.recorded.copy()
+    recorded[RESTING + 2] = np.nan
+    found = found_of(replace(made, recorded=recorded))
+    assert found.solved.sum() == FRAMES - 1 and not found.solved[2] and np.isnan(found.cell_resistance[2]).all()
+    blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
+    assert not blind.solved.any()
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (Misfit(loss=Student(corner=4.0)),),
+        (Misfit(weighting="noise", loss=Squared()),),
+        (Misfit(weighting="noise", weight=2.0, loss=Huber(corner=3.0)),),
+        (*ROBUST, Gradient()),
+    ],
+)
+def test_terms_that_it_cannot_take_are_refused(terms: tuple[Term, ...]) -> None:
+    with pytest.raises(InputError, match=r"smoother has one term, misfit: \{weighting: noise, loss"):
+        Estimator(terms, "smoother")
+
+
+def test_numbers_out_of_range_and_unknown_noise_are_refused() -> None:
+    for wrong in ({"walk": 0.0}, {"jump": float("nan")}, {"lag": 0}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            SmootherMethod(**wrong)  # type: ignore[arg-type]
+    made = panel(0)
+    with pytest.raises(InputError, match="noise"):
+        found_of(replace(made, scene=Scene(made.scene.panel)))
