@@ -63,6 +63,8 @@ def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
 
 def _one_minimum(cost: Cost, data: Data) -> bool:
     """Whether only one minimum was ever found beside a known previous frame, whatever the number of iterations."""
+    if not all(term.loss.convex for term in cost.terms):
+        return False
     comparing = [term for term in cost.terms if term.needs_previous]
     plain = all(term.reads_measurement for term in cost.terms)
     return (plain and data.readout.unique) or (bool(comparing) and all(term.convex_in_log for term in comparing))
