@@ -1,7 +1,7 @@
 """The mouth of a lamprey."""
 
 from dataclasses import dataclass
-from math import log
+from math import cos, log, radians, sin, sqrt
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -34,9 +34,15 @@ class OralDisc(Shape):
 
     Parameters
     ----------
-    diameter_mm, rim_width_mm : of the mouth over the rim, and of the rim.
+    diameter_mm, rim_width_mm : of the mouth over the rim, and of the rim. Of an elongated one the geometric mean of both
+        axes; the area is that of the circle.
     pressure_kpa : suction against the surroundings, negative.
-    rim_kpa : contact pressure under the rim; None: what bears the suction, as under a suction cup.
+    rim_kpa : mean contact pressure under the rim; None: what bears the suction, p_rim·A_rim = −p·A_inside, and
+        `extra_rim_kpa`.
+    extra_rim_kpa : by which the rim presses harder than its suction needs.
+    elongation : long axis over the short one. elongation_deg : direction of the long axis; 0 towards higher columns.
+    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; its mean stays. lobes : so many times
+        around it presses hardest. unevenness_deg : direction of one of these, before the mouth was elongated.
 
     Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16, e0247884, 2021.
     Example: {kind: oral_disc, centre_mm: [45, 45], diameter_mm: 35, rim_width_mm: 6, pressure_kpa: -12, rim_kpa: 90}
@@ -64,19 +70,33 @@ class OralDisc(Shape):
     rim_width_mm: float
     pressure_kpa: float
     rim_kpa: float | None = None
+    extra_rim_kpa: float = 0.0
+    elongation: float = 1.0
+    elongation_deg: float = 0.0
+    unevenness: float = 0.0
+    lobes: int = 2
+    unevenness_deg: float = 0.0
 
     @property
     def reach_mm(self) -> float:
-        """Its radius over the rim."""
-        return self.diameter_mm / 2
+        """Half of its long axis over the rim."""
+        return self.diameter_mm * sqrt(self.elongation) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Suction inside, and the pressure of the rim."""
-        return annular_pressure(self.disc(), x, y)
+        """Suction inside, and the pressure of the rim: those of a round mouth, elongated."""
+        turn, stretch = radians(self.elongation_deg), sqrt(self.elongation)
+        along, across = (x * cos(turn) + y * sin(turn)) / stretch, (y * cos(turn) - x * sin(turn)) * stretch
+        contact, suction = annular_pressure(self.disc(), along, across)
+        around = np.arctan2(across, along) + turn - radians(self.unevenness_deg)
+        return contact * (1 + self.unevenness * np.cos(self.lobes * around)), suction
 
     def disc(self) -> Disc:
-        """One whose rim presses with `rim_kpa`."""
+        """The round one of the same area whose rim presses evenly, as hard in the mean."""
         if not 0 < 2 * self.rim_width_mm < self.diameter_mm:
             raise ValueError("rim_width_mm must be positive and below half the diameter")
+        if self.elongation < 1 or not 0 <= self.unevenness <= 1 or self.lobes < 1:
+            raise ValueError("elongation and lobes must be at least 1, and unevenness lie between 0 and 1")
+        if self.extra_rim_kpa < 0 or (self.extra_rim_kpa and self.rim_kpa is not None):
+            raise ValueError("extra_rim_kpa must be zero or positive, and stands where rim_kpa does not")
         inner = self.diameter_mm - 2 * self.rim_width_mm
-        return sucking_disc(self, inner, self.diameter_mm, self.pressure_kpa, self.rim_kpa)
+        return sucking_disc(self, inner, self.diameter_mm, self.pressure_kpa, self.rim_kpa, self.extra_rim_kpa)

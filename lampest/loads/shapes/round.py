@@ -46,13 +46,21 @@ def disc_of(shape: Shape, inner_mm: float, outer_mm: float, rim_kpa: float, suct
 
 
 def sucking_disc(
-    shape: Shape, inner_mm: float, outer_mm: float, pressure_kpa: float, rim_kpa: float | None = None
+    shape: Shape,
+    inner_mm: float,
+    outer_mm: float,
+    pressure_kpa: float,
+    rim_kpa: float | None = None,
+    extra_kpa: float = 0.0,
 ) -> Disc:
-    """A sucking inside and its rim, which bears the suction's force unless its pressure is given. Raises ValueError."""
+    """A sucking inside and its rim, which bears the suction's force and `extra_kpa` unless its pressure is given.
+
+    Raises ValueError.
+    """
     bearing = bearing_kpa(pressure_kpa, inner_mm, outer_mm)
     if not pressure_kpa < 0:
         raise ValueError("pressure_kpa is a suction: it must be negative")
-    return disc_of(shape, inner_mm, outer_mm, bearing if rim_kpa is None else rim_kpa, pressure_kpa)
+    return disc_of(shape, inner_mm, outer_mm, bearing + extra_kpa if rim_kpa is None else rim_kpa, pressure_kpa)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
