@@ -16,7 +16,8 @@ from laws.recognised import verdict_on
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.loads.recognition.candidates import KINDS
 from lampest.loads.shapes import OralDisc, Shape, shape_types
-from lampest.loads.shapes.disc import bearing_kpa, disc_pressure, log_bearing
+from lampest.loads.shapes.disc import bearing_kpa, log_bearing
+from lampest.loads.shapes.oval import oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
 from lampest.loads.shapes.shape import POINTS
 from lampest.panel.panel import Panel
@@ -99,10 +100,10 @@ def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
 def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
-    sampled, (exact, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), disc_pressure(PANEL, 6.0, disc)
-    assert np.abs(sampled - exact).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
+    sampled, (smooth, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), oval_pressure(PANEL, 6.0, disc)
+    assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
-    assert np.abs(fitted - exact).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
+    assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
 
 
 def test_a_suction_is_borne_alike_in_both() -> None:
@@ -157,5 +158,5 @@ def test_a_mouth_is_long_and_uneven_where_it_says() -> None:
     ],
 )
 def test_a_mouth_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="must be"):
+    with pytest.raises(ValueError, match="must"):
         OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0, **wrong)  # type: ignore[arg-type]
