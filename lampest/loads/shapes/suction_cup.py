@@ -42,7 +42,6 @@ class SuctionCup(Shape):
         templates=SUCKING,
         # An assumption: most cups bear themselves, 95 % are pushed by less than 18 kPa.
         numbers={"diameter": DIAMETER, "width": WIDTH, "suction": SUCTION, "push": Prior(log(0.5), 1.8)} | TILT,
-        uneven=(0.03, 0.03, 0.1, 0.1),  # an assumption: made round, and soft
         bound=pushed_by_hand,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
