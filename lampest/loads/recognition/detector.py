@@ -177,7 +177,7 @@ class Detector:
         """All candidates from those starts, without outliers, and with the film's deviation that suits each best."""
         level = next((level for level in LEVELS if level * self.response == starts[0].scatter), LEVELS[1])
         for _ in range(ROUNDS):
-            fits = self._each(frame, starts, level, followed=field is None)
+            fits = self._each(frame, starts, level)
             best = min(fits, key=_score)
             fits += tuple(
                 self._from(frame, twin, level, best.score + HOPELESS)
@@ -213,13 +213,10 @@ class Detector:
     def _uniform(self, frame: Observation, whitening: Whitening) -> tuple[Fit, ...]:
         return tuple(self._fitting(kind, frame, whitening).best(kind.mean(self.panel)) for kind in UNIFORM)
 
-    def _each(
-        self, frame: Observation, starts: tuple[Fit, ...], level: float, followed: bool = False
-    ) -> tuple[Fit, ...]:
+    def _each(self, frame: Observation, starts: tuple[Fit, ...], level: float) -> tuple[Fit, ...]:
         """Every load from its own start, each with errors of its own; hollow ones again from the best.
 
-        level : of the film's deviation, in units of that of `ModelErrors`. followed : whether the starts are the ends
-        of the frame before; then hollow ones that are no target are tried again only if they were not among them.
+        level : of the film's deviation, in units of that of `ModelErrors`.
         """
         fits: dict[str, Fit] = {}
         for start in starts:
@@ -229,8 +226,7 @@ class Detector:
         disc = best.candidate.disc(best.parameters)
         for load in self.loads:
             before = fits.get(load.label)
-            settled = followed and not load.target
-            enough = before is not None and (settled or before.score < best.score + HIGHER)
+            enough = before is not None and before.score < best.score + HIGHER
             if disc is None or not load.hollow or enough:
                 continue
             again = replace(best, candidate=load, parameters=load.start(disc))
