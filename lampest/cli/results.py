@@ -1,11 +1,12 @@
 """Commands that read results and say what there is."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import Out, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Out, print_table, progress
 from lampest.files.errors import InputError
 
 
@@ -69,13 +70,18 @@ def detect(
         settings = RecognitionSettings(patch, depth, noise)
     except ValueError as error:
         raise InputError(str(error)) from error
+    refused: list[str] = []
     with progress("sources") as on_case:
-        read, found = detect_file(results, settings, on_case)
+        read, found = detect_file(results, settings, on_case, refused.append)
     folder = results.parent if out is None else out
     files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder))
     print_table(event_table(found))
     for file in files:
         print(file)
+    for sentence in refused:
+        print(f"not looked at: {sentence}", file=sys.stderr)
+    if refused:
+        raise typer.Exit(SOME_FAILED)
 
 
 def terms() -> None:

@@ -1,1 +1,1 @@
-"""What presses or sucks on a panel: response curve, pressure, shapes and their footprints, recognition."""
+"""What presses or sucks on a panel: response curve, pressure, shapes, recognition."""

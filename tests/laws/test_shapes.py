@@ -15,8 +15,9 @@ from laws.recognised import verdict_on
 
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.loads.recognition.candidates import KINDS
-from lampest.loads.shapes import Shape, shape_types
-from lampest.loads.shapes.disc import bearing_kpa, disc_pressure, log_bearing
+from lampest.loads.shapes import OralDisc, Shape, shape_types
+from lampest.loads.shapes.disc import bearing_kpa, log_bearing
+from lampest.loads.shapes.oval import oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
 from lampest.loads.shapes.shape import POINTS
 from lampest.panel.panel import Panel
@@ -99,10 +100,10 @@ def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
 def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
-    sampled, (exact, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), disc_pressure(PANEL, 6.0, disc)
-    assert np.abs(sampled - exact).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
+    sampled, (smooth, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), oval_pressure(PANEL, 6.0, disc)
+    assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
-    assert np.abs(fitted - exact).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
+    assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
 
 
 def test_a_suction_is_borne_alike_in_both() -> None:
@@ -114,3 +115,48 @@ def test_labels_and_kinds_are_their_own() -> None:
     assert len(set(KINDS)) == len(KINDS)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
     assert len(set(kinds)) == len(kinds)
+
+
+def test_a_mouth_of_any_form_bears_its_suction() -> None:
+    """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top of it."""
+    level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
+    uneven = {"elongation": 1.3, "elongation_deg": 25.0, "unevenness": 0.4, "lobes": 3, "unevenness_deg": 70.0}
+    for load in (level, dataclasses.replace(level, **uneven), dataclasses.replace(level, **uneven, tilt=0.3)):
+        contact, suction = sums(load)
+        assert suction == pytest.approx(-9 * np.pi * 24**2 / 4, rel=1e-2)
+        assert contact == pytest.approx(-suction, rel=1e-2)
+    pressed = dataclasses.replace(level, extra_rim_kpa=20.0)
+    assert sums(pressed)[0] - sums(level)[0] == pytest.approx(20 * np.pi * (36**2 - 24**2) / 4, rel=1e-2)
+
+
+def test_a_mouth_is_long_and_uneven_where_it_says() -> None:
+    load = OralDisc(
+        centre_mm=(45.0, 45.0),
+        diameter_mm=40.0,
+        rim_width_mm=6.0,
+        pressure_kpa=-9.0,
+        elongation=1.44,
+        elongation_deg=90.0,
+    )
+    sucked = load.mean_pressure(FINE, FINE.pitch_mm)[1] < 0
+    assert sucked.any(axis=1).sum() * 0.5 == pytest.approx(28 * 1.2, abs=1)
+    assert sucked.any(axis=0).sum() * 0.5 == pytest.approx(28 / 1.2, abs=1)
+    uneven = dataclasses.replace(load, elongation=1.0, unevenness=0.5, unevenness_deg=0.0)
+    x, y = np.array([17.0, 0.0, -17.0]), np.array([0.0, 17.0, 0.0])
+    contact = uneven.pressure_at(x, y)[0]
+    assert contact[0] == pytest.approx(3 * contact[1]) and contact[2] == pytest.approx(contact[0])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"elongation": 0.9},
+        {"unevenness": 1.5},
+        {"lobes": 0},
+        {"extra_rim_kpa": -1.0},
+        {"rim_kpa": 9, "extra_rim_kpa": 1},
+    ],
+)
+def test_a_mouth_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="must"):
+        OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0, **wrong)  # type: ignore[arg-type]

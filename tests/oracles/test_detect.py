@@ -1,19 +1,24 @@
 """Recognition against scenes whose truth is known, and the parts it is made of."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.candidates import CANDIDATES, FLAT
+from lampest.loads.recognition.candidates import CANDIDATES, FLAT, KINDS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.direct import fit_oral_disc
-from lampest.loads.recognition.frame import Direct, TwoStep, Whitening, outliers
+from lampest.loads.recognition.field import EACH, OWN, SD, field_fit
+from lampest.loads.recognition.frame import Direct, Explained, TwoStep, Whitening, outliers
 from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.verdict import OR, Verdict
-from lampest.loads.shapes import OralDisc, Ring, Rod, SuctionCup
-from lampest.loads.shapes.disc import Disc, disc_pressure
+from lampest.loads.recognition.several import AND, Several
+from lampest.loads.recognition.verdict import HIDDEN, OR, Verdict, unseen
+from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
+from lampest.loads.shapes.disc import Disc
+from lampest.loads.shapes.oval import oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
@@ -86,8 +91,8 @@ def test_pressure_slopes_are_differences(kind: Candidate) -> None:
 
 def test_pressure_is_that_of_the_simulation_but_for_its_sampling() -> None:
     sampled = np.sum(MOUTH.mean_pressure(PANEL, 6.0), axis=0)
-    exact, _ = disc_pressure(PANEL, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
-    assert np.abs(sampled - exact).max() < 0.02 * 85
+    smooth, _ = oval_pressure(PANEL, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
+    assert np.abs(sampled - smooth).max() < 0.04 * 85
 
 
 @pytest.mark.parametrize("label", LOADS)
@@ -95,9 +100,89 @@ def test_each_load_is_called_what_it_is(label: str) -> None:
     load = LOADS[label]
     verdict = seen(frames_of(recorded(load)))[-1]
     disc = disc_of(verdict)
-    assert verdict.label == label and verdict.goodness < 1.4
+    # A cup that bears itself presses as a mouth that does: nothing but evenness tells them apart. A cup that somebody
+    # pushes presses as a mouth of the hard kind does.
+    assert verdict.label.split(OR)[0] == label and verdict.goodness < 1.4
+    assert set(verdict.label.split(OR)) <= ({"cup", "lamprey"} if label in ("cup", "lamprey") else {label})
     assert disc.diameter_mm == pytest.approx(load.disc().diameter_mm, abs=1.5)
     assert np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        {},
+        {"elongation": 1.2, "elongation_deg": 30.0, "unevenness": 0.3},
+        {"unevenness": 0.3, "lobes": 3, "tilt": 0.3},
+        {"centre_mm": (8.0, 37.0)},
+        {"extra_rim_kpa": 60.0},
+    ],
+    ids=["even", "long", "lobed", "partly off", "pressed"],
+)
+def test_a_mouth_that_bears_its_suction_may_be_one(form: dict[str, Any]) -> None:
+    """Also where it is neither round nor even, or hangs over the edge of the panel."""
+    natural = {"centre_mm": CENTRE, "diameter_mm": 36.0, "rim_width_mm": 5.5, "pressure_kpa": -10.0, **form}
+    verdict = seen(frames_of(recorded(OralDisc(**natural))))[-1]
+    names = set(verdict.label.split(OR))
+    assert "lamprey" in names and names <= {"lamprey", "cup"} and verdict.goodness < 1.4
+    assert disc_of(verdict).diameter_mm == pytest.approx(36, abs=2.0)
+
+
+def test_two_mouths_are_two() -> None:
+    places, sizes = ((28.0, 25.0), (76.0, 56.0)), (36.0, 28.0)
+    mouths = [
+        OralDisc(centre_mm=place, diameter_mm=size, rim_width_mm=5.5, pressure_kpa=-10, unevenness=0.2)
+        for place, size in zip(places, sizes, strict=True)
+    ]
+    verdict = seen(frames_of(recorded(*mouths)))[-1]
+    assert all(AND in label for label in verdict.label.split(OR)) and "lamprey and lamprey" in verdict.label
+    several = verdict.best.candidate
+    assert isinstance(several, Several) and len(several.parts) == 2
+    found = sorted(several.of_part(number, verdict.best.parameters)[0][2] for number in range(2))
+    np.testing.assert_allclose(found, sorted(sizes), atol=2.0)
+
+
+def test_what_is_no_shape_is_unlike_any() -> None:
+    blocks = [
+        Block(centre_mm=place, length_mm=length, width_mm=14, mass_g=300, angle_deg=angle)
+        for place, length, angle in (((40, 20), 70, 20), ((60, 45), 80, -35), ((30, 60), 50, 80), ((85, 20), 40, 60))
+    ]
+    verdict = seen(frames_of(recorded(*blocks)))[-1]
+    assert verdict.label == "unlike any" and verdict.probabilities[KINDS.index("unlike any")] > 0.99
+    assert verdict.probabilities[KINDS.index("lamprey")] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("place", "angle_deg"), [((15.0, 15.0), 135.0), ((52.0, 37.0), 45.0), ((75.0, 47.0), 20.0), ((40.0, 60.0), 90.0)]
+)
+def test_a_thin_line_is_no_lamprey(place: tuple[float, float], angle_deg: float) -> None:
+    """Under a line few cells change; suction that a rim cancels in every patch could be made to explain them."""
+    line = Block(centre_mm=place, length_mm=45, width_mm=5, mass_g=150, angle_deg=angle_deg)
+    verdict = seen(frames_of(recorded(line)))[-1]
+    assert verdict.label.split(OR)[0] != "lamprey" and verdict.probabilities[KINDS.index("lamprey")] < 0.1
+
+
+def test_hidden_suction_counts_less() -> None:
+    verdict = seen(frames_of(recorded(MOUTH)))[-1]
+    assert verdict.best.change.max() > 1 and unseen(verdict.best) == pytest.approx(0)
+    hidden = replace(
+        verdict.best, explained=Explained(np.minimum(verdict.best.change, 0), verdict.best.explained.edges)
+    )
+    assert unseen(hidden) == HIDDEN
+    assert unseen(replace(hidden, candidate=Ring.candidate)) == 0
+
+
+def test_the_field_has_the_evidence_of_its_gaussian() -> None:
+    """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance through them."""
+    frame = frames_of(recorded(frames=1))[0]
+    fit = field_fit(frame, np.zeros(PANEL.shape))
+    slope = frame.slope(fit.change)
+    prior = SD[0] ** 2 * (OWN * np.eye(PANEL.cells) + (1 - OWN) * frame.baseline.near)
+    spread = frame.covariance(fit.change) + slope @ prior @ slope.T
+    apart = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
+    expected = multivariate_normal(np.zeros(PANEL.cells), spread, allow_singular=False).logpdf(apart)
+    constant = PANEL.cells * np.log(2 * np.pi) / 2 - EACH * PANEL.cells
+    assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
 
 
 @pytest.mark.parametrize(("rows", "columns", "pitch"), [(6, 6, 10.0), (8, 14, 7.0), (16, 12, 12.0)])
@@ -118,7 +203,7 @@ def test_panels_of_other_shapes(rows: int, columns: int, pitch: float) -> None:
     )
     verdict = seen(frames_of(recording), panel)[-1]
     assert "lamprey" in verdict.label
-    assert disc_of(verdict).diameter_mm == pytest.approx(4 * pitch, abs=2)
+    assert disc_of(verdict).diameter_mm == pytest.approx(4 * pitch, abs=pitch / 4)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -135,13 +220,13 @@ def test_an_outlier_does_not_move_the_mouth() -> None:
     measured = recording.readings().value.copy()
     measured[3, 4, 6] += 80.0
     verdict = seen(frames_of(recording, measured))[-1]
-    assert verdict.label == "lamprey"
+    assert verdict.label.split(OR)[0] == "lamprey"
     assert disc_of(verdict).diameter_mm == pytest.approx(34, abs=1)
 
 
 def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
     frame = frames_of(recorded(frames=1))[0]
-    weight = Whitening.of(frame, np.zeros(PANEL.shape))
+    weight = Whitening.at_rest(frame)
     residual = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
     assert list(outliers(weight, residual)) == []
     residual[17] += 60.0
@@ -173,7 +258,7 @@ def test_two_steps_from_the_true_cells_see_what_the_direct_way_sees() -> None:
         for frame, cells in zip(frames, recording.truth_cell_resistance[3:], strict=True)
     ]
     direct, indirect = seen(frames)[-1], seen(two_steps, prepared=frames[0])[-1]
-    assert direct.label == indirect.label == "lamprey"
+    assert direct.label.split(OR)[0] == indirect.label.split(OR)[0] == "lamprey"
     assert disc_of(indirect).diameter_mm == pytest.approx(disc_of(direct).diameter_mm, abs=0.7)
 
 
@@ -219,7 +304,7 @@ def test_a_mouth_touches_attaches_and_lets_go() -> None:
     assert [event.kind for event in happened] == ["touched", "attached", "released"]
     times = [event.time - recording.time[3] for event in happened]
     assert 2 <= times[0] <= 3 and 3 < times[1] <= 5 and 10 <= times[2] <= 12
-    assert happened[1].label == "lamprey"
+    assert happened[1].label.split(OR)[0] == "lamprey"
     assert happened[1].values[2] == pytest.approx(34, abs=1)
     assert happened[1].values[4] < -5
     assert np.isnan(happened[2].values).all()

@@ -1,4 +1,4 @@
-"""`formulation: oral_disc`: eight numbers of a disc are fitted to the readings, and the cells follow from them."""
+"""`formulation: oral_disc`: the numbers of a mouth are fitted to the readings, and the cells follow from them."""
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -77,7 +77,7 @@ class OralDiscTracker:
 
 @dataclass(frozen=True)
 class OralDiscMethod(Method):
-    """The unknowns are the eight numbers of an oral disc, not the cells; wrong wherever something else is attached."""
+    """The unknowns are the numbers of an oral disc, not the cells; wrong wherever something else is attached."""
 
     kind: Literal["oral_disc"] = "oral_disc"
 

@@ -1,6 +1,7 @@
 """The unloaded panel with its uncertainty: what every frame is compared with."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ SETTLED = 1e-6
 ROUGHLY = 3  # steps after which the cells are near enough to see which reading stands alone
 ALONE, FAR_OFF = 4.5, 10.0
 CIRCUIT = TwoPointReadout()  # discs are fitted to two-point resistances
+COMMON, NEAR_PITCHES = (0.2, 0.2), 1.5  # parts of the variance, and how far neighbours are alike: assumptions
 SCALE_SD = 3.0  # of the mean of ln r0: a prior that says next to nothing
 
 
@@ -34,6 +36,23 @@ class Baseline:
     covariance: Array
     series_ohm: Array
     model_errors: ModelErrors
+
+    @cached_property
+    def alike(self) -> Array:
+        """Correlation of the cells' departures from the response curve, (cells, cells).
+
+        A film that is bent answers less everywhere, a rim presses harder on one side: parts of it are common to all
+        cells, shared by neighbours, and each cell's own.
+        """
+        common, near = COMMON
+        return np.asarray(common + near * self.near + (1 - common - near) * np.eye(len(self.near)))
+
+    @cached_property
+    def near(self) -> Array:
+        """exp(−½ (distance/NEAR_PITCHES)²) between all cells, (cells, cells)."""
+        places = np.argwhere(np.ones(self.logarithm.shape, dtype=bool))
+        square = ((places[:, None] - places) ** 2).sum(axis=2)
+        return np.asarray(np.exp(-square / (2 * NEAR_PITCHES**2)))
 
     @classmethod
     def of(cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors) -> "Baseline":

@@ -36,4 +36,5 @@ FLAT = Uniform(label="flat load", numbers={"flat": Prior(0, 5)})
 UNIFORM: tuple[Candidate, ...] = (NOTHING, FLAT)
 LOADS: tuple[Candidate, ...] = tuple(shape.candidate for shape in shape_types() if shape.candidate is not None)
 CANDIDATES = UNIFORM + LOADS
-KINDS = tuple(candidate.label for candidate in CANDIDATES)
+UNKNOWN = "unlike any"
+KINDS = (*(candidate.label for candidate in CANDIDATES), UNKNOWN)

@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from lampest.loads.recognition.candidates import LOADS, UNIFORM
-from lampest.loads.recognition.fit import STEPS, Fit, Fitting
-from lampest.loads.recognition.frame import Observation, Whitening, outliers, without
+from lampest.loads.recognition.field import FIELD, field_fit
+from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
+from lampest.loads.recognition.frame import Observation, Uncertain, Whitening, outliers, without
 from lampest.loads.recognition.search import DiscSearch, cell_map
+from lampest.loads.recognition.together import Together, twins
 from lampest.loads.recognition.verdict import Verdict, judged
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -19,11 +22,18 @@ SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position,
 QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
 # Of ln r: while a load is looked for, cells are compared as coarsely as that, and then step by step more sharply.
 COARSE = 0.2
-FINER = (0.05, 0.015, 0.005)
+FINER = (0.05, 0.01)
 COARSE_STEPS, BEST = 12, 2
 HOPELESS = 30.0  # ln of a likelihood ratio beyond which a candidate need not be fitted to the end
 HIGHER = 3.0
 ROUNDS = 3
+LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
+ALIVE = 12.0  # ln of a likelihood ratio within which a candidate is fitted at all levels
+REFINED = 8
+FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left out until the panel is searched again
+CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
+STILL = 0.02  # relative change of readings below which a panel is not searched again
+MOST_AT_ONCE = 3
 NONE = np.zeros(0, dtype=np.intp)
 
 
@@ -36,8 +46,9 @@ class Detector:
     panel, patch_mm : the cells, and the edge of their film.
     loads : the candidates beside UNIFORM.
     rest, coarse : whitening of errors against a panel at rest: exact, and that for the search.
-    search : templates all over the panel.
-    previous : the verdict on the last frame, or None.
+    search : templates all over the panel. response : the film's relative deviation that `LEVELS` multiply.
+    previous : the verdict on the last frame, or None. changed : ln r/r0 of its field, where a field was fitted.
+    searched : (rows, columns) ohm of the frame in which all of the panel was searched last.
     """
 
     panel: Panel
@@ -46,48 +57,70 @@ class Detector:
     rest: Whitening
     coarse: Whitening
     search: DiscSearch
+    response: float
     previous: Verdict | None = None
+    changed: Array | None = None
+    searched: Array | None = None
 
     @classmethod
     def of(cls, panel: Panel, patch_mm: float, first: Observation, loads: tuple[Candidate, ...] = LOADS) -> "Detector":
         """Before the first frame."""
-        rest = np.zeros(panel.shape)
-        coarse = Whitening.of(blurred(first, COARSE), rest)
-        exact = Whitening.of(first, rest)
+        coarse = Whitening.at_rest(blurred(first, COARSE))
+        exact = Whitening.at_rest(first)
         templates = tuple(dict.fromkeys(template for load in loads for template in load.templates))
         search = DiscSearch.over(panel, patch_mm, first.baseline, exact, templates)
-        return cls(panel, patch_mm, loads, exact, coarse, search)
+        return cls(panel, patch_mm, loads, exact, coarse, search, first.baseline.model_errors.response)
 
     def push(self, frame: Observation) -> tuple["Detector", Verdict]:
         """The verdict on a frame, and the detector for the next one."""
-        frame, whitening = self._at_rest(frame)
+        calm, whitening = self._at_rest(frame)
         if whitening is not None:
-            verdict = self._judged(frame, self._uniform(frame, whitening))
-            return replace(self, previous=verdict), verdict
-        verdicts = []
-        if self.previous is not None and self.previous.loads:
-            verdicts.append(self._settled(frame, self.previous.loads))
-        if not verdicts or verdicts[0].goodness > SUSPICIOUS:
-            verdicts.append(self._settled(frame, self._searched(frame)))
-        verdict = min(verdicts, key=lambda one: one.goodness)
-        return replace(self, previous=verdict), verdict
+            verdict = self._judged(calm, self._uniform(calm, whitening))
+            return replace(self, previous=verdict, searched=None), verdict
+        tracked = None if self.previous is None or not self.previous.loads else self._tracked(calm, self.previous.loads)
+        if tracked is not None and self._clear(tracked):
+            return replace(self, previous=tracked), tracked
+        direct = calm.direct()
+        field = field_fit(direct, cell_map(direct) if self.changed is None else self.changed)
+        verdicts = [] if tracked is None else [self._against(field, tracked, calm)]
+        searched = self.searched
+        if not verdicts or (self._doubtful(verdicts[0]) and self._moved(calm)):
+            verdicts.append(self._settled(calm, self._searched(calm), field))
+            if self._doubtful(verdicts[-1]):
+                verdicts += self._several(calm, verdicts[-1], field)
+            searched = calm.measured
+        verdict = max(verdicts, key=lambda one: max(fit.evidence for fit in one.fits))
+        return replace(self, previous=verdict, searched=searched, changed=field.change), verdict
+
+    def _tracked(self, frame: Observation, loads: tuple[Fit, ...]) -> Verdict:
+        """All that was likely in the frame before, from where it was; hollow ones are tried again in any case."""
+        likely = tuple(fit for fit in loads if fit.evidence > loads[0].evidence - FORGOTTEN)
+        return self._settled(frame, likely, None)
+
+    def _against(self, field: Fit, verdict: Verdict, frame: Observation) -> Verdict:
+        """The verdict with the field among what was compared."""
+        return self._judged(frame, (*verdict.fits, field))
+
+    def _clear(self, verdict: Verdict) -> bool:
+        """Whether a shape explains so much, on a film that is not at its worst, that no field need stand against it."""
+        return verdict.goodness < CLEAR and verdict.best.scatter < LEVELS[-1] * self.response
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate fitted whether or not anything else would do; from everywhere, unless a start fits."""
         fit = None if start is None else self._refined(frame, start)
         if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
-            other = self._refined(frame, min(self._coarse(candidate, frame, self._discs(frame)), key=_cost))
+            other = self._refined(frame, min(self._coarse(candidate, frame, self._discs(frame)), key=_score))
             fit = other if fit is None or other.chi2 < fit.chi2 else fit
         return fit
 
     def _refined(self, frame: Observation, start: Fit) -> Fit:
         """The fit from a start, weighed anew and without outliers until that changes nothing."""
-        fit = start
+        fit, scatter = start, self.response
         for _ in range(ROUNDS):
-            whitening = Whitening.of(frame, fit.change)
+            whitening, before = Whitening.of(frame, fit.explained, scatter), fit.change
             fit = self._fitting(start.candidate, frame, whitening).best(fit.parameters)
             far = outliers(whitening, fit.residual) if fit.chi2 > SUSPICIOUS * frame.measured.size else NONE
-            if len(far) == 0 and np.abs(fit.change - whitening.change).max() < FAR:
+            if len(far) == 0 and np.abs(fit.change - before).max() < FAR:
                 break
             frame = without(frame, far)
         return fit
@@ -97,22 +130,32 @@ class Detector:
         residual = self._unexplained(frame)
         far = outliers(self.rest, residual)
         calm = without(frame.direct(), far)
-        whitening = Whitening.of(calm, self.rest.change) if len(far) else self.rest
+        whitening = Whitening.at_rest(calm) if len(far) else self.rest
         errors = whitening @ residual
         quiet = errors @ errors < SUSPICIOUS * errors.size and self.search.stands_out(errors) < QUIET
         return (calm, whitening) if quiet else (frame, None)
+
+    def _doubtful(self, verdict: Verdict) -> bool:
+        """Whether another position, or another number of loads, might explain more."""
+        return verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS
+
+    def _moved(self, frame: Observation) -> bool:
+        """Whether readings are no longer those in which all of the panel was searched last."""
+        if self.searched is None:
+            return True
+        step = (frame.measured - self.searched) / np.hypot(3 * frame.sigma, STILL * frame.measured)
+        return bool(np.sqrt(np.mean(np.minimum(step * step, 100.0))) > 1)
 
     def _searched(self, frame: Observation) -> tuple[Fit, ...]:
         """Coarse fits of all loads from wherever the change looks like something; one of each, the best first."""
         discs = self._discs(frame)
         coarse = [self._coarse(load, frame, discs) for load in self.loads if not load.follows]
-        hollow = sorted((fit for fits in coarse for fit in fits if fit.candidate.hollow), key=_cost)
+        hollow = sorted((fit for fits in coarse for fit in fits if fit.candidate.hollow), key=_score)
         likely = [variant for fit in hollow[:BEST] for variant in _alike(fit)]
         coarse += [self._coarse(load, frame, likely or discs) for load in self.loads if load.follows]
-        fits = sorted((min(fits, key=_cost) for fits in coarse), key=_cost)
+        fits = sorted((min(fits, key=_score) for fits in coarse), key=_score)
         for settled in FINER:
-            whitening = Whitening.of(blurred(frame, settled), fits[0].change)
-            fits = sorted(self._fits(frame, whitening, tuple(fits)), key=_cost)
+            fits = sorted(self._each(blurred(frame, settled), tuple(fits), LEVELS[-1]), key=_score)
         return tuple(fits)
 
     def _discs(self, frame: Observation) -> list[Disc]:
@@ -120,47 +163,111 @@ class Detector:
 
     def _unexplained(self, frame: Observation) -> Array:
         """The readings without those of the panel at rest, (cells) ohm."""
-        return frame.direct().missed(self.rest.change, NONE)[0]
+        return frame.direct().missed(np.zeros(self.panel.shape), NONE)[0]
 
     def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> list[Fit]:
         fitting = self._fitting(load, frame, self.coarse)
         fits: list[Fit] = []
         for disc in discs:
-            least = min((fit.cost for fit in fits), default=np.inf)
+            least = min((fit.score for fit in fits), default=np.inf)
             fits.append(fitting.best(load.start(disc), COARSE_STEPS, least + HOPELESS))
         return fits
 
-    def _settled(self, frame: Observation, starts: tuple[Fit, ...]) -> Verdict:
-        """All candidates from those starts, weighed anew and without outliers until that changes nothing."""
-        whitening = Whitening.of(frame, starts[0].change)
+    def _settled(self, frame: Observation, starts: tuple[Fit, ...], field: Fit | None) -> Verdict:
+        """All candidates from those starts, without outliers, and with the film's deviation that suits each best."""
+        level = next((level for level in LEVELS if level * self.response == starts[0].scatter), LEVELS[1])
         for _ in range(ROUNDS):
-            fits = (*self._uniform(frame, whitening), *self._fits(frame, whitening, starts))
-            verdict = self._judged(frame, fits)
-            best = verdict.best
-            far = outliers(whitening, best.residual) if verdict.goodness > SUSPICIOUS else NONE
-            if len(far) == 0 and np.abs(best.change - whitening.change).max() < FAR:
+            fits = self._each(frame, starts, level)
+            best = min(fits, key=_score)
+            fits += tuple(
+                self._from(frame, twin, level, best.score + HOPELESS)
+                for twin in twins(best, self.loads)
+                if twin.candidate.label not in [fit.candidate.label for fit in fits]
+            )
+            far = NONE
+            if best.chi2 > SUSPICIOUS * frame.measured.size:
+                far = outliers(Whitening.of(frame, best.explained, best.scatter), best.residual)
+            if len(far) == 0:
                 break
-            frame, starts = without(frame, far), verdict.loads
-            whitening = Whitening.of(frame, best.change)
-        return verdict
+            frame, starts = without(frame, far), tuple(sorted(fits, key=_score))
+        limit = best.score + ALIVE
+        fits = tuple(self._at_all_levels(frame, fit) if fit.score < limit else fit for fit in fits)
+        others = () if field is None else (field,)
+        return self._judged(frame, (*self._uniform(frame, Whitening.at_rest(frame)), *fits, *others))
+
+    def _at_all_levels(self, frame: Observation, fit: Fit) -> Fit:
+        """The fit with the film's deviation that suits it best, and its evidence over all of them, alike beforehand."""
+        mean, sd = fit.candidate.mean(self.panel), fit.candidate.sd(self.panel)
+        uncertain, scatters = Uncertain.of(frame, fit.explained), [level * self.response for level in LEVELS]
+        whitenings = [uncertain.whitening(scatter) for scatter in scatters]
+        evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
+        here, best = scatters.index(fit.scatter), int(np.argmax(evidence))
+        if best != here:
+            there = self._fitting(fit.candidate, frame, whitenings[best]).best(fit.parameters, REFINED)
+            evidence += there.evidence - evidence[best]
+            fit = there
+        else:
+            evidence += fit.evidence - evidence[here]
+        return replace(fit, evidence=float(logsumexp(evidence)) - float(np.log(len(LEVELS))))
 
     def _uniform(self, frame: Observation, whitening: Whitening) -> tuple[Fit, ...]:
         return tuple(self._fitting(kind, frame, whitening).best(kind.mean(self.panel)) for kind in UNIFORM)
 
-    def _fits(self, frame: Observation, whitening: Whitening, starts: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        """Every load from its own start, in their order; the hollow ones again from the best, where they end higher."""
+    def _each(self, frame: Observation, starts: tuple[Fit, ...], level: float) -> tuple[Fit, ...]:
+        """Every load from its own start, each with errors of its own; hollow ones again from the best.
+
+        level : of the film's deviation, in units of that of `ModelErrors`.
+        """
         fits: dict[str, Fit] = {}
         for start in starts:
-            load = start.candidate
-            least = min((fit.cost for fit in fits.values()), default=np.inf)
-            fits[load.label] = self._fitting(load, frame, whitening).best(start.parameters, STEPS, least + HOPELESS)
-        best = min(fits.values(), key=_cost)
+            least = min((fit.score for fit in fits.values()), default=np.inf)
+            fits[start.candidate.label] = self._from(frame, start, level, least + HOPELESS)
+        best = min(fits.values(), key=_score)
         disc = best.candidate.disc(best.parameters)
         for load in self.loads:
-            if disc is not None and load.hollow and fits[load.label].cost > best.cost + HIGHER:
-                again = self._fitting(load, frame, whitening).best(load.start(disc), STEPS, best.cost + HOPELESS)
-                fits[load.label] = min(fits[load.label], again, key=_cost)
-        return tuple(fits[load.label] for load in self.loads)
+            before = fits.get(load.label)
+            enough = before is not None and before.score < best.score + HIGHER
+            if disc is None or not load.hollow or enough:
+                continue
+            again = replace(best, candidate=load, parameters=load.start(disc))
+            again = self._from(frame, again, level, best.score + HOPELESS)
+            fits[load.label] = again if before is None else min(before, again, key=_score)
+        return tuple(fits.values())
+
+    def _from(self, frame: Observation, start: Fit, level: float, hopeless: float) -> Fit:
+        """A load from a start, weighed by what the start explains; anew where it ends far from that."""
+        scatter = level * self.response
+        for _ in range(2):
+            before = start.change
+            whitening = Whitening.of(frame, start.explained, scatter)
+            start = self._fitting(start.candidate, frame, whitening).best(start.parameters, STEPS, hopeless)
+            if start.score > hopeless or np.abs(start.change - before).max() < FAR:
+                break
+        return start
+
+    def _several(self, frame: Observation, single: Verdict, field: Fit) -> list[Verdict]:
+        """Verdicts on two loads at once, then on three, while they explain more than what one load fewer does."""
+        discs, together = self.search.apart(field.change), self._roughly(frame)
+        found: list[Verdict] = []
+        for count in range(2, min(len(discs), MOST_AT_ONCE) + 1):
+            fit = together.about(discs[:count])
+            verdict = self._settled(frame, (fit, *single.loads[:1]), field)
+            before = found[-1] if found else single
+            if max(one.evidence for one in verdict.fits) <= max(one.evidence for one in before.fits):
+                break
+            found.append(verdict)
+            if not self._doubtful(verdict):
+                break
+        return found
+
+    def _roughly(self, frame: Observation) -> Together:
+        """How several loads are sought: compared as coarsely as single ones are."""
+        rough = blurred(frame, COARSE)
+
+        def fit(candidate: Candidate, start: Array, least: float) -> Fit:
+            return self._fitting(candidate, rough, self.coarse).best(start, STEPS, least + HOPELESS)
+
+        return Together(self.loads, fit)
 
     def _judged(self, frame: Observation, fits: tuple[Fit, ...]) -> Verdict:
         return judged(self.panel, UNIFORM + self.loads, fits, frame.measured.size)
@@ -169,8 +276,8 @@ class Detector:
         return Fitting(self.panel, self.patch_mm, candidate, frame, whitening)
 
 
-def _cost(fit: Fit) -> float:
-    return fit.cost
+def _score(fit: Fit) -> float:
+    return fit.score
 
 
 def _alike(fit: Fit) -> list[Disc]:

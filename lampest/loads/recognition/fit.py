@@ -1,10 +1,11 @@
 """One candidate fitted to one frame, and how likely the frame is under it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from lampest.loads.recognition.frame import Observation, Whitening
+from lampest.loads.recognition.frame import Explained, Observation, Whitening
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
@@ -14,26 +15,41 @@ LARGEST_DAMPING = 1e8
 FARTHEST = 5.0  # standard deviations of the prior: beyond, nothing is looked for
 TRIAL = 4
 LOOSE = 0.3
+LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs are: its evidence hardly counts
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The most probable parameters φ of a candidate.
 
-    parameters, covariance : (parameters) and its square. change : (rows, columns) ln r/r0. residual : (cells) ohm.
-    chi2 : of the readings. cost : half of it plus half the priors'. evidence : ln of the frame's probability under the
-    candidate, up to what all candidates share. steps : evaluations of the model.
+    parameters, covariance : (parameters) and its square. explained : what it does to the cells. residual : (cells) ohm.
+    slopes : (cells, parameters) ohm, of the readings by φ. chi2 : of the readings. cost : half of it plus half the
+    priors'. volume : ½ ln det of the errors' covariance. evidence : ln of the frame's probability under the candidate,
+    up to what all candidates share. scatter : the film's relative deviation. steps : evaluations of the model.
     """
 
     candidate: Candidate
     parameters: Array
     covariance: Array
-    change: Array
+    explained: Explained
     residual: Array
+    slopes: Array
     chi2: float
     cost: float
+    volume: float
     evidence: float
+    scatter: float
     steps: int
+
+    @property
+    def score(self) -> float:
+        """−ln of the posterior at its most probable point: what candidates with errors of their own compare by."""
+        return self.cost + self.volume
+
+    @property
+    def change(self) -> Array:
+        """ln r/r0, (rows, columns)."""
+        return self.explained.change
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +57,9 @@ class _Linearisation:
     """The model about φ: errors of unit variance of readings and priors, their slopes by φ, and half their square."""
 
     parameters: Array
-    change: Array
+    explained: Explained
     residual: Array
+    by_parameter: Array
     errors: Array
     slopes: Array
     cost: float
@@ -65,26 +82,43 @@ class Fitting:
         touched = np.flatnonzero(np.any(by_parameter != 0, axis=0))
         residual, slopes = self.frame.missed(change, touched)
         of_cells = (response.ravel() * by_parameter.reshape(len(parameters), response.size))[:, touched].T
-        whitened = self.whitening @ np.column_stack([residual, slopes @ of_cells])
-        sd = self.candidate.sd(self.panel)
-        prior = (parameters - self.candidate.mean(self.panel)) / sd
+        of_readings = slopes @ of_cells
+        whitened = self.whitening @ np.column_stack([residual, of_readings])
+        mean, sd = self._prior
+        prior = (parameters - mean) / sd
         errors = np.concatenate([whitened[:, 0], prior])
         return _Linearisation(
             parameters,
-            change,
+            Explained(change, self._edges(response, by_parameter)),
             residual,
+            of_readings,
             errors,
             np.vstack([-whitened[:, 1:], np.diag(1 / sd)]),
             float(errors @ errors) / 2,
         )
 
+    @cached_property
+    def _prior(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of φ."""
+        return self.candidate.mean(self.panel), self.candidate.sd(self.panel)
+
+    @cached_property
+    def _centre(self) -> list[int]:
+        """Which of φ are coordinates of a centre."""
+        names = list(self.candidate.priors(self.panel))
+        return [number for number, name in enumerate(names) if name.split(".")[-1] in ("x", "y")]
+
+    def _edges(self, response: Array, by_parameter: Array) -> Array:
+        """What a shift of the load by 1 mm does to ln r, (rows, columns); nothing where it has no place."""
+        return np.asarray(np.abs(response) * np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0)))
+
     def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf) -> Fit:
         """Damped Gauss-Newton steps from φ = `start` until they gain less than ENOUGH.
 
-        They also end after `steps`, and soon where the cost stays above `hopeless`.
+        They also end after `steps`, and soon where the score stays above `hopeless`.
         """
-        damping = 1e-3
-        mean, reach = self.candidate.mean(self.panel), FARTHEST * self.candidate.sd(self.panel)
+        damping, hopeless = 1e-3, hopeless - self.whitening.volume
+        mean, reach = self._prior[0], FARTHEST * self._prior[1]
         low, high, longest = mean - reach, mean + reach, self.candidate.steps(self.panel)
         here, count = self.at(np.clip(start, low, high)), 1
         while count < steps and len(start):
@@ -107,11 +141,11 @@ class Fitting:
                 damping = max(10 * damping, 1e-3)
                 if damping > LARGEST_DAMPING:
                     break
-        return self._fit(here, count, here.cost > hopeless)
+        return self._fit(here, count, here.cost > hopeless - LOST)
 
     def _fit(self, here: _Linearisation, count: int, hopeless: bool) -> Fit:
         """The result where steps no longer improve it; see `_widths`."""
-        sd = self.candidate.sd(self.panel)
+        sd = self._prior[1]
         precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
         stiffness, axes = np.linalg.eigh(precision)
         widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # that of the priors is 1
@@ -122,12 +156,15 @@ class Fitting:
         return Fit(
             self.candidate,
             here.parameters,
-            spread @ spread.T,
-            here.change,
+            spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2),
+            here.explained,
             here.residual,
+            here.by_parameter,
             float(here.errors[:cells] @ here.errors[:cells]),
             here.cost,
-            float(np.log(widths).sum() - here.cost),
+            self.whitening.volume,
+            float(np.log(widths).sum() - here.cost) - self.whitening.volume,
+            self.whitening.scatter,
             count + tried,
         )
 
@@ -144,3 +181,16 @@ class Fitting:
             rises = [self.at(here.parameters + sign * step).cost - here.cost for sign in (1, -1)]
             widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
         return widths, 2 * len(loose)
+
+
+def linear_evidence(fit: Fit, whitening: Whitening, mean: Array, sd: Array) -> float:
+    """ln N(e; A (mean − φ̂), C + A Σ Aᵀ): the frame's probability with the model straight about φ̂, for other errors C.
+
+    mean, sd : of the priors of φ.
+    """
+    errors = whitening @ np.column_stack([fit.residual, fit.slopes * sd])
+    apart = (fit.parameters - mean) / sd
+    stiff = errors[:, 1:].T @ errors[:, 1:] + np.eye(len(sd))
+    pull = errors[:, 1:].T @ errors[:, 0] - apart
+    cost = (errors[:, 0] @ errors[:, 0] + apart @ apart - pull @ np.linalg.solve(stiff, pull)) / 2
+    return float(-cost - np.linalg.slogdet(stiff)[1] / 2) - whitening.volume

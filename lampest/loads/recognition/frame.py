@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from lampest.panel.panel import Array
 STEP_KPA = 1e-3
 ALONE = 5.0
 MOST_DROPPED = 0.03
+EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 
@@ -57,12 +59,21 @@ class Observation(ABC):
         return loaded - self._unloaded, slope
 
     def covariance(self, change: Array) -> Array:
-        """σ² + H C Hᵀ + J τ² Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, cells."""
-        model_errors, slope = self.baseline.model_errors, self.slope(change)
+        """σ² + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, cells at rest."""
+        slope, resting = self.slope(change), self.baseline.model_errors.resting_sd(self.seconds)
         both = np.hstack([slope, self._offsets])
-        scatter = slope * model_errors.cells_sd(change, self.seconds).ravel()
-        total = both @ self.baseline.covariance @ both.T + scatter @ scatter.T
+        total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
+
+    def film(self, explained: "Explained") -> Array:
+        """J (x K xᵀ + w²) Jᵀ (cells, cells) ohm²: what cells that answer twice as strongly as they should would add.
+
+        x = ln r/r0 scatters in proportion to itself, partly alike in neighbours and everywhere (`Baseline.alike`);
+        w is what an edge that lies `EDGE_MM` beside its place does.
+        """
+        slope, change = self.slope(explained.change), explained.change.ravel()
+        field = self.baseline.alike * np.outer(change, change) + np.diag((EDGE_MM * explained.edges.ravel()) ** 2)
+        return np.asarray(slope @ field @ slope.T)
 
     @abstractmethod
     def direct(self) -> "Direct":
@@ -151,17 +162,34 @@ class TwoStep(Observation):
         return network.reading().ravel(), network.sensitivity(), logarithm
 
 
+class Explained(NamedTuple):
+    """What a load explains: (rows, columns) ln r/r0, and by how much a shift of the load by 1 mm changes that."""
+
+    change: Array
+    edges: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """The root of a covariance, lower triangular, with the change of the cells that it was made for."""
+    """The root of a covariance, lower triangular, with the relative deviation of the film that it was made for."""
 
     root: Array
-    change: Array
+    scatter: float = 0.0
 
     @classmethod
-    def of(cls, frame: Observation, change: Array) -> "Whitening":
-        """For a frame about ln r/r0 = `change`."""
-        return cls(cholesky(frame.covariance(change), lower=True), change)
+    def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
+        """For a frame about what a load explains, where cells answer with a relative deviation of `scatter`."""
+        return Uncertain.of(frame, explained).whitening(scatter)
+
+    @classmethod
+    def at_rest(cls, frame: Observation) -> "Whitening":
+        """For a frame of a panel that nothing touches."""
+        return cls(cholesky(frame.covariance(np.zeros(frame.measured.shape)), lower=True))
+
+    @cached_property
+    def volume(self) -> float:
+        """½ ln det C."""
+        return float(np.log(np.diag(self.root)).sum())
 
     def __matmul__(self, vectors: Array) -> Array:
         """L⁻¹·v: errors of unit variance."""
@@ -172,6 +200,23 @@ class Whitening:
         """C⁻¹, (cells, cells)."""
         whitening = self @ np.eye(len(self.root))
         return np.asarray(whitening.T @ whitening)
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """The covariance of a frame about what a load explains: base, and what the film adds; (cells, cells) ohm²."""
+
+    base: Array
+    film: Array
+
+    @classmethod
+    def of(cls, frame: Observation, explained: Explained) -> "Uncertain":
+        """Of one frame."""
+        return cls(frame.covariance(explained.change), frame.film(explained))
+
+    def whitening(self, scatter: float) -> Whitening:
+        """Where cells answer with a relative deviation of `scatter`."""
+        return Whitening(cholesky(self.base + scatter**2 * self.film, lower=True, check_finite=False), scatter)
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:

@@ -1,7 +1,7 @@
 """What the model does not describe: the sources of error that stand beside the noise of the readings."""
 
 from dataclasses import dataclass
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +16,8 @@ class ModelErrors:
 
     Parameters
     ----------
-    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently.
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently. Recognition finds it
+        in the readings, between 0.5 and 2.5 times this.
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
     drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
     settled : of the logarithm of a cell's resistance at rest, apart from drift.
@@ -40,10 +41,9 @@ class ModelErrors:
             if not (isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive, and finite")
 
-    def cells_sd(self, logarithm: Array, seconds: float) -> Array:
-        """Standard deviation of ln r at ln(r/r0) = `logarithm`, `seconds` after the baseline; same shape."""
-        drift = self.drift_per_minute * seconds / 60
-        return np.asarray(np.sqrt((self.response * logarithm) ** 2 + drift**2 + self.settled**2))
+    def resting_sd(self, seconds: float) -> float:
+        """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""
+        return hypot(self.drift_per_minute * seconds / 60, self.settled)
 
     def offsets(self, total: Array) -> Array:
         """E·sd (cells, rows + columns + 1) ohm: what one standard deviation of every offset adds to the readings.

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from lampest.loads.footprint import cover
 from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.recognition.frame import Observation, Whitening
 from lampest.loads.shapes.disc import Disc
+from lampest.loads.shapes.oval import oval_pressure
 from lampest.loads.shapes.shape import Template
 from lampest.panel.panel import Array, Panel
 
 MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5
 CLEAR = 1.5  # ln r/r0 beyond which a cell counts no more than one there
+MOST, LEAST, FAINTEST = 3, 0.4, 0.15  # discs that are looked for apart; ln r/r0 in all, and beside the first, of one
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 
@@ -21,11 +22,13 @@ FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, whe
 class DiscSearch:
     """Templates about every cell's centre and between four of them: a matched filter.
 
-    templates : themselves. discs : (discs) what a fit begins with where one of them matches, template by template.
+    panel, templates : themselves. discs : (discs) what a fit begins with where one of them matches, one template after
+    the other.
     changes : (cells, discs) ln r/r0 of unit length.
     errors : (cells, discs of the faint ones) what they add to whitened readings of a panel at rest, of unit length.
     """
 
+    panel: Panel
     templates: tuple[Template, ...]
     discs: tuple[Disc, ...]
     changes: Array
@@ -47,7 +50,7 @@ class DiscSearch:
         changes = _unit(np.concatenate(patterns).reshape(-1, panel.cells).T)
         faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.cells)]
         errors = _unit(whitening @ (network_of(baseline.logarithm).sensitivity() @ faint))
-        return cls(templates, tuple(discs), changes, errors)
+        return cls(panel, templates, tuple(discs), changes, errors)
 
     def stands_out(self, errors: Array) -> float:
         """By how many standard deviations errors of unit variance, against a panel at rest, look like a disc."""
@@ -66,6 +69,22 @@ class DiscSearch:
         best = [template * size + int(np.argmax(on_map[template])) for template in order]
         best += [template * size + int(np.argmax(row)) for template, row in zip(faint, in_errors, strict=True)]
         return [self.discs[number] for number in dict.fromkeys(best)]
+
+    def apart(self, change: Array) -> list[Disc]:
+        """Discs that do not overlap, the clearest on a map of ln r/r0 (rows, columns) first."""
+        left, first = np.clip(change, -CLEAR, CLEAR), 0.0
+        found: list[Disc] = []
+        while len(found) < MOST:
+            score = self.changes.T @ left.ravel()
+            best = int(np.argmax(score))
+            if score[best] < max(LEAST, FAINTEST * first):
+                break
+            first, disc = max(first, score[best]), self.discs[best]
+            found.append(disc)
+            across, down = self.panel.centres_mm()
+            distance = np.hypot(across[None, :] - disc.x_mm, down[:, None] - disc.y_mm)
+            left = np.where(distance < disc.diameter_mm / 2 + self.panel.pitch_mm / 2, 0.0, left)
+        return found
 
 
 def cell_map(frame: Observation) -> Array:
@@ -88,12 +107,12 @@ def _everywhere(
 
     About another cell it looks the same: it is laid once over a larger panel, and cut out for every cell.
     """
-    outer, inner = template.outer_mm, template.inner_mm
     across, down = panel.centres_mm()
     large = Panel(2 * panel.rows - 1, 2 * panel.columns - 1, panel.pitch_mm)
     centre = (across[-1] + shift, down[-1] + shift)
-    whole, hole = cover(large, patch_mm, centre, (outer, inner or outer)).values[:, 0]
-    pattern = ((1 + template.inside) * hole if inner else 0.0) - whole
+    pattern, _ = oval_pressure(
+        large, patch_mm, Disc(*centre, template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)
+    )
     windows = np.lib.stride_tricks.sliding_window_view(pattern, panel.shape)[::-1, ::-1]
     centres = [(x + shift, y + shift) for y in down for x in across]
     return centres, windows.reshape(-1, *panel.shape)

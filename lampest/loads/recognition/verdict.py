@@ -2,32 +2,39 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from lampest.loads.recognition.candidates import UNIFORM
+from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.several import Several
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
 
 SURE, SURE_OF_TARGET = 0.99, 0.999  # an alarm that is false costs more than one that says "or"
 OR = " or "
 AS_GOOD = 3.0  # of the logarithm of the posterior
-UNLIKE = 3.0  # χ² per reading of the best candidate, beyond which the frame looks like none of them
-UNKNOWN = "unlike any"
+RARER = log(20)  # ln of how much rarer every further load is; an assumption
+
+# An assumption about outlines that are no candidates; and ln r/r0 that a panel shows clearly, a suction of half a kPa.
+HIDDEN, SHOWN = 20.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """What a frame shows.
 
-    fits : of every candidate in their order, those of UNIFORM first; of these alone where nothing stood out.
-    probabilities : (candidates), their sum is 1. goodness : χ² per reading of the best one.
+    fits : those of UNIFORM first; of these alone where nothing stood out. shares : (fits) how probable each is.
+    probabilities : by kind, in the order of the candidates that were asked for, then 'unlike any'; several loads count
+    as their first. Both sum up to 1. goodness : χ² per reading of the best fit.
     label : its name, or several joined by 'or', the likeliest first.
     """
 
     fits: tuple[Fit, ...]
+    shares: tuple[float, ...]
     probabilities: tuple[float, ...]
     goodness: float
     label: str
@@ -35,43 +42,70 @@ class Verdict:
     @property
     def best(self) -> Fit:
         """The most probable one."""
-        return self.fits[int(np.argmax(self.probabilities))]
+        return self.fits[int(np.argmax(self.shares))]
 
     @property
     def loads(self) -> tuple[Fit, ...]:
-        """Those that are loads of some shape, the most probable first; none where nothing stood out."""
-        shaped = self.fits[len(UNIFORM) :]
-        order = np.argsort(-np.array(self.probabilities[len(UNIFORM) :]))
-        return tuple(shaped[number] for number in order) if shaped else ()
+        """Those that are loads of some shape, the best first; none where nothing stood out."""
+        shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
+        return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
 
 
 def judged(panel: Panel, candidates: Sequence[Candidate], fits: tuple[Fit, ...], readings: int) -> Verdict:
-    """P(candidate) ∝ evidence: all are alike beforehand. The label names those that share 99 % of the probability.
+    """P(fit) ∝ evidence: all are alike beforehand, but every further load at once, and hidden suction, are rarer.
 
-    A target that explains the readings as well as the likeliest load does is always named: its having more parameters
-    alone is no reason to be sure that there is none.
+    The label names those that share 99 % of the probability. A target that explains the readings as well as the
+    likeliest load does is always named: its having more parameters alone is no reason to be sure that there is
+    none.
 
     Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
     not fitted, because nothing stands out, have no probability. Frames are not multiplied with each other: the errors
     of the baseline and of the response are the same in all of them, and would be taken for evidence.
     """
     within = np.array([bounded(panel, fit) for fit in fits])
-    evidence = np.array([fit.evidence for fit in fits]) + within
+    before = np.array([RARER * further(fit.candidate) + unseen(fit) for fit in fits])
+    evidence = np.array([fit.evidence for fit in fits]) + within - before
     goodness = fits[int(np.argmax(evidence))].chi2 / readings
     tempered = evidence / max(1.0, goodness)
-    probabilities = np.zeros(len(candidates))
-    probabilities[: len(fits)] = np.exp(tempered - logsumexp(tempered))
-    order = np.argsort(-probabilities)
-    best = candidates[order[0]]
-    enough = SURE_OF_TARGET if best.target else SURE
-    needed = int(np.searchsorted(np.cumsum(probabilities[order]), enough)) + 1
-    named = [candidates[number].label for number in order[:needed]]
-    if best not in UNIFORM:
-        cost = (np.array([fit.cost for fit in fits]) - within) / max(1.0, goodness)
-        as_good = [fit.candidate for fit, high in zip(fits, cost, strict=True) if high < cost[order[0]] + AS_GOOD]
-        named += [target.label for target in as_good if target.target and target.label not in named]
-    label = UNKNOWN if goodness > UNLIKE else OR.join(named)
-    return Verdict(fits, tuple(map(float, probabilities)), goodness, label)
+    shares = np.exp(tempered - logsumexp(tempered))
+    kinds = [candidate.label for candidate in (*candidates, FIELD)]
+    probabilities = [0.0] * len(kinds)
+    by_label: dict[str, float] = {}
+    for fit, share in zip(fits, map(float, shares), strict=True):
+        first = fit.candidate.parts[0] if isinstance(fit.candidate, Several) else fit.candidate
+        probabilities[kinds.index(first.label)] += share
+        by_label[fit.candidate.label] = by_label.get(fit.candidate.label, 0.0) + share
+    best = fits[int(np.argmax(shares))].candidate
+    named = _named(by_label, SURE_OF_TARGET if best.target else SURE)
+    if best not in (*UNIFORM, FIELD):
+        score = (np.array([fit.score for fit in fits]) - within) / max(1.0, goodness)
+        least = score[int(np.argmax(shares))] + AS_GOOD
+        as_good = [fit.candidate for fit, high in zip(fits, score, strict=True) if high < least]
+        named += [one.label for one in as_good if one.target and one.label not in named]
+    return Verdict(fits, tuple(map(float, shares)), tuple(probabilities), goodness, OR.join(named))
+
+
+def _named(by_label: dict[str, float], enough: float) -> list[str]:
+    """The likeliest labels that share `enough` of the probability."""
+    order = sorted(by_label, key=lambda label: -by_label[label])
+    needed = int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1
+    return order[:needed]
+
+
+def further(candidate: Candidate) -> int:
+    """How many loads it has beside the first."""
+    return len(candidate.parts) - 1 if isinstance(candidate, Several) else 0
+
+
+def unseen(fit: Fit) -> float:
+    """By how much ln P of what sucks falls where it raises no cell: by HIDDEN, and by nothing where one clearly rises.
+
+    Between patches suction can be made to cancel a rim, so that a mouth fits what any line on the panel does. Of such
+    outlines there are many more than candidates.
+    """
+    parts = fit.candidate.parts if isinstance(fit.candidate, Several) else (fit.candidate,)
+    sucks = any(part.sucks for part in parts)
+    return HIDDEN * float(np.exp(-((max(fit.change.max(), 0.0) / SHOWN) ** 2))) if sucks else 0.0
 
 
 def bounded(panel: Panel, fit: Fit) -> float:

@@ -1,7 +1,7 @@
 """A disc: what all round loads are made of.
 
 A circle of diameter d about (x, y) presses with p·(1 + tilt) between its inner diameter d_i and d, and sucks with s
-inside d_i. Simulation takes its pressure at points, recognition its exact mean on every patch, with derivatives.
+inside d_i. Simulation takes its pressure at points, recognition its mean on every patch, with derivatives (`oval.py`).
 """
 
 from math import log, pi
@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lampest.loads.footprint import cover
 from lampest.loads.pressure import GRAVITY
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 
 
 class Disc(NamedTuple):
@@ -72,36 +71,3 @@ def annular_pressure(disc: Disc, x: Array, y: Array) -> tuple[Array, Array]:
     inside = radius < disc.inner_mm / 2
     rim = (radius >= disc.inner_mm / 2) & (radius < disc.diameter_mm / 2)
     return rim * disc.rim_kpa, inside * disc.suction_kpa
-
-
-def disc_pressure(panel: Panel, patch_mm: float, disc: Disc) -> tuple[Array, Array]:
-    """Mean pressure on every patch, (rows, columns) kPa, and its slopes by the disc's numbers (8, rows, columns)."""
-    radius = disc.diameter_mm / 2
-    circles = (disc.diameter_mm, disc.inner_mm) if disc.inner_mm > 0 else (disc.diameter_mm,)
-    covered = cover(panel, patch_mm, (disc.x_mm, disc.y_mm), circles)
-    tilt = np.array([1.0, disc.tilt_x / radius, disc.tilt_y / radius])
-    contact, contact_slope = covered.values[0], covered.slopes[:, 0]
-    slopes = np.zeros((8, *panel.shape))
-    pressure = np.zeros(panel.shape)
-    if disc.inner_mm > 0:
-        inner, inner_slope = covered.values[1], covered.slopes[:, 1]
-        contact = contact - inner
-        pressure = disc.suction_kpa * inner[0]
-        slopes[[0, 1, 3]] = disc.suction_kpa * inner_slope[:, 0]
-        slopes[3] -= disc.rim_kpa * _weighted(tilt, inner_slope[2])
-        slopes[4] = inner[0]
-        contact_slope = contact_slope.copy()
-        contact_slope[:2] -= inner_slope[:2]
-    slopes[5] = _weighted(tilt, contact)
-    pressure = pressure + disc.rim_kpa * slopes[5]
-    for number in range(3):
-        slopes[number] += disc.rim_kpa * _weighted(tilt, contact_slope[number])
-    slopes[2] -= disc.rim_kpa * _weighted(tilt[1:], contact[1:]) / disc.diameter_mm
-    slopes[6:] = disc.rim_kpa * contact[1:] / radius
-    return pressure, slopes
-
-
-def _weighted(weights: Array, parts: Array) -> Array:
-    """Σ w_i·part_i, (parts, rows, columns) → (rows, columns)."""
-    total: Array = (weights @ parts.reshape(len(weights), -1)).reshape(parts.shape[1:])
-    return total

@@ -7,7 +7,8 @@ from math import exp, log, sqrt
 import numpy as np
 
 from lampest.loads.pressure import VACUUM_KPA
-from lampest.loads.shapes.disc import Disc, bearing_kpa, bearing_slope, checked_contact, disc_pressure, log_bearing
+from lampest.loads.shapes.disc import Disc, bearing_kpa, bearing_slope, checked_contact, log_bearing
+from lampest.loads.shapes.oval import EVEN, Unevenness, oval_pressure
 from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Shape, Template, centre_priors
 from lampest.panel.panel import Array, Panel
 
@@ -18,6 +19,10 @@ DIAMETER = Prior(log(30), 0.35, step=0.2)
 WIDTH = Prior(log(RIM_WIDTH_MM), 0.45)
 SUCTION = Prior(log(8), 0.75)
 TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
+# Assumptions: 95 % have axes within a ratio of 1.22, and press within ±34 % along themselves.
+UNEVEN = (0.05, 0.05, 0.17, 0.17)
+# An assumption: films are cut to a millimetre and rims are rounded, so that both edges of a disc may seem that far off.
+EDGE_MM = 0.7
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
 QUANTITIES = (
     Quantity("centre_x", "mm", "x", "centre of the load across the columns, column 0 at 0"),
@@ -46,13 +51,21 @@ def disc_of(shape: Shape, inner_mm: float, outer_mm: float, rim_kpa: float, suct
 
 
 def sucking_disc(
-    shape: Shape, inner_mm: float, outer_mm: float, pressure_kpa: float, rim_kpa: float | None = None
+    shape: Shape,
+    inner_mm: float,
+    outer_mm: float,
+    pressure_kpa: float,
+    rim_kpa: float | None = None,
+    extra_kpa: float = 0.0,
 ) -> Disc:
-    """A sucking inside and its rim, which bears the suction's force unless its pressure is given. Raises ValueError."""
+    """A sucking inside and its rim, which bears the suction's force and `extra_kpa` unless its pressure is given.
+
+    Raises ValueError.
+    """
     bearing = bearing_kpa(pressure_kpa, inner_mm, outer_mm)
     if not pressure_kpa < 0:
         raise ValueError("pressure_kpa is a suction: it must be negative")
-    return disc_of(shape, inner_mm, outer_mm, bearing if rim_kpa is None else rim_kpa, pressure_kpa)
+    return disc_of(shape, inner_mm, outer_mm, bearing + extra_kpa if rim_kpa is None else rim_kpa, pressure_kpa)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,26 +76,32 @@ class RoundCandidate(Candidate):
     ----------
     numbers : priors of what stands beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
         is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
+    uneven : standard deviations of the numbers of `Unevenness`, which come last.
     bound : margin of φ within a bound with its slopes, or None.
     """
 
     numbers: Mapping[str, Prior]
+    uneven: tuple[float, ...] = UNEVEN
     bound: Callable[["RoundCandidate", Array], tuple[float, Array]] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """The parameters in order."""
-        return ("x", "y", *self.numbers)
+        return ("x", "y", *self.numbers, *Unevenness._fields)
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """Those of the centre and of all other numbers."""
-        return {**centre_priors(panel), **self.numbers}
+        """Those of the centre, of all other numbers, and of its unevenness."""
+        uneven = zip(Unevenness._fields, self.uneven, strict=True)
+        return {**centre_priors(panel), **self.numbers, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """That of the disc which φ describes."""
+        """That of the disc which φ describes, stretched and in lobes where it may be."""
         disc, by_parameter = self.disc_with_slopes(parameters)
-        pressure, by_disc = disc_pressure(panel, patch_mm, disc)
-        return pressure, (by_parameter.T @ by_disc.reshape(8, -1)).reshape(-1, *panel.shape)
+        form = slice(len(self.names) - len(Unevenness._fields), None)
+        pressure, by_number = oval_pressure(panel, patch_mm, disc, Unevenness(*parameters[form]))
+        slopes = (by_parameter.T @ by_number[:8].reshape(8, -1)).reshape(-1, *panel.shape)
+        slopes[form] = by_number[8:]
+        return pressure, slopes
 
     def disc(self, parameters: Array) -> Disc:
         """The disc of φ."""
@@ -116,21 +135,32 @@ class RoundCandidate(Candidate):
 
     def start(self, disc: Disc) -> Array:
         """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement."""
-        width = (disc.diameter_mm - disc.inner_mm) / 2 if disc.inner_mm else RIM_WIDTH_MM
+        width, bearing = RIM_WIDTH_MM, 0.0
+        if disc.inner_mm:
+            width = (disc.diameter_mm - disc.inner_mm) / 2
+            bearing = bearing_kpa(disc.suction_kpa, disc.inner_mm, disc.diameter_mm)
         values = {
             "diameter": log(disc.diameter_mm),
             "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
             "suction": log(max(-disc.suction_kpa, 1.0)),
             "rim": log(max(disc.rim_kpa, 0.1)),
+            "push": log(max(disc.rim_kpa - bearing, 0.5)),
             "tilt_x": disc.tilt_x,
             "tilt_y": disc.tilt_y,
         }
         others = (values.get(name, prior.mean) for name, prior in self.numbers.items())
-        return np.array([disc.x_mm, disc.y_mm, *others])
+        return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
 
     def margin(self, parameters: Array) -> tuple[float, Array] | None:
         """That of `bound`."""
         return None if self.bound is None else self.bound(self, parameters)
+
+    def blind(self, parameters: Array) -> Array:
+        """That of the diameter: EDGE_MM/d in its logarithm."""
+        unseen = np.zeros(len(parameters))
+        place = self.names.index("diameter")
+        unseen[place] = EDGE_MM / exp(parameters[place])
+        return unseen
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:

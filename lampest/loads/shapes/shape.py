@@ -96,6 +96,10 @@ class Candidate(ABC):
         """The values of these (quantities), and their slopes by φ (quantities, parameters)."""
         return np.zeros(0), np.zeros((0, len(parameters)))
 
+    def blind(self, parameters: Array) -> Array:
+        """Standard deviation of φ that no reading takes away, because all patches may be off alike, (parameters)."""
+        return np.zeros(len(parameters))
+
     def mean(self, panel: Panel) -> Array:
         """Prior mean of φ, (parameters)."""
         return np.array([prior.mean for prior in self.priors(panel).values()])

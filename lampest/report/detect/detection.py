@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.loads.recognition.candidates import KINDS, LOADS
-from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.recognition.detector import MOST_AT_ONCE
+from lampest.loads.recognition.several import Several
+from lampest.loads.recognition.verdict import Verdict, further
 from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
 from lampest.panel.panel import Array
 
@@ -27,6 +29,7 @@ class Detection:
     frame, time : (frames) index into the recording, and s.
     labels : (frames) what the frame may be called. probabilities : (frames, kinds) in the order of KINDS.
     values, errors : (frames, quantities) and their standard deviations; NaN where there is no such load or number.
+    further : the same for the second load and the third, where several are there at once. count : (frames) of loads.
     goodness : (frames) χ² per reading of the most probable candidate; NaN where the frame was not solved.
     """
 
@@ -38,6 +41,8 @@ class Detection:
     probabilities: Array
     values: Array
     errors: Array
+    further: tuple[tuple[Array, Array], ...]
+    count: NDArray[np.int64]
     goodness: Array
 
     @classmethod
@@ -56,16 +61,34 @@ class Detection:
             np.array([unknown if verdict is None else verdict.probabilities for verdict in verdicts]),
             np.array([values for values, _ in numbers]),
             np.array([errors for _, errors in numbers]),
+            tuple(_further(verdicts, number) for number in range(1, MOST_AT_ONCE)),
+            np.array([_count(verdict) for verdict in verdicts]),
             np.array([np.nan if verdict is None else verdict.goodness for verdict in verdicts]),
         )
 
 
-def _numbers(verdict: Verdict | None) -> tuple[Array, Array]:
-    """(values, errors) of the most probable candidate, (quantities); NaN for what it has none of."""
+def _further(verdicts: tuple[Verdict | None, ...], number: int) -> tuple[Array, Array]:
+    """(values, errors) of the load with that number, (frames, quantities)."""
+    both = [_numbers(verdict, number) for verdict in verdicts]
+    return np.array([values for values, _ in both]), np.array([errors for _, errors in both])
+
+
+def _count(verdict: Verdict | None) -> int:
+    """How many loads the most probable candidate has; 0 where there is none or nobody knows which."""
+    if verdict is None or verdict.best not in verdict.loads:
+        return 0
+    return 1 + further(verdict.best.candidate)
+
+
+def _numbers(verdict: Verdict | None, number: int = 0) -> tuple[Array, Array]:
+    """(values, errors) of one load of the most probable candidate, (quantities); NaN for what it has none of."""
     values, errors = np.full((2, len(QUANTITIES)), np.nan)
-    if verdict is not None:
-        fit = verdict.best
-        columns = [QUANTITIES.index(quantity) for quantity in fit.candidate.quantities]
-        values[columns], slopes = fit.candidate.report(fit.parameters)
-        errors[columns] = np.sqrt(np.einsum("qi,ij,qj->q", slopes, fit.covariance, slopes))
+    if verdict is None or number > further(verdict.best.candidate):
+        return values, errors
+    fit = verdict.best
+    one, (found, slopes) = fit.candidate, fit.candidate.report(fit.parameters)
+    if isinstance(fit.candidate, Several):
+        one, (found, slopes) = fit.candidate.parts[number], fit.candidate.of_part(number, fit.parameters)
+    columns = [QUANTITIES.index(quantity) for quantity in one.quantities]
+    values[columns], errors[columns] = found, np.sqrt(np.einsum("qi,ij,qj->q", slopes, fit.covariance, slopes))
     return values, errors

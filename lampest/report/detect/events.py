@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.loads.recognition.candidates import LOADS, NOTHING, UNIFORM
+from lampest.loads.recognition.several import AND
 from lampest.loads.recognition.verdict import OR
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import NOT_SOLVED, Detection
@@ -75,7 +76,7 @@ def events(detection: Detection) -> tuple[Event, ...]:
             present = True
             marks.append(("touched", number))
             reference = detection.values[number, :2]
-        if present and not attached and state <= SUCKING:
+        if present and not attached and all(_sucks(label) for label in state):
             attached = True
             if marks and marks[-1] == ("touched", number):
                 marks.pop()
@@ -86,6 +87,11 @@ def events(detection: Detection) -> tuple[Event, ...]:
             reference = detection.values[number, :2]
     ends = [number for _, number in marks] + [len(shown)]
     return tuple(_event(detection, kind, number, end) for (kind, number), end in zip(marks, ends[1:], strict=True))
+
+
+def _sucks(label: str) -> bool:
+    """Whether something that sucks is among the loads of a label."""
+    return any(load in SUCKING for load in label.split(AND))
 
 
 def _moved(detection: Detection, number: int, reference: Array) -> bool:

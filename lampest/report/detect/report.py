@@ -17,6 +17,7 @@ from lampest.runs.case import SHARED
 FORMAT = "detections/1"
 FILE = "detections.h5"
 READINGS = "readings"  # what tables call detections from the readings themselves
+ORDINALS = ("second", "third")  # groups of the loads beside the first
 MINUS = "−"
 
 
@@ -80,13 +81,21 @@ def _write(group: Any, detection: Detection) -> None:
         name = f"probability/{kind.replace(' ', '_')}"
         hdf5.write_dataset(group, name, detection.probabilities[:, number], "1", f"probability of {kind}", axes)
     hdf5.set_attributes(group["probability"], NX_class="NXcollection")
-    for number, quantity in enumerate(QUANTITIES):
-        values = (("", detection.values, ""), ("_errors", detection.errors, "standard deviation: "))
-        for suffix, numbers, prefix in values:
-            name, text = quantity.name + suffix, prefix + quantity.long_name
-            hdf5.write_dataset(group, name, numbers[:, number], quantity.units, text, axes)
+    _write_numbers(group, "", (detection.values, detection.errors), "")
+    for ordinal, numbers in zip(ORDINALS, detection.further, strict=True):
+        _write_numbers(group, f"{ordinal}/", numbers, f"{ordinal} load: ")
+        hdf5.set_attributes(group[ordinal], NX_class="NXcollection")
+    hdf5.write_dataset(group, "count", detection.count, "1", "number of loads at once", axes)
     hdf5.write_dataset(group, "goodness", detection.goodness, "1", "chi-square per reading of the best load", axes)
     _write_events(group.create_group("events"), events(detection))
+
+
+def _write_numbers(group: Any, folder: str, numbers: tuple[Array, Array], of_what: str) -> None:
+    """Every quantity of a load and its standard deviation."""
+    for suffix, part, prefix in (("", numbers[0], ""), ("_errors", numbers[1], "standard deviation: ")):
+        for place, quantity in enumerate(QUANTITIES):
+            name, text = f"{folder}{quantity.name}{suffix}", prefix + of_what + quantity.long_name
+            hdf5.write_dataset(group, name, part[:, place], quantity.units, text, ("time",))
 
 
 def _write_events(group: Any, happened: Sequence[Event]) -> None:

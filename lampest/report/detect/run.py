@@ -30,13 +30,14 @@ def detect_file(
     path: str | Path,
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
+    on_refused: Callable[[str], None] = lambda sentence: None,
 ) -> tuple[Results, tuple[Detection, ...]]:
-    """A results file and its detections. Raises InputError where it cannot be read or does not tell the noise."""
+    """A results file and its detections. Raises InputError where it cannot be read or no recording can be looked at."""
     results = read_results(path)
     if not results.cases:
         raise InputError(f"{path}: holds no results to look at")
     try:
-        return results, detect(results, settings, on_case)
+        return results, detect(results, settings, on_case, on_refused)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -45,14 +46,26 @@ def detect(
     results: Results,
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
+    on_refused: Callable[[str], None] = lambda sentence: None,
 ) -> tuple[Detection, ...]:
     """For every recording what its readings show (source SHARED), then what each estimate of it shows.
 
-    Raises InputError where results do not hold the noise of the readings and the settings do not give it.
+    A recording of another readout, or of unknown noise, is left out, and `on_refused` is told why. Raises InputError
+    where none is left.
     """
     found: list[Detection] = []
-    total = len(results.recordings()) + len(results.cases)
-    given = {name: GivenRecording.of(results.of(name)[0], settings) for name in results.recordings()}
+    given: dict[str, GivenRecording] = {}
+    refused: list[InputError] = []
+    for name in results.recordings():
+        try:
+            given[name] = GivenRecording.of(results.of(name)[0], settings)
+        except InputError as error:
+            refused.append(error)
+    if not given:
+        raise refused[0]
+    for sentence in refused:
+        on_refused(str(sentence))
+    total = sum(1 + len(results.of(name)) for name in given)
     for name, recording in given.items():
         for source in (None, *results.of(name)):
             found.append(detected(recording, source))

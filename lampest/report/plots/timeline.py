@@ -25,8 +25,10 @@ from lampest.runs.results import CaseResult, Results
 
 HEIGHT_INCH = 4.6
 NEAR = 0.14  # of the width: the names of events that are closer stand one above the other
-# In the order of KINDS, and again from the third for more of them: those of Okabe and Ito, apart for the colour-blind.
+# In the order of KINDS, from the first again for more loads than these, then 'unlike any': those of Okabe and Ito,
+# apart for the colour-blind.
 UNIFORM_COLOURS, LOAD_COLOURS = ("0.93", "0.75"), ("#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#F0E442")
+UNLIKE_COLOUR = "0.45"
 LINE, OTHER = "#222222", "#CC79A7"
 X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
 STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60, 100)
@@ -76,7 +78,7 @@ def _probabilities(axes: Axes, detection: Detection) -> None:
     """A column for every frame, shared among the kinds; white where a frame was not solved."""
     edges = _edges(detection.time)
     below = np.zeros(len(detection.time))
-    colours = (*UNIFORM_COLOURS, *islice(cycle(LOAD_COLOURS), len(KINDS) - len(UNIFORM_COLOURS)))
+    colours = (*UNIFORM_COLOURS, *islice(cycle(LOAD_COLOURS), len(KINDS) - len(UNIFORM_COLOURS) - 1), UNLIKE_COLOUR)
     for kind, colour, part in zip(KINDS, colours, np.nan_to_num(detection.probabilities).T, strict=True):
         axes.bar(edges[:-1], part, np.diff(edges), bottom=below, align="edge", color=colour, linewidth=0, label=kind)
         below = below + part
@@ -151,8 +153,9 @@ def _map(figure: Any, case: CaseResult, detection: Detection, index: int) -> Non
     painter.bar(figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    if np.isfinite(values[DIAMETER]):
-        _circles(axes, values)
+    for one in (values, *(numbers[index] for numbers, _ in detection.further)):
+        if np.isfinite(one[DIAMETER]):
+            _circles(axes, one)
 
 
 def _circles(axes: Axes, values: Array) -> None:
