@@ -37,6 +37,7 @@ for _command in (
     studies.bench,
     studies.tradeoff,
     studies.extremes,
+    studies.audit,
 ):
     app.command(_command.__name__.rstrip("_"))(_command)
 

@@ -71,3 +71,21 @@ def extremes(
     print_table(atlas_table(found))
     for line in (*atlas_remarks(found), *files):
         print(line)
+
+
+def audit(
+    config: Annotated[Path, typer.Argument(help="The audit's YAML file.")],
+    out: Folder = None,
+) -> None:
+    """Count how often error bars hold the truth where electronics, films or animals do what no scene tells."""
+    from lampest.studies.audit.report import audit_remarks, audit_table, write_audit
+    from lampest.studies.audit.run import run_audit
+    from lampest.studies.audit.settings import read_audit
+
+    settings = read_audit(config)
+    with progress("recordings") as on_step:
+        found = run_audit(settings, on_step)
+    files = write_audit(out or Path("results") / config.stem, found)
+    print_table(audit_table(found))
+    for line in (*audit_remarks(found), *files):
+        print(line)

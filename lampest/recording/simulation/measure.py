@@ -1,5 +1,6 @@
 """What the electronics make of cells: their circuit, multiplexers, converter → recorded readings."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,24 +12,40 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
+from lampest.recording.simulation.disturbance import disturbed, static_factors, with_wire
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 AT_ONCE = 64
 MOST_RAW = np.iinfo(np.uint16).max
 
 
-def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> tuple[Array, NDArray[np.int64] | None]:
+def measured(
+    scene: Scene,
+    cells: Array,
+    unmodelled: Unmodelled,
+    seed: int,
+    period_s: float = 1.0,
+    scanned: Sequence[Array] = (),
+) -> tuple[Array, NDArray[np.int64] | None]:
     """(recorded readings, Σ code): what the readout's equation gives, and the sums of the converter's codes.
 
     Both (frames, rows, columns). Readings come from the mean code with the nominal reference; the codes from the true
-    one. Without a readout readings are exact and there are no sums. `cells` (frames, rows, columns) ohm.
+    one. Without a readout readings are exact and there are no sums.
+
+    cells : (frames, rows, columns) ohm. period_s : between frames.
+    scanned : for loads that travel, the cells while each line is read, in order.
     Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     if scene.contacts is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
-    total = actual.simulated(cells, scene, *channel_errors(scene, unmodelled, seed))
+    if unmodelled.wire_ohm_per_cell:
+        scene = replace(scene, lines=with_wire(scene, unmodelled.wire_ohm_per_cell))
+    channels = channel_errors(scene, unmodelled, seed)
+    total = _torn([actual.simulated(part, scene, *channels) for part in scanned or [cells]], actual.by_columns)
+    if unmodelled.reading_error:
+        total = total * static_factors(unmodelled.reading_error, scene.panel.shape, seed)
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
@@ -36,8 +53,19 @@ def measured(scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int) -> t
     if scene.converter_memory is not None:
         volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
         total = actual.recorded_from_volt(volt)
+    if unmodelled.disturbs:
+        volt = disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
+        total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _torn(passes: Sequence[Array], by_columns: bool) -> Array:
+    """Readings (frames, rows, columns) of which each line was read in its own pass; one pass: all lines."""
+    if len(passes) == 1:
+        return passes[0]
+    axis = 2 if by_columns else 1
+    return np.stack([part.take(line, axis) for line, part in enumerate(passes)], axis=axis)
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
@@ -63,7 +91,7 @@ def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Arr
 def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
     """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
-    sigma = readout.noise_volt()
+    sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
     sums = np.empty(total.shape, dtype=np.int64)
     for frame, volt in enumerate(readout.volt_from_recorded(total)):
         sums[frame] = 0

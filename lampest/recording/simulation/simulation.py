@@ -14,7 +14,7 @@ from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.measure import measured, raw_sums
-from lampest.recording.simulation.pressure import pressure_on_cells
+from lampest.recording.simulation.pressure import pressure_on_cells, travelled
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 MOST_VALUES = 20_000_000
@@ -92,9 +92,9 @@ class Simulation:
             raise ValueError(
                 "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"
             )
-        electronic = self.unmodelled.reference_tolerance or self.unmodelled.outlier_probability
+        electronic = self.unmodelled.needs_converter
         if self.scene.readout is None and electronic:
-            raise ValueError("reference_tolerance and outlier_probability need a readout in the scene")
+            raise ValueError(f"unmodelled.{electronic[0]} needs a readout in the scene")
         if self.scene.readout is None and self.scene.converter_memory is not None:
             raise ValueError("converter_memory needs a readout in the scene")
 
@@ -112,18 +112,12 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
     frames = simulation.baseline_frames + simulation.frames
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
-    panel = simulation.scene.panel
-    water = simulation.water or simulation.scene.water
-    pressure = pressure_on_cells(
-        panel, simulation.cells.patch_mm, simulation.loads, simulation.course, water, loaded_time
+    pressure = pressure_at(simulation, loaded_time)
+    cells = cells_under(simulation, time, pressure)
+    scanned = scanned_cells(simulation, time) if simulation.unmodelled.load_speed_mm_s else ()
+    recorded, sums = measured(
+        simulation.scene, cells, simulation.unmodelled, simulation.seed, simulation.frame_period_s, scanned
     )
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        cells = unloaded_cells(simulation) * drift(simulation, time) * ratio_from_pressure(pressure)
-        if simulation.scene.temperature is not None:
-            cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
-    if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
-        raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
-    recorded, sums = measured(simulation.scene, cells, simulation.unmodelled, simulation.seed)
     raw = raw_sums(simulation.scene.readout, sums)
     return Recording(
         scene=simulation.scene,
@@ -137,6 +131,51 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
         name=name,
         simulation=to_yaml(simulation),
     )
+
+
+def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
+    """Pressure on every cell (frames, rows, columns) kPa; time : (frames) s after the first measured frame.
+
+    later_s : from the middle of the scan; loads that travel are elsewhere then, and press as much.
+    """
+    water = simulation.water or simulation.scene.water
+    speed = simulation.unmodelled.load_speed_mm_s
+    along = travelled(speed, time + later_s) if speed else None
+    return pressure_on_cells(
+        simulation.scene.panel, simulation.cells.patch_mm, simulation.loads, simulation.course, water, time, along
+    )
+
+
+def cells_under(simulation: Simulation, time: Array, pressure: Array) -> Array:
+    """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
+
+    Raises ValueError where a cell leaves its range.
+    """
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        response = answered(ratio_from_pressure(pressure), simulation.unmodelled, simulation.seed)
+        cells: Array = unloaded_cells(simulation) * drift(simulation, time) * response
+        if simulation.scene.temperature is not None:
+            cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
+    if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
+        raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
+    return cells
+
+
+def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
+    """The cells (frames, rows, columns) ohm while each scanned line is read, in the order of the lines."""
+    scene, first = simulation.scene, time[simulation.baseline_frames]
+    lines = scene.panel.columns if scene.circuit.by_columns else scene.panel.rows
+    later = ((np.arange(lines) + 0.5) / lines - 0.5) * simulation.frame_period_s
+    return tuple(cells_under(simulation, time, pressure_at(simulation, time - first, float(part))) for part in later)
+
+
+def answered(ratio: Array, unmodelled: Unmodelled, seed: int) -> Array:
+    """What a film makes of the ratio r/r0 (frames, rows, columns) that its response promises: a power of it."""
+    if not (unmodelled.response_loss or unmodelled.response_spread):
+        return ratio
+    normal = random_stream(seed, "response").standard_normal(ratio.shape[1:])
+    loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
+    return np.asarray(ratio ** ((1 - loss) * np.exp(spread * normal)))
 
 
 def unloaded_cells(simulation: Simulation) -> Array:
