@@ -104,8 +104,9 @@ def test_order_of_keys_and_comments_change_nothing(disk: SimpleNamespace) -> Non
 
 def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
-    path = disk.run(disk.text.replace("  LSM: {", "  LSM: {solver: {max_iterations: 1}, "))
-    ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1", "--set", "estimators.LSM.bounds.lower=1")
+    few = "  penalised: {solver: {max_iterations: 1}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}}\n  LSM: {"
+    path = disk.run(disk.text.replace("  LSM: {", few))
+    ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
     assert (ended.code, ended.err) == (0, "")
     failed, *fine = cases(disk.folder / "out")
     assert set(failed.status) == {"the iteration limit was reached before an optimum"}

@@ -63,7 +63,7 @@ def judged(panel: Panel, candidates: Sequence[Candidate], fits: tuple[Fit, ...],
     of the baseline and of the response are the same in all of them, and would be taken for evidence.
     """
     within = np.array([bounded(panel, fit) for fit in fits])
-    before = np.array([RARER * further(fit.candidate) + unseen(fit) for fit in fits])
+    before = np.array([RARER * further(fit.candidate) + hidden_cost(fit) for fit in fits])
     evidence = np.array([fit.evidence for fit in fits]) + within - before
     goodness = fits[int(np.argmax(evidence))].chi2 / readings
     tempered = evidence / max(1.0, goodness)
@@ -97,7 +97,7 @@ def further(candidate: Candidate) -> int:
     return len(candidate.parts) - 1 if isinstance(candidate, Several) else 0
 
 
-def unseen(fit: Fit) -> float:
+def hidden_cost(fit: Fit) -> float:
     """By how much ln P of what sucks falls where it raises no cell: by HIDDEN, and by nothing where one clearly rises.
 
     Between patches suction can be made to cancel a rim, so that a mouth fits what any line on the panel does. Of such
