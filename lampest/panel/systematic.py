@@ -22,8 +22,8 @@ from lampest.panel.scene import Scene, Systematic
 class Shared:
     """systematic : how large such errors are, or None. scene : what they are errors of.
 
-    contact_root : (lines, n) ohm, a root of the covariance of the lines' contacts, or None. hidden_root : (n, m) of what is
-    possible of the hidden errors, in units of their sizes; None: of each on its own as much as its size.
+    contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, m) of what
+    is possible of the hidden errors, in units of their sizes; None: of each on its own as much as its size.
     """
 
     systematic: Systematic | None

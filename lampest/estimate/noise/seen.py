@@ -6,12 +6,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.noise.motion import passing, said_of_motion, scan_share
 from lampest.estimate.noise.outliers import LEAST_FRAMES, SHARE, leaps, pair_scale
 from lampest.estimate.noise.scatter import Scatter, scatter
 from lampest.estimate.noise.unseen import said_of_readings, unseen
 from lampest.panel.hidden import Possible, usual
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
@@ -57,14 +59,27 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured):
         return seen
+    scene, sizes = recording.scene, usual(recording.scene)
+    if sizes is None:
+        return seen
     resting = seen.readings[unloaded].mean()
+    share = scan_share(scene, sizes, resting, seen.readings, measured, seen.frame)
+    seen = with_torn_frames(scene, seen, share, measured)
     strongest = strongest_frame(seen.readings.plain_values, resting.value, measured)
     asked = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-    hidden = unseen(recording.scene, usual(recording.scene), resting, seen.readings[asked], seen.frame)
-    told = recording.scene.told_systematic
-    known = 0.0 if told is None else told.reading_error or 0.0
-    said = "" if hidden is None else said_of_readings(hidden.sizes.reading_error or 0.0, known)
+    hidden = unseen(scene, sizes, resting, seen.readings[asked], seen.frame)
+    said = "" if hidden is None else said_of_readings(hidden.sizes.reading_error or 0.0, sizes.reading_error or 0.0)
     return replace(seen, hidden=hidden, sentence=_joined([seen.sentence, said]))
+
+
+def with_torn_frames(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:
+    """With wider σ where readings were taken while loads moved."""
+    if not share or seen.readings.sigma is None:
+        return seen
+    torn = share * passing(scene, seen.readings, measured)
+    wider = replace(seen.readings, sigma=np.hypot(seen.readings.sigma, torn))
+    said = said_of_motion(share, torn, seen.readings.sigma)
+    return replace(seen, readings=wider, sentence=_joined([seen.sentence, said]))
 
 
 def frame_noise_seen(recording: Recording) -> NoiseSeen:

@@ -9,6 +9,7 @@ That gives what is left possible of z, and e by maximum likelihood where it is l
 cells stand still is found on the way: a cell that moved has any change of the order of 1 instead.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +47,10 @@ class Moves:
     def covariance(self, size: float) -> Array:
         """Of changes of still cells, if each reading errs by so much on its own."""
         return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
+
+    def with_column(self, column: Array) -> "Moves":
+        """With one more error that the frames do not share with the baseline, (n, 1), behind the others."""
+        return replace(self, a=np.hstack([self.a, column]))
 
 
 def unseen(
@@ -139,20 +144,24 @@ def moves_of(
     scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
 ) -> Moves | None:
     """The changes of all cells between the unloaded panel and the frames; None where a fit fails."""
-    base = _fit(scene, resting, None, sizes, noise, resting=True)
+    base = asked(scene, resting, None, sizes, noise, resting=True)
     if base is None:
         return None
-    fits = [_fit(scene, frame, base.fit.cells, sizes, noise, resting=False) for frame in each(frames)]
+    fits = [asked(scene, frame, base.fit.cells, sizes, noise, resting=False) for frame in each(frames)]
     others = [one for one in fits if one is not None]
     if len(others) < len(fits):
         return None
-    cells = resting.value.size
+    return moves_between(base, others)
+
+
+def moves_between(base: "Asked", others: "Sequence[Asked]") -> Moves:
+    """The changes of all cells from the unloaded panel to the frames."""
+    cells = base.fit.cells.size
     change = np.concatenate([np.log(one.fit.cells / base.fit.cells).ravel() for one in others])
-    blocks = [one.error for one in others]
-    covariance = np.tile(base.error, (len(blocks), len(blocks)))
-    for number, block in enumerate(blocks):
+    covariance = np.tile(base.error, (len(others), len(others)))
+    for number, one in enumerate(others):
         part = slice(number * cells, (number + 1) * cells)
-        covariance[part, part] += block + CREEP**2 * np.eye(cells) + TOGETHER**2
+        covariance[part, part] += one.error + CREEP**2 * np.eye(cells) + TOGETHER**2
     told = np.vstack([one.told - base.told for one in others])
     return Moves(
         change,
@@ -163,39 +172,44 @@ def moves_of(
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """One frame's fit, the covariance of its error (cells, cells), and what shared errors do to its log cells."""
+class Asked:
+    """One frame's fit, gain (cells, readings), covariance of its error, and what shared errors do to its log cells."""
 
     fit: CellsFit
+    gain: Array
     error: Array
     hidden: Array
     own: Array
     told: Array
 
+    def answer(self, columns: Array) -> Array:
+        """(cells, n): what errors of the readings (n, rows, columns) do to log cells."""
+        return np.asarray(self.gain @ columns.reshape(len(columns), -1).T)
 
-def _fit(
+
+def asked(
     scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None, resting: bool
-) -> _Asked | None:
+) -> Asked | None:
+    """One frame; None where it is not fitted. near : cells to begin at. resting : whether it is the unloaded mean."""
     fit = fitted(scene, readings, near, patient=near is None)
     if fit is None or fit.sensitivity is None:
         return None
     assert readings.sigma is not None
-    covariance = np.linalg.inv(fit.information)
-    gain = covariance @ (fit.sensitivity.T / readings.sigma.ravel())
-
-    def answer(columns: Array) -> Array:
-        return np.asarray(gain @ columns.reshape(len(columns), -1).T)
-
-    measured = readings.value
-    parts = replace(sizes, reading_error=None)
-    own = hidden_columns(fit.cells, measured, scene, Systematic(reading_error=1.0))
-    channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
-    told = scene.circuit.shared_errors(fit.cells, measured, scene, *channels)
+    error = np.linalg.inv(fit.information)
+    gain = error @ (fit.sensitivity.T / readings.sigma.ravel())
     if noise is not None:
-        drawn = gain @ noise.columns(measured[None], resting)
-        covariance = covariance + drawn @ drawn.T
-    hidden = hidden_columns(fit.cells, measured, scene, parts)
-    return _Asked(fit, covariance, answer(hidden), answer(own), answer(told))
+        drawn = gain @ noise.columns(readings.value[None], resting)
+        error = error + drawn @ drawn.T
+    here = fit.cells, readings.value
+    channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
+    nothing = np.zeros((len(error), 0))
+    blank = Asked(fit, gain, error, nothing, nothing, nothing)
+    return replace(
+        blank,
+        hidden=blank.answer(hidden_columns(*here, scene, replace(sizes, reading_error=None))),
+        own=blank.answer(hidden_columns(*here, scene, Systematic(reading_error=1.0))),
+        told=blank.answer(scene.circuit.shared_errors(*here, scene, *channels)),
+    )
 
 
 def said_of_readings(size: float, known: float) -> str:
