@@ -18,6 +18,8 @@ USUAL_SERIES_OHM = 10.0  # two channels of a CD74HC4067: 70 ohm each are typical
 USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
 USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
 
+USUAL_RESPONSE_SD = 0.2  # flat film of one batch scatters by a tenth; bent, glued or old film by twice that
+
 
 @dataclass(frozen=True, eq=False)
 class Possible:
@@ -37,7 +39,9 @@ def usual(scene: Scene) -> Systematic | None:
     if scene.told_systematic is not None:
         return scene.told_systematic
     series = USUAL_SERIES_OHM if scene.circuit.series_name else None
-    return Systematic(series_ohm=series, inl_lsb=USUAL_INL_LSB, wire_ohm_per_cell=USUAL_WIRE_OHM)
+    return Systematic(
+        series_ohm=series, inl_lsb=USUAL_INL_LSB, wire_ohm_per_cell=USUAL_WIRE_OHM, response_sd=USUAL_RESPONSE_SD
+    )
 
 
 def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systematic) -> Array:

@@ -162,6 +162,8 @@ class Systematic:
     inl_lsb : of the converter's curve about a straight line, a smooth one, in least significant bits.
     wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene tells, in ohm.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
+    response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
+        that differ); widens pressures alone.
 
     None: absent. Raises ValueError where a number is out of range.
     """
@@ -173,11 +175,19 @@ class Systematic:
     inl_lsb: float | None = None
     wire_ohm_per_cell: float | None = None
     reading_error: float | None = None
+    response_sd: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.reference_tolerance < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        for name in ("channel_spread_ohm", "series_ohm", "inl_lsb", "wire_ohm_per_cell", "reading_error"):
+        for name in (
+            "channel_spread_ohm",
+            "series_ohm",
+            "inl_lsb",
+            "wire_ohm_per_cell",
+            "reading_error",
+            "response_sd",
+        ):
             value = getattr(self, name)
             if value is not None and not (isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive, and finite")

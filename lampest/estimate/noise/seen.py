@@ -19,6 +19,7 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
+FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene does not tell is taken from them
 LEVEL = 1e-4  # of the test of the told noise, as in the check of the circuit
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, as in the check of the circuit
 CROWDED = 0.05  # of the unloaded readings: where more leap, neighbours in time leap too and replace them badly
@@ -109,15 +110,20 @@ def _summed_up(
     if parts is None:
         return NoiseSeen(np.nan, np.nan, 1.0, None, 0.0, 0.0, 0.0, outliers, rate, _joined(said), cleaned)
     error = parts.own / np.sqrt(2 * parts.own_freedom)
-    used = used_factor(parts)
     readout, frame, sizes = recording.scene.readout, None, (0.0, 0.0)
+    told = readout is None or recording.sigma is not None or readout.noise_told
+    open_to = FEWEST_OPEN if readout is not None and readout.noise_lsb is None else 2
+    used = parts.own if not told and unloaded >= open_to else used_factor(parts)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
         roots = parts.together * volt, parts.apart * volt
         sizes = _rms(roots[0], readout), _rms(roots[1], readout)
         if parts.gain or parts.together.size or parts.apart.size:
             frame = FrameNoise(recording.scene, unloaded, parts.gain, *roots)
-    said += [said_of_factor(parts.own, error, used), *said_of_frames(parts.gain, *sizes)]
+    said += [
+        said_of_factor(parts.own, error, used) if told or unloaded < open_to else "",
+        *said_of_frames(parts.gain, *sizes),
+    ]
     if used != 1 and cleaned.sigma is not None:
         cleaned = replace(cleaned, sigma=used * cleaned.sigma)
     return NoiseSeen(parts.own, error, used, frame, parts.gain, *sizes, outliers, rate, _joined(said), cleaned)
