@@ -14,7 +14,9 @@ from lampest.panel.panel import Array
 FAR = 6.0  # σ beyond the neighbours: of the 2,400 readings of a usual recording noise does it once in 200,000
 STEADIER = 3.0  # times as far as the neighbours scatter: what moves on its way is no leap
 NEAREST = 4  # frames in time that are asked: one of them may leap too
-ALONE = 6.0  # times as far as half of its row and half of its column: a load moves these by a fifth of its own reading
+# Times as far as half of its row or half of its column. A load on one cell moves these by 0.22 of its own reading where
+# all lines float, whatever it is: the change has rank one (10 x 10; 0.21 at 32 x 32).
+ALONE = 6.0
 SHARE = 0.05  # of a frame's readings may leap, and twice what unloaded frames show: where more do, it was touched
 TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
 LEAST_FRAMES = 3  # that tell which of them is the odd one
@@ -36,6 +38,7 @@ def leaps(value: Array, scale: Array, most_share: float = 1.0) -> Leaps:
     """
     middle, spread = around(value)
     away = np.abs(value - middle)
+    scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
     beside = np.fmax(*(lines_median(away / scale, axis) for axis in (1, 2))) * scale
     with np.errstate(invalid="ignore"):
         leaping = away > np.fmax(np.fmax(FAR * scale, STEADIER * spread), ALONE * beside)

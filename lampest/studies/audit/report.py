@@ -26,7 +26,8 @@ class AuditRow:
     recordings, failed : how many, and of how many there is nothing to count.
     cells, change, pressure : percent of intervals that hold the truth; cells_sd, change_sd : by how much that would
         differ among repetitions of the audit, from how much it differs among recordings.
-    silent_cells, silent_change, silent_pressure : the same percentage, of recordings whose results carry no sentence; NaN where all do.
+    silent_cells, silent_change, silent_pressure : the same percentage, of recordings whose results carry no sentence;
+    NaN where all do.
     chi_square : of the unloaded repeats per degree of freedom, median. width : standard deviation of log r, median.
     told : recordings whose results carry a sentence. verdict : 'held', 'told', 'wide', 'short' or 'LIES'.
     sentence : the most frequent one.
