@@ -18,15 +18,18 @@ USUAL_SERIES_OHM = 10.0  # two channels of a CD74HC4067: 70 ohm each are typical
 USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
 USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
 
-USUAL_RESPONSE_SD = 0.2  # flat film of one batch scatters by a tenth; bent, glued or old film by twice that
+USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, glued or old film answers otherwise
 
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """What is known of hidden errors. sizes : of each. root : (n, n) of the covariance of z, as columns are ordered."""
+    """What is known of hidden errors. sizes : of each. root : (n, n) of the covariance of z, as columns are ordered.
+
+    None: of the sizes alone.
+    """
 
     sizes: Systematic
-    root: Array
+    root: Array | None
 
 
 def usual(scene: Scene) -> Systematic | None:

@@ -23,8 +23,11 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
 SIZES = tuple(float(size) for size in np.geomspace(5e-4, 0.2, 12))  # of a reading's own error that are tried
+COARSE = (0.003, 0.01, 0.02, 0.04, 0.08, 0.15)  # of an error without which no cells give the readings
+HIDDEN = 2.5  # cells take up most of an error: of 3 and of 10 % they left unexplained what 1 and 4 % would explain
+UNEXPLAINED = 1e-4  # P(χ²), as in the check of the circuit
 MEDIAN = 0.4549  # of χ² with one degree of freedom
-GAIN = 20.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
+GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel and nothing is told
 ROUNDS = 15  # of choosing cells; the choice is settled after a handful
@@ -62,6 +65,10 @@ def unseen(
     """
     if sizes is None or resting.sigma is None or resting.value.size > MOST_CELLS or not len(frames.value):
         return None
+    unexplained = size_that_explains(scene, resting)
+    if unexplained:
+        told = replace(sizes, reading_error=float(np.hypot(sizes.reading_error or 0.0, unexplained)))
+        return Possible(told, None)
     moves = moves_of(scene, sizes, resting, frames, noise)
     if moves is None:
         return None
@@ -73,8 +80,18 @@ def unseen(
     size = spread_of(moves, still) if best else 0.0
     told = replace(sizes, reading_error=float(np.hypot(sizes.reading_error or 0.0, size)) or None)
     if still.mean() < FEWEST:
-        return Possible(told, np.eye(moves.a.shape[1] + (moves.own.shape[1] if told.reading_error else 0)))
+        return Possible(told, None)
     return Possible(told, possible(moves, told.reading_error or 0.0, still))
+
+
+def size_that_explains(scene: Scene, resting: Readings) -> float:
+    """HIDDEN times the least error of single readings with which cells explain the unloaded panel; 0: they do without."""
+    assert resting.sigma is not None
+    for size in (0.0, *COARSE):
+        fit = fitted(scene, replace(resting, sigma=np.hypot(resting.sigma, size * resting.value)), patient=not size)
+        if fit is not None and fit.tail >= UNEXPLAINED:
+            return HIDDEN * size
+    return HIDDEN * COARSE[-1]
 
 
 def spread_of(moves: Moves, still: Chosen) -> float:
