@@ -85,7 +85,7 @@ def unseen(
 
 
 def size_that_explains(scene: Scene, resting: Readings) -> float:
-    """HIDDEN times the least error of single readings with which cells explain the unloaded panel; 0: they do without."""
+    """HIDDEN times the least error of single readings with which cells explain the unloaded panel; 0 without any."""
     assert resting.sigma is not None
     for size in (0.0, *COARSE):
         fit = fitted(scene, replace(resting, sigma=np.hypot(resting.sigma, size * resting.value)), patient=not size)
