@@ -46,6 +46,9 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
+    if not np.any(np.nan_to_num(deviation)):  # codes that all agree, or no noise at all
+        nothing = np.zeros((channels, 0))
+        return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, repeats, nothing, nothing)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
     rest = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
@@ -98,7 +101,7 @@ def _common_patterns(rows: Array, variance: float, freedom: int) -> Array:
     There are fewer frames than channels: all that they have is kept, where χ² of it says that there is something.
     """
     channels = rows.shape[1]
-    squares = (rows**2).sum() / variance
+    squares = (rows**2).sum() / max(variance, 1e-300)
     if freedom < 1 or chi_square_tail(squares, freedom * channels) >= LEVEL:
         return np.zeros((channels, 0))
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
@@ -109,7 +112,7 @@ def _common_patterns(rows: Array, variance: float, freedom: int) -> Array:
 
 def _excess(values: Array, variance: Array, freedom: int) -> float:
     """Standard deviation of the values beyond noise of that variance; 0 where noise alone may give them."""
-    if freedom < 1 or chi_square_tail((values**2 / variance).sum(), freedom) >= LEVEL:
+    if freedom < 1 or chi_square_tail((values**2 / np.maximum(variance, 1e-300)).sum(), freedom) >= LEVEL:
         return 0.0
     size = (values**2).sum() / freedom - variance.mean()
     return float(np.sqrt(max(size, 0.0) * few(freedom)))

@@ -1,5 +1,6 @@
 """What a recording's own frames say of its noise, beside what the scene says, and readings that allow for it."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,8 +17,10 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
+from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.solvers.search import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene does not tell is taken from them
 LEVEL = 1e-4  # of the test of the told noise, as in the check of the circuit
@@ -60,9 +63,19 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured):
         return seen
-    scene, sizes = recording.scene, usual(recording.scene)
-    if sizes is None:
+    if usual(recording.scene) is None:
         return seen
+    with suppress(*BROKEN), np.errstate(all="ignore"):
+        return with_still_cells(recording, seen, unloaded, measured)
+    return seen
+
+
+def with_still_cells(
+    recording: Recording, seen: NoiseSeen, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+) -> NoiseSeen:
+    """With what still cells tell of torn frames, and of errors that all frames share. Raises what arithmetic does."""
+    scene, sizes = recording.scene, usual(recording.scene)
+    assert sizes is not None
     resting = seen.readings[unloaded].mean()
     share = scan_share(scene, sizes, resting, seen.readings, measured, seen.frame)
     seen = with_torn_frames(scene, seen, share, measured)
@@ -113,7 +126,9 @@ def _summed_up(
     readout, frame, sizes = recording.scene.readout, None, (0.0, 0.0)
     told = readout is None or recording.sigma is not None or readout.noise_told
     open_to = FEWEST_OPEN if readout is not None and readout.noise_lsb is None else 2
-    used = parts.own if not told and unloaded >= open_to else used_factor(parts)
+    used = used_factor(parts)
+    if readout is not None and not told and unloaded >= open_to:
+        used = shown_factor(readout, parts.own)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
         roots = parts.together * volt, parts.apart * volt
@@ -186,6 +201,17 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     if circuit.by_columns:
         deviation, loud = deviation.swapaxes(1, 2), loud.T
     return scatter(deviation, loud, len(value) - 1)
+
+
+def shown_factor(readout: Readout, factor: float) -> float:
+    """σ of the noise that so large a scatter tells, over the assumed one: what all codes have in common is in it.
+
+    Where noise is smaller than a step of the converter, repeats agree, and the mean is off all the same.
+    """
+    assumed = np.mean(readout.sigma_code())
+    lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
+    shown = noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
+    return float(sigma_code(readout, shown) / assumed)
 
 
 def used_factor(parts: Scatter) -> float:
