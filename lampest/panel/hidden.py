@@ -33,14 +33,14 @@ class Possible:
 
 
 def usual(scene: Scene) -> Systematic | None:
-    """What errors a scene that names none leaves possible; None where it names no readout, or says that there are none.
+    """What errors a scene names, or leaves possible by silence; None where it has no readout, or says there are none.
 
     Kinds without a resistance in series, or of which what they sense is no voltage of lines, have no such error.
     """
-    if scene.readout is None or scene.systematic == "none":
-        return None
     if scene.told_systematic is not None:
         return scene.told_systematic
+    if scene.readout is None or scene.systematic == "none":
+        return None
     series = USUAL_SERIES_OHM if scene.circuit.series_name else None
     return Systematic(
         series_ohm=series, inl_lsb=USUAL_INL_LSB, wire_ohm_per_cell=USUAL_WIRE_OHM, response_sd=USUAL_RESPONSE_SD

@@ -201,7 +201,7 @@ class Asked:
 
     def answer(self, columns: Array) -> Array:
         """(cells, n): what errors of the readings (n, rows, columns) do to log cells."""
-        return np.asarray(self.gain @ columns.reshape(len(columns), -1).T)
+        return np.asarray(self.gain @ columns.reshape(len(columns), self.gain.shape[1]).T)
 
 
 def asked(
