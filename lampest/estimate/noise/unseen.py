@@ -208,7 +208,7 @@ def asked(
     scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None, resting: bool
 ) -> Asked | None:
     """One frame; None where it is not fitted. near : cells to begin at. resting : whether it is the unloaded mean."""
-    fit = fitted(scene, readings, near, patient=near is None)
+    fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
     if fit is None or fit.sensitivity is None:
         return None
     assert readings.sigma is not None
