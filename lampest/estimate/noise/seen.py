@@ -187,7 +187,8 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     value = np.where(count > 1, value, np.nan)
     if np.isnan(value).all():
         return None
-    middle = np.nanmean(np.where(count > 0, value, resting.value), axis=0)
+    total = np.nan_to_num(value).sum(axis=0)
+    middle = np.where(count > 1, total / np.maximum(count, 1), resting.value[0])
     deviation = (value - middle) / resting.sigma
     if scene.readout is None:
         loud = middle / np.exp(np.log(resting.sigma).mean(axis=0))

@@ -103,7 +103,7 @@ class BenchFile:
     frames: int = 4
     repeats: int = 3
     seed: int = 1
-    readout: TwoPointReadout = TwoPointReadout()
+    readout: TwoPointReadout = TwoPointReadout(noise_lsb=0.7)
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     lines: Lines | None = None
     solver: Settings = Settings()
