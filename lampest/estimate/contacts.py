@@ -20,7 +20,6 @@ from lampest.estimate.step import Step
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.readouts.wiring import Contacts
-from lampest.panel.systematic import Shared
 from lampest.posterior.dense import IGNORANCE
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import errors_of
@@ -110,7 +109,8 @@ def with_contacts(stream: "Stream", readings: Readings, solved: Step) -> tuple["
     scene = replace(stream.scene, contacts=told)
     vectors, squares = np.linalg.eigh(covariance)[::-1]
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
-    return replace(stream, scene=scene, track=replace(stream.track, shared=Shared.of(scene, root))), found
+    shared = stream.track.shared and replace(stream.track.shared, scene=scene, contact_root=root)
+    return replace(stream, scene=scene, track=replace(stream.track, shared=shared)), found
 
 
 def _solved(stream: "Stream", readings: Readings, contacts: Contacts, near: Step) -> Step:

@@ -44,13 +44,14 @@ class ErrorBars:
             stacked[np.isnan(cells)] = np.nan
             return stacked
 
-        return cls(
-            cells * frames(lambda bars: bars.frame.deviation),
-            cells * np.exp(-frames(lambda bars: bars.frame.below)),
-            cells * np.exp(frames(lambda bars: bars.frame.above)),
-            100 * ratio * frames(lambda bars: None if bars.change is None else bars.change.deviation),
-            ratio * np.exp(-frames(lambda bars: None if bars.change is None else bars.change.below)),
-            ratio * np.exp(frames(lambda bars: None if bars.change is None else bars.change.above)),
-            frames(lambda bars: bars.frame.resolution, 0.0),
-            frames(lambda bars: bars.frame.data_share, 0.0),
-        )
+        with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
+            return cls(
+                cells * frames(lambda bars: bars.frame.deviation),
+                cells * np.exp(-frames(lambda bars: bars.frame.below)),
+                cells * np.exp(frames(lambda bars: bars.frame.above)),
+                100 * ratio * frames(lambda bars: None if bars.change is None else bars.change.deviation),
+                ratio * np.exp(-frames(lambda bars: None if bars.change is None else bars.change.below)),
+                ratio * np.exp(frames(lambda bars: None if bars.change is None else bars.change.above)),
+                frames(lambda bars: bars.frame.resolution, 0.0),
+                frames(lambda bars: bars.frame.data_share, 0.0),
+            )

@@ -11,6 +11,7 @@ from lampest.estimate.error_bars import ErrorBars
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check.check import ModelCheck, recording_check
 from lampest.estimate.model_check.frame_misfit import frame_misfit
+from lampest.estimate.noise.seen import NoiseSeen, noise_seen
 from lampest.estimate.step import Step
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
@@ -209,6 +210,11 @@ class Estimates:
     def model_check(self) -> ModelCheck:
         """Whether the scene's circuit can have made the recording's readings, in a sentence."""
         return recording_check(self.recording)
+
+    @property
+    def noise(self) -> NoiseSeen:
+        """What the recording's own frames say of its noise, beside what the scene says."""
+        return noise_seen(self.recording)
 
     @property
     def misfit(self) -> dict[str, Array]:

@@ -8,6 +8,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise.seen import NoiseSeen, noise_seen
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words
@@ -24,8 +25,9 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
     """
     if not isinstance(recording, Recording):
         raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
-    readings = recording.readings()
-    stream = first_stream(recording, readings, estimator)
+    noise = noise_seen(recording)
+    readings = noise.readings
+    stream = first_stream(recording, readings, estimator, noise)
     frames = recording.measured_frames()
     stream, steps = stream.estimator.method.sequence(
         stream, readings[recording.role == UNLOADED], readings[frames], on_frame
@@ -45,14 +47,16 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
     )
 
 
-def first_stream(recording: Recording, readings: Readings, estimator: Estimator) -> "Stream":
-    """The stream before a recording's first measured frame; see `resting_readings`."""
+def first_stream(
+    recording: Recording, readings: Readings, estimator: Estimator, noise: NoiseSeen | None = None
+) -> "Stream":
+    """The stream before a recording's first measured frame; see `resting_readings`. noise : what frames told of it."""
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         frame = deciding_frame(recording, readings, resting)
         if frame is not None:
             estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
-    return Stream.begin(estimator, scene, frame_period(recording), resting)
+    return Stream.begin(estimator, scene, frame_period(recording), resting, noise)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:

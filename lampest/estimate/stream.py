@@ -11,6 +11,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise.seen import NoiseSeen
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words
@@ -69,15 +70,23 @@ class Stream:
     track: Track | None = None
 
     @classmethod
-    def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Stream":
-        """Before the first frame; an absolute method solves its baseline now.
+    def begin(
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+    ) -> "Stream":
+        """Before the first frame; an absolute method solves its baseline now. noise : what frames told of it.
 
         Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
         scene's readout, or the readings are no frame of the panel.
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        track = Track(Shared.of(scene)) if estimator.barred(resting) else None
+        track = None
+        if estimator.barred(resting):
+            track = (
+                Track(Shared.of(scene))
+                if noise is None
+                else Track(Shared.of(scene, None, noise.hidden), noise=noise.frame)
+            )
         stream = cls(estimator, scene, period, resting, track=track)
         if not resting.enough(scene):
             return replace(stream, baseline=stream.unsolved(Status.UNRESTED))

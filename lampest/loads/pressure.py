@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.loads.response import RESPONSE_SD, TOLD_KPA, pressure_from_logarithm, ratio_from_pressure
+from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
 
@@ -41,7 +42,8 @@ def pressure_of(ratio: Array, lower: Array, upper: Array, scene: Scene) -> Press
     """p = f⁻¹(f(p_w)·e^x) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
-    that of the estimate (each side its own), |T − T_b|·σ_α, and RESPONSE_SD·|x| for the scatter of the cells' response.
+    that of the estimate (each side its own), |T − T_b|·σ_α, and for the scatter of the cells' response
+    `response_sd`·|x| of the scene's systematic errors, RESPONSE_SD·|x| where it names none.
     A cell at its baseline has none of the last: f(0) = 1 by definition.
 
     Parameters
@@ -59,7 +61,9 @@ def pressure_of(ratio: Array, lower: Array, upper: Array, scene: Scene) -> Press
         warming = scene.temperature.logarithm
         warming_sd = abs(scene.temperature.difference_kelvin) * scene.temperature.coefficient_sd_per_kelvin
     change = np.log(ratio) - warming
-    shared = NORMAL_95 * np.hypot(RESPONSE_SD * change, warming_sd)
+    errors_named = usual(scene)
+    scatter = RESPONSE_SD if errors_named is None or errors_named.response_sd is None else errors_named.response_sd
+    shared = NORMAL_95 * np.hypot(scatter * change, warming_sd)
     with np.errstate(divide="ignore"):
         below = np.hypot(np.log(ratio) - np.log(lower), shared)
         above = np.hypot(np.log(upper) - np.log(ratio), shared)

@@ -4,7 +4,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,19 +159,39 @@ class Systematic:
     reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
         fraction.
     channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
+    series_ohm : of what stands in series with all driven lines alike, beside what the scene tells, in ohm.
+    inl_lsb : of the converter's curve about a straight line, a smooth one, in least significant bits.
+    wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene tells, in ohm.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames.
+    response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
+        that differ); widens pressures alone.
 
-    Raises ValueError where a number is out of range.
+    None: absent. Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     reference_tolerance: float = 0.0
     channel_spread_ohm: float = 0.0
+    series_ohm: float | None = None
+    inl_lsb: float | None = None
+    wire_ohm_per_cell: float | None = None
+    reading_error: float | None = None
+    response_sd: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.reference_tolerance < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        if not (isfinite(self.channel_spread_ohm) and self.channel_spread_ohm >= 0):
-            raise ValueError("channel_spread_ohm must be zero or positive, and finite")
+        for name in (
+            "channel_spread_ohm",
+            "series_ohm",
+            "inl_lsb",
+            "wire_ohm_per_cell",
+            "reading_error",
+            "response_sd",
+        ):
+            value = getattr(self, name)
+            if value is not None and not (isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be zero or positive, and finite")
 
 
 @dataclass(frozen=True)
@@ -187,7 +207,8 @@ class Scene:
     faults : what is known to be broken, or None.
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
-    systematic : how far off all readings may be together; None: not at all, or not known.
+    systematic : how far off all readings may be together; 'none': not at all; None: not said, then as electronics of
+        the readout's kind usually are, see `lampest.panel.systematic`.
     lines : the resistance of rows and columns themselves; None: none.
     converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
         see `lampest.panel.memory`. None: nothing.
@@ -203,7 +224,7 @@ class Scene:
     faults: Faults | None = None
     water: Water | None = None
     temperature: Temperature | None = None
-    systematic: Systematic | None = None
+    systematic: Systematic | Literal["none"] | None = None
     lines: Lines | None = None
     converter_memory: float | None = None
     contacts: Contacts | None = None
@@ -239,6 +260,11 @@ class Scene:
         if not isinstance(series, SeriesPerLine):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
+
+    @property
+    def told_systematic(self) -> Systematic | None:
+        """What the scene itself says of such errors; None where it says nothing, or that there are none."""
+        return None if self.systematic == "none" else self.systematic
 
     @cached_property
     def wiring(self) -> Wiring | None:

@@ -1,8 +1,9 @@
 """What all frames of a recording share and nobody knows better: it moves all readings together, not apart.
 
 The reference resistor (the loads, the feedback) is off by a fraction, every line's channel by some ohm, the same in
-every frame. To first order the estimate moves by K·U·z with independent standard normal z, U one column for the
-reference and one for each line: what each does to the readings. Changes against the baseline move by the difference.
+every frame; so are the hidden errors of `lampest.panel.hidden`. To first order the estimate moves by K·U·z with
+independent standard normal z, U one column for the reference and one for each line: what each does to the readings.
+Changes against the baseline move by the difference.
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lampest.panel.hidden import Possible, hidden_columns, usual
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
@@ -20,37 +22,53 @@ from lampest.panel.scene import Scene, Systematic
 class Shared:
     """systematic : how large such errors are, or None. scene : what they are errors of.
 
-    contact_root : (lines, n) ohm, a root of the covariance of the lines' contacts, or None.
+    contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, m) of what
+    is possible of the hidden errors, in units of their sizes; None: of each on its own as much as its size.
     """
 
     systematic: Systematic | None
     scene: Scene
     contact_root: Array | None = None
+    hidden_root: Array | None = None
 
     @classmethod
-    def of(cls, scene: Scene, contact_root: Array | None = None) -> "Shared | None":
-        """None where the scene names no such error. Contacts are known as the scene says unless a root is given."""
+    def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
+        """None where there is no such error.
+
+        Contacts are known as the scene says unless a root is given; hidden errors as the scene says, or as usual where
+        it says nothing, unless a recording has told more.
+        """
         if contact_root is None and scene.contacts is not None:
             contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
-        if scene.systematic is None and contact_root is None:
+        sizes = usual(scene) if hidden is None else hidden.sizes
+        if sizes is None and contact_root is None:
             return None
-        return cls(scene.systematic, scene, contact_root)
+        return cls(sizes, scene, contact_root, None if hidden is None else hidden.root)
 
     def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
         """U (frames · cells, n) in the readings' unit.
 
         cells, measured : (frames, rows, columns). networks : one a frame.
         """
-        parts = [] if self.systematic is None else [self._of_readings(cells, measured, self.systematic)]
+        parts = [] if self.systematic is None else self._of_readings(cells, measured, self.systematic)
         if self.contact_root is not None:
             parts.append(contact_responses(networks) @ self.contact_root)
         return np.concatenate(parts, axis=1)
 
-    def _of_readings(self, cells: Array, measured: Array, systematic: Systematic) -> Array:
-        """1 + rows + columns of them. A tolerance is the half width of a uniform distribution, σ = 1/√3 of it."""
+    def _of_readings(self, cells: Array, measured: Array, systematic: Systematic) -> list[Array]:
+        """1 + rows + columns of them, and the hidden ones.
+
+        A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
+        """
         reference = systematic.reference_tolerance / np.sqrt(3)
         circuit, channel = self.scene.circuit, systematic.channel_spread_ohm
         frames = [
             circuit.shared_errors(*pair, self.scene, reference, channel) for pair in zip(cells, measured, strict=True)
         ]
-        return np.concatenate([errors.reshape(len(errors), -1).T for errors in frames])
+        told = np.concatenate([errors.reshape(len(errors), -1).T for errors in frames])
+        pairs = zip(cells, measured, strict=True)
+        hidden = [hidden_columns(*pair, self.scene, systematic) for pair in pairs]
+        if not len(hidden[0]):
+            return [told]
+        columns = np.concatenate([errors.reshape(len(errors), -1).T for errors in hidden])
+        return [told, columns if self.hidden_root is None else columns @ self.hidden_root]

@@ -3,16 +3,17 @@
 With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
 estimate is K·noise plus what the penalties pull it away from the truth:
 
-    S = K τ² Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
-where S₀ is the error of the previous frame and of the baseline, as far as terms read them. With C = 1 and one noise for
-all data this is the Laplace approximation s² A⁻¹. B is the share of a residual's variance that is the previous frame's
-error where a term's weight allows for that (an arrival cost), so that it counts once: Joseph's form of a Kalman
-filter's covariance, right also for a gain that reads only the diagonal of S₀. A penalty that does not suit the data
-must not leave narrow bars: C of a penalised residual x̂ is the largest of 1, of ω x̂²/s², how much larger it is than
-its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals;
-c = 1 where the weight maximises the evidence. Where a loss pulls more than its curvature accounts for, H is the rest:
-beyond the corner of Huber's loss a residual has no curvature and still pulls, with H = weight · corner.
+where V is what one chance moves together in a frame, and S₀ is the error of the previous frame and of the baseline, as
+far as terms read them. With C = 1 and one noise for all data this is the Laplace approximation s² A⁻¹. B is the share
+of a residual's variance that is the previous frame's error where a term's weight allows for that (an arrival cost), so
+that it counts once: Joseph's form of a Kalman filter's covariance, right also for a gain that reads only the diagonal
+of S₀. A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of
+1, of ω x̂²/s², how much larger it is than its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where
+data determine γ of the term's residuals; c = 1 where the weight maximises the evidence. Where a loss pulls more than
+its curvature accounts for, H is the rest: beyond the corner of Huber's loss a residual has no curvature and still
+pulls, with H = weight · corner.
 Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
 """
 
@@ -58,10 +59,14 @@ class DenseMemory:
 
 @dataclass(frozen=True, eq=False)
 class DenseErrors:
-    """model : the estimate's surroundings. before : what is known of the previous frame's error, if it is read."""
+    """model : the estimate's surroundings. before : what is known of the previous frame's error, if it is read.
+
+    drawn : (data rows, n) what one chance moves together in the frames that are solved; None: each reading alone errs.
+    """
 
     model: LinearModel
     before: DenseMemory | None = None
+    drawn: Array | None = None
 
     @cached_property
     def sensitivity(self) -> Array:
@@ -156,10 +161,15 @@ class DenseErrors:
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
+    def _moved(self) -> Array:
+        """K V (free, n)."""
+        return np.zeros((len(self.inverse), 0)) if self.drawn is None else np.asarray(self._gain @ self.drawn)
+
+    @cached_property
     def variance(self) -> Array:
         """The diagonal of S over the free cells."""
         variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
-        variance += np.sum(self._held**2, axis=1)
+        variance += np.sum(self._held**2, axis=1) + np.sum(self._moved**2, axis=1)
         variance += IGNORANCE * self.model.scale**2 * np.sum(self.inverse**2, axis=1)
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
@@ -170,6 +180,7 @@ class DenseErrors:
     def covariance(self) -> Array:
         """S over all cells (frames · cells)²; zero for those that are not free."""
         covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
+        covariance += self._moved @ self._moved.T
         covariance += self._held @ self._held.T + IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):

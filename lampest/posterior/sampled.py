@@ -1,6 +1,6 @@
 """The same errors from samples, in product form: no matrix over the cells is ever formed.
 
-ε = A⁻¹ (Jᵀ Ω τ z₁ + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ − M ε₀), z normal: each sample costs one solve by conjugate
+ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + Zᵀ H z₂ − M ε₀), z normal: each sample costs one solve by conjugate
 gradients and has the covariance S of `lampest.posterior.dense`. Standard deviations from n samples scatter by 1/√(2n).
 """
 
@@ -45,10 +45,14 @@ class SampledMemory:
 
 @dataclass(frozen=True, eq=False)
 class SampledErrors:
-    """model : the estimate's surroundings. before : samples of the previous frame's error, if it is read."""
+    """model : the estimate's surroundings. before : samples of the previous frame's error, if it is read.
+
+    drawn : (data rows, n) what one chance moves together in the frames that are solved, or None.
+    """
 
     model: LinearModel
     before: SampledMemory | None = None
+    drawn: Array | None = None
 
     @cached_property
     def _curvature(self) -> Curvature:
@@ -138,6 +142,8 @@ class SampledErrors:
         for number in range(SAMPLES):
             noise = random.standard_normal(len(model.noise)) * model.noise
             pull = random.standard_normal(len(size))
+            if self.drawn is not None:
+                noise = noise + self.drawn @ random.standard_normal(self.drawn.shape[1])
             right = self._adjoint(model.data_curvature * noise) + self._penalties.T @ (size * pull)
             right += model.penalty_jacobian.T @ (model.steady_pull * pull)
             if self.before is not None:

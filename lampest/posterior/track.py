@@ -8,6 +8,7 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors, DenseMemory
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
@@ -55,7 +56,7 @@ class Track:
     shared : errors that all readings have in common, or None. baseline : of the baseline, (rows, columns).
     deviation : of log r of the last frame without shared errors, which the next one repeats, (rows, columns).
     memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
-    frame and of the baseline, (cells, n) each.
+    frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by chance, or None.
     """
 
     shared: Shared | None = None
@@ -63,13 +64,14 @@ class Track:
     deviation: Array | None = None
     memory: DenseMemory | SampledMemory | None = None
     answers: tuple[Array, Array] | None = None
+    noise: FrameNoise | None = None
 
     def resting(self, model: LinearModel, remembered: bool) -> "Track":
         """After a baseline that is solved alone; remembered : whether later frames look back at it.
 
         Raises numpy.linalg.LinAlgError where the cost is flat.
         """
-        errors = errors_of(model, None)
+        errors = errors_of(model, None, self._drawn(model, baseline=True))
         answer, own = self._answer(errors), Certainty.of(errors)
         return Track(
             self.shared,
@@ -77,24 +79,31 @@ class Track:
             own.deviation[0],
             errors.memory().resting() if remembered else None,
             (answer, answer),
+            self.noise,
         )
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
         relative = any(term.needs_previous for term in model.at.cost.terms)
-        errors = errors_of(model, self.memory)
+        joint = len(model.at.cell_resistance) == 2
+        errors = errors_of(model, self.memory, self._drawn(model, baseline=joint))
         answer, own = self._answer(errors), Certainty.of(errors)
         certainty = _widened(own, answer)
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
-        joint = len(model.at.cell_resistance) == 2
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
         baseline = certainty.of_frame(0) if joint else self.baseline
-        track = Track(self.shared, baseline, own.deviation[-1], memory, (answer[-size:], resting))
+        track = Track(self.shared, baseline, own.deviation[-1], memory, (answer[-size:], resting), self.noise)
         frame = certainty.of_frame(-1)
         if baseline is None:
             return track, Bars(frame, None)
         together = np.sum(answer[-size:] * resting, axis=1) + (0.0 if memory is None else memory.shared())
         return track, Bars(frame, Change.between(frame, baseline, together.reshape(frame.deviation.shape)))
+
+    def _drawn(self, model: LinearModel, baseline: bool) -> Array | None:
+        """V of the data rows, or None; baseline : whether the first frame is the unloaded ones' mean."""
+        if self.noise is None:
+            return None
+        return np.asarray(model.through @ self.noise.columns(model.at.data.measured, baseline))
 
     def _answer(self, errors: DenseErrors | SampledErrors) -> Array:
         """What shared errors do to log r, (frames · cells, n); nothing where bounds decide or nothing is shared."""
@@ -113,8 +122,10 @@ def _widened(certainty: Certainty, answer: Array) -> Certainty:
     return certainty.widened(np.sum(answer**2, axis=1).reshape(certainty.deviation.shape))
 
 
-def errors_of(model: LinearModel, memory: DenseMemory | SampledMemory | None) -> DenseErrors | SampledErrors:
-    """The errors of an estimate, as matrices or from samples; memory : of the frame before, or None."""
+def errors_of(
+    model: LinearModel, memory: DenseMemory | SampledMemory | None, drawn: Array | None = None
+) -> DenseErrors | SampledErrors:
+    """The errors of an estimate, as matrices or from samples; memory : of the frame before, or None; drawn : V."""
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MOST_DENSE:
-        return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None)
-    return DenseErrors(model, memory)
+        return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
+    return DenseErrors(model, memory, drawn)

@@ -46,6 +46,7 @@ class Row:
     missing_readings, bound_readings : of all frames, solved or not: say nothing; are at a rail, zero or below.
     published : what a publication says of the same steps.
     model_mark, model_sentence : whether the scene's circuit explains the recording, as `CaseResult` has them.
+    noise_sentence : what speaks against the noise that the scene tells, likewise.
     """
 
     source: str
@@ -64,6 +65,7 @@ class Row:
     published: StepFigures | None
     model_mark: str = ""
     model_sentence: str = ""
+    noise_sentence: str = ""
 
 
 def spread(values: Array) -> Spread | None:
@@ -125,6 +127,7 @@ def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFig
         published=_figures(published, steps),
         model_mark=case.model_mark,
         model_sentence=case.model_sentence,
+        noise_sentence=case.noise_sentence,
     )
 
 
@@ -175,9 +178,10 @@ def screen_table(rows: Sequence[Row]) -> Table:
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
-    """A sentence for every recording of which the circuit, or its noise, is in doubt; each once."""
+    """Sentences for every recording of which the circuit, or its noise, is in doubt; each once."""
     notes = (f"{row.recording}: {row.model_sentence}" for row in rows if row.model_mark not in SOUND)
-    return list(dict.fromkeys(notes))
+    noise = (f"{row.recording}: {row.noise_sentence}" for row in rows if row.noise_sentence)
+    return list(dict.fromkeys((*notes, *noise)))
 
 
 def _plus_minus(values: Spread | None) -> str:
@@ -217,7 +221,7 @@ def csv_text(rows: Sequence[Row]) -> str:
         + ["cell error median [%]", "cell error mean [%]", "cell error 95th percentile [%]"]
         + ["open cells", "worst KKT residual"]
         + [f"published {name}" for name in ("time [s]", "time sd [s]", "data error [%]", "data error sd [%]")]
-        + ["missing readings", "bound readings", "model", "model check"]
+        + ["missing readings", "bound readings", "model", "model check", "noise check"]
     )
     for row in rows:
         time, data, cell, figures = row.solve_time, row.data_error, row.cell_error, row.published
@@ -233,6 +237,7 @@ def csv_text(rows: Sequence[Row]) -> str:
                 else [None] * 4
             )
             + [row.missing_readings, row.bound_readings, row.model_mark, row.model_sentence]
+            + [row.noise_sentence]
         )
     return stream.getvalue()
 

@@ -99,8 +99,8 @@ def _scene_lines(scene: Scene) -> list[str]:
         lines.append(f"contacts  {known}")
     if scene.converter_memory is not None:
         lines.append(f"memory    {100 * scene.converter_memory:g} % of the channel converted before")
-    if scene.systematic is not None:
-        off = scene.systematic
+    if scene.told_systematic is not None:
+        off = scene.told_systematic
         lines.append(
             f"together  off by up to {100 * off.reference_tolerance:g} %, channels by {off.channel_spread_ohm:g} ohm"
         )
@@ -136,6 +136,8 @@ def _results_lines(results: Results) -> list[str]:
         ]
         if first.model_mark:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
+        if first.noise_sentence:
+            lines.append(f"noise     {first.noise_sentence}")
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(

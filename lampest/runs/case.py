@@ -52,6 +52,7 @@ class CaseResult:
     misfit : chi_square, degrees_of_freedom and what else is said of the residuals against their noise → (frames).
     model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
     where an older file does not say), and the sentence that says so.
+    noise_sentence : what the recording's own frames say against the noise that its scene tells; ''.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
@@ -92,6 +93,7 @@ class CaseResult:
     misfit: dict[str, Array] = field(default_factory=dict)
     model_mark: str = ""
     model_sentence: str = ""
+    noise_sentence: str = ""
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     reading_side: NDArray[np.int8] | None = None

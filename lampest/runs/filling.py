@@ -55,6 +55,7 @@ def _filled(
         joint_start=estimates.joint_start,
         model_mark=estimates.model_check.mark,
         model_sentence=estimates.model_check.sentence,
+        noise_sentence=estimates.noise.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)

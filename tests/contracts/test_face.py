@@ -322,14 +322,15 @@ def test_pictures(found: Reconstruction) -> None:
 
 
 def test_frames_one_by_one_are_a_recording(lamprey: Recording) -> None:
-    """With a term that looks back, and the step of a frame gives what the reconstruction does."""
+    """With a term that looks back, and the step of a frame gives what the reconstruction does of the same readings.
+
+    Those are without what leaps for one frame, which only the frames after it tell.
+    """
     terms = (Misfit(weighting="noise"), lampest.Arrival())
     whole = lampest.reconstruct(lamprey, terms, formulation="reduced")
-    frames = lamprey.resistance
-    resting = lampest.Readings.of(lamprey.scene, frames[:3]).mean()
-    stream = lampest.Stream.begin(lampest.Estimator(terms, "reduced"), lamprey.scene, 1.0, resting)
-    for number, frame in enumerate(frames[3:]):
-        stream, step = stream.push(lampest.Readings.of(lamprey.scene, frame))
+    stream = lampest.Stream.begin(lampest.Estimator(terms, "reduced"), lamprey.scene, 1.0, whole.resting)
+    for number in range(len(whole.steps)):
+        stream, step = stream.push(whole.readings[number])
         assert step.status == whole.status[number]
         assert_allclose(step.cell_resistance, whole.cell_resistance[number], rtol=1e-9)
     assert_allclose(stream.baseline_resistance, whole.baseline_resistance, rtol=1e-9)

@@ -85,7 +85,7 @@ def measured(cells: Array, readout: LoadedColumnsReadout) -> Array:
 def panel_of(readout: LoadedColumnsReadout, noise: float, seed: int = 5, shape: tuple[int, int] = (5, 6)) -> Recording:
     """Three unloaded frames and two with a load, with noise of so many σ, none of it quantised."""
     rng = np.random.default_rng(seed)
-    scene = Scene(Panel(*shape), readout)
+    scene = Scene(Panel(*shape), readout, systematic="none")
     resting = 3000 * np.exp(0.3 * rng.normal(size=shape))
     loaded = resting.copy()
     loaded[1:3, 2:4] *= 0.1

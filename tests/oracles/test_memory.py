@@ -98,7 +98,7 @@ def error(recording: Recording) -> tuple[Array, Array]:
 
 @each_readout
 def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
-    scene = Scene(Panel(8, 6), readout, converter_memory=FRACTION)
+    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
     told, in_bars = error(recording)
     ignored, _ = error(replace(recording, scene=replace(scene, converter_memory=None)))

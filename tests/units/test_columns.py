@@ -75,9 +75,14 @@ def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruc
 
 def test_every_array_of_a_case_is_a_column() -> None:
     rest = {"recording", "estimator", "case_id", "case_yaml", "versions", "scene", "extra"}
-    rest |= {"baseline_status", "baseline_solve_time", "joint_start", "model_mark", "model_sentence"} | {
-        folder.name for folder in FIGURES
-    }
+    rest |= {
+        "baseline_status",
+        "baseline_solve_time",
+        "joint_start",
+        "model_mark",
+        "model_sentence",
+        "noise_sentence",
+    } | {folder.name for folder in FIGURES}
     assert {field.name for field in dataclasses.fields(CaseResult)} == rest | set(TYPED)
     assert {column.name for column in COLUMNS} >= set(TYPED) > REQUIRED
     assert len({column.path for column in COLUMNS}) == len(COLUMNS)

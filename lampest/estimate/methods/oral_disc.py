@@ -54,7 +54,7 @@ class OralDiscTracker:
         """Before the first frame. Raises InputError where the noise of the readings is unknown."""
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        systematic = scene.systematic
+        systematic = scene.told_systematic
         model_errors = ModelErrors(
             channel_ohm=0.0 if systematic is None else systematic.channel_spread_ohm,
             reference=0.0 if systematic is None else systematic.reference_tolerance / np.sqrt(3),

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Scene
 
 LEAST_SHARE = 1e-3  # of its apparent resistance that any cell may have: no circuit here hides a smaller one
+USUAL_NOISE_LSB = 0.7  # enough to dither: what the shipped boards show, and what averaging needs
 HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
 
@@ -48,7 +49,8 @@ class Readout(ABC):
     adc_bits : resolution of the converter.
     readings : conversions that are averaged for one cell.
     noise_lsb : standard deviation of one reading before quantisation, in least significant bits; a number or one for
-        each driven line (`noisy_side`).
+        each driven line (`noisy_side`). 'estimated': as the unloaded frames show it. None: not said; then as five or
+        more unloaded frames show it, else USUAL_NOISE_LSB.
 
     unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
     whether readings grow with all cells by one factor. unique : whether theory promises that plain least squares
@@ -69,7 +71,7 @@ class Readout(ABC):
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20
-    noise_lsb: PerLine = 0.7
+    noise_lsb: PerLine | Literal["estimated"] | None = None
 
     def __post_init__(self) -> None:
         check_positive("supply_volt", self.supply_volt)
@@ -77,16 +79,26 @@ class Readout(ABC):
             raise ValueError("adc_bits must lie between 1 and 32")
         if not 1 <= self.readings <= 65535:
             raise ValueError("readings must lie between 1 and 65535")
-        check_lines("noise_lsb", self.noise_lsb)
+        check_lines("noise_lsb", self.assumed_noise)
 
     def check(self, scene: "Scene") -> None:
         """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
-        per_line("noise_lsb", self.noise_lsb, of_side(self.noisy_side, *scene.panel.shape)[0])
+        per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         if scene.series_resistance_ohm and not self.in_series:
             raise ValueError(
                 "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's resistance is part "
                 "of the readout's drive_ohm or sense_ohm"
             )
+
+    @property
+    def assumed_noise(self) -> PerLine:
+        """`noise_lsb` where it is told; else what is taken until frames have shown it."""
+        return USUAL_NOISE_LSB if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
+
+    @property
+    def noise_told(self) -> bool:
+        """Whether the noise is told, and not left to the frames."""
+        return self.noise_lsb is not None and self.noise_lsb != "estimated"
 
     @property
     def noisy_side(self) -> Side:
@@ -104,7 +116,11 @@ class Readout(ABC):
 
     def converter_description(self) -> str:
         """The converter's part of that."""
-        return f"{self.adc_bits} bits, {self.readings} readings, noise {lines_text(self.noise_lsb, 'LSB')}"
+        return f"{self.adc_bits} bits, {self.readings} readings, noise {self._noise_text}"
+
+    @property
+    def _noise_text(self) -> str:
+        return lines_text(self.assumed_noise, "LSB") if self.noise_told else "as the unloaded frames show it"
 
     # The circuit: what a kind must state.
 
@@ -306,7 +322,7 @@ class Readout(ABC):
 
     def noise_volt(self) -> Array:
         """The noise of one reading, to be broadcast to (rows, columns)."""
-        return self._of_driven_lines(np.array(self.noise_lsb)) * self.lsb_volt
+        return self._of_driven_lines(np.array(self.assumed_noise)) * self.lsb_volt
 
     def _of_driven_lines(self, values: Array) -> Array:
         """One number, or one for each driven line, to be broadcast to (rows, columns)."""
@@ -318,13 +334,13 @@ class Readout(ABC):
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
-        noise, bias = np.array(self.noise_lsb), self._bias
+        noise, bias = np.array(self.assumed_noise), self._bias
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
 
     @cached_property
     def _bias(self) -> Array:
         """b² of `sigma_code`; a sum that is the same for every frame."""
-        harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.noise_lsb)
+        harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.assumed_noise)
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
         return np.asarray(np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12)))
 

@@ -42,7 +42,7 @@ class Problem:
     def _clipped(self, volt: Array) -> Array:
         """Beyond what noise leaves of the converter's range a reading is a bound: any more is as good."""
         readout = self.circuit.readout
-        margin = (2 + 3 * float(np.max(readout.noise_lsb))) * readout.lsb_volt
+        margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
         return np.clip(volt, margin, readout.supply_volt - margin)
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:

@@ -59,7 +59,9 @@ def repeats(recording: Recording) -> Repeats:
     rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
     _check_steady(recording, readout, rest)
     squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
-    declared = sigma_code(readout, readout.noise_lsb) ** 2 - sigma_code(readout, readout.noise_lsb, ENDLESS) ** 2
+    declared = (
+        sigma_code(readout, readout.assumed_noise) ** 2 - sigma_code(readout, readout.assumed_noise, ENDLESS) ** 2
+    )
     variance = (BELIEF * declared + squares) / (BELIEF + freedom)
     noise = np.array([noise_of_variance(readout, value) for value in variance])
     lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
@@ -69,7 +71,7 @@ def repeats(recording: Recording) -> Repeats:
 
 def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
     """Where noise does not reach either end of the converter, so that a mean is not drawn away from it; any shape."""
-    margin = (2 + 3 * float(np.max(readout.noise_lsb))) * readout.lsb_volt
+    margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
     return np.asarray((volt > margin) & (volt < readout.supply_volt - margin))
 
 
@@ -99,7 +101,7 @@ def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> ND
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
         robust = 1.4826 * np.nanmedian(np.abs(deviation), axis=(0, 1 + other))
     # Codes come in steps, and where noise is smaller the median deviation is zero.
-    least = np.maximum(sigma_code(readout, readout.noise_lsb), 1 / readout.readings)
+    least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
     wild = np.abs(deviation) > WILD * np.expand_dims(np.maximum(np.nan_to_num(robust), least), other)
     if wild.sum() > MOST_WILD * wild.size + 2:
         raise InputError(f"{recording.name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")

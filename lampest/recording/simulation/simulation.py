@@ -94,7 +94,7 @@ class Simulation:
             )
         electronic = self.unmodelled.needs_converter
         if self.scene.readout is None and electronic:
-            raise ValueError(f"unmodelled.{electronic[0]} needs a readout in the scene")
+            raise ValueError(f"unmodelled: {', '.join(electronic)} need a readout in the scene")
         if self.scene.readout is None and self.scene.converter_memory is not None:
             raise ValueError("converter_memory needs a readout in the scene")
 

@@ -138,10 +138,10 @@ def _compared(frame: Direct, estimate: Array) -> Observation:
 
 def _model_errors(settings: RecognitionSettings, scene: Scene) -> ModelErrors:
     """What the settings assume; where they leave it as published, how far off the scene says all readings may be."""
-    if scene.systematic is None or settings.model_errors != AS_PUBLISHED.model_errors:
+    if scene.told_systematic is None or settings.model_errors != AS_PUBLISHED.model_errors:
         return settings.model_errors
-    reference = scene.systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-    return replace(settings.model_errors, channel_ohm=scene.systematic.channel_spread_ohm, reference=reference)
+    reference = scene.told_systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
+    return replace(settings.model_errors, channel_ohm=scene.told_systematic.channel_spread_ohm, reference=reference)
 
 
 def _complete(measured: Array) -> Array:

@@ -103,8 +103,10 @@ def section(
 
 
 def _model(first: CaseResult) -> list[str]:
-    """Whether the scene's circuit explains the readings, where the results say so."""
-    return [f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."] if first.model_mark else []
+    """Whether the scene's circuit explains the readings, and its noise their scatter, where the results say so."""
+    model = f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."
+    noise = f"Is the noise as the scene says? {first.noise_sentence}."
+    return [model] * bool(first.model_mark) + [noise] * bool(first.noise_sentence)
 
 
 def _brief(found: Mapping[str, Measures]) -> str:

@@ -26,7 +26,8 @@ class AuditRow:
     recordings, failed : how many, and of how many there is nothing to count.
     cells, change, pressure : percent of intervals that hold the truth; cells_sd, change_sd : by how much that would
         differ among repetitions of the audit, from how much it differs among recordings.
-    silent_cells, silent_change : the same percentage, of recordings whose results carry no sentence; NaN where all do.
+    silent_cells, silent_change, silent_pressure : the same percentage, of recordings whose results carry no sentence;
+    NaN where all do.
     chi_square : of the unloaded repeats per degree of freedom, median. width : standard deviation of log r, median.
     told : recordings whose results carry a sentence. verdict : 'held', 'told', 'wide', 'short' or 'LIES'.
     sentence : the most frequent one.
@@ -43,6 +44,7 @@ class AuditRow:
     pressure: float
     silent_cells: float
     silent_change: float
+    silent_pressure: float
     chi_square: float
     width: float
     told: int
@@ -61,7 +63,7 @@ def audit_rows(found: Sequence[Audited]) -> list[AuditRow]:
 def _row(effect: str, estimator: str, own: Sequence[Audited]) -> AuditRow:
     good = [one for one in own if not one.failed]
     silent = [one for one in good if not one.told]
-    silent_shares = _share(silent, "cells"), _share(silent, "change")
+    silent_shares = _share(silent, "cells"), _share(silent, "change"), _share(silent, "pressure")
     said = Counter(_kind(one.told) for one in good if one.told)
     return AuditRow(
         effect,
@@ -77,7 +79,7 @@ def _row(effect: str, estimator: str, own: Sequence[Audited]) -> AuditRow:
         float(np.median([one.chi_square for one in good])) if good else NAN,
         float(np.median([one.width for one in good])) if good else NAN,
         len(good) - len(silent),
-        _verdict([share for share in silent_shares if not np.isnan(share)]),
+        _verdict(silent_shares),
         next((one.told for one in good if one.told and _kind(one.told) == said.most_common(1)[0][0]), ""),
     )
 
@@ -94,15 +96,19 @@ def _spread(own: Sequence[Audited], what: str) -> float:
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else NAN
 
 
-def _verdict(shares: Sequence[float]) -> str:
-    """What recordings without a sentence make of the promise: 90 to 98 percent, and never below 80."""
-    if not shares:
+def _verdict(shares: tuple[float, float, float]) -> str:
+    """What recordings without a sentence make of the promise: 90 to 98 percent, and never below 80.
+
+    Pressures may have wider intervals: beyond what the response tells they reach as far as it goes.
+    """
+    told = [share for share in shares if not np.isnan(share)]
+    if not told:
         return "told"
-    if min(shares) < NEVER_BELOW:
+    if min(told) < NEVER_BELOW:
         return "LIES"
-    if min(shares) < LEAST:
+    if min(told) < LEAST:
         return "short"
-    return "wide" if max(shares) > MOST else "held"
+    return "wide" if np.fmax(*shares[:2]) > MOST else "held"
 
 
 def _kind(sentence: str) -> str:

@@ -84,9 +84,9 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     resting = np.exp(np.log(truth[recording.role == UNLOADED]).mean(axis=0))
     change = 100 * (truth[found.frame] / resting - 1)
     load = pressure[found.frame] - pressure[0]
-    cells = share_inside(found.cell_resistance_lower, truth[found.frame], found.cell_resistance_upper)
-    changes = share_inside(found.relative_change_lower, change, found.relative_change_upper)
-    pressures = share_inside(found.pressure_lower, load, found.pressure_upper, np.abs(load) > LOADED_KPA)
+    cells = within(found.cell_resistance_lower, truth[found.frame], found.cell_resistance_upper)
+    changes = within(found.relative_change_lower, change, found.relative_change_upper)
+    pressures = within(found.pressure_lower, load, found.pressure_upper, np.abs(load) > LOADED_KPA)
     errors = found.cell_resistance_errors
     width = float("nan") if errors is None else float(np.nanmedian(errors / found.cell_resistance))
     failed = "" if cells[0] else "no error bars"
@@ -94,7 +94,7 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, told(found))
 
 
-def share_inside(
+def within(
     lower: Array | None, truth: Array, upper: Array | None, counted: NDArray[np.bool_] | None = None
 ) -> tuple[int, int]:
     """(how many of the counted have an interval, how many of those hold the truth)."""
@@ -108,7 +108,8 @@ def share_inside(
 def told(found: Estimates) -> str:
     """What the results say against themselves; ''."""
     check = found.model_check
-    return "" if check.mark in SOUND else check.sentence
+    said = (found.noise.sentence, "" if check.mark in SOUND else check.sentence)
+    return "; ".join(part for part in said if part)
 
 
 def repeats_chi_square(recording: Recording) -> float:

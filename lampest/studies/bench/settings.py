@@ -112,7 +112,7 @@ class BenchFile:
     repeats: int = 3
     budget_s: float = 3600.0
     seed: int = 1
-    readout: TwoPointReadout = TwoPointReadout()
+    readout: TwoPointReadout = TwoPointReadout(noise_lsb=0.7)
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     lines: Lines | None = None
     solver: Settings = Settings()

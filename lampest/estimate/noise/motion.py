@@ -1,0 +1,111 @@
+"""Whether frames are torn: whether loads moved on while the lines of a frame were read one after the other.
+
+A reading that is taken τ of a frame period away from the frame's middle differs by Δ·τ, with Δ half the difference of
+the frames before and after. If no cells explain the readings, but some do once s·Δ·τ is taken off, or if cells that
+nobody touched seem to move with s·Δ·τ, a scan takes the share s of the period. Error bars then reach as far as that,
+reading by reading. Loads that move by more than their own size from frame to frame are beyond this.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check.cells_fit import fitted
+from lampest.estimate.noise.unseen import GAIN, Asked, asked, moves_between, possible, still_cells
+from lampest.panel.memory import in_panel_order
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, Systematic
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import Readings
+
+MOST_FRAMES = 3  # that move most are asked
+UNEXPLAINED = 1e-4  # P(χ²), as in the check of the circuit
+SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that are tried: a scan takes no longer than that
+THIRD = 3.0
+LEAST_LEFT = 0.1  # of a reading, however fast it changes
+LEAST_MOTION = 3.0  # rms of Δ·τ over σ, below which a torn frame is none that anybody would notice
+
+
+def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """Δ·τ (frames, rows, columns) of the measured frames in the unit of readings; 0 for frames before them.
+
+    The first and the last one have one neighbour.
+    """
+    torn = np.zeros(readings.value.shape)
+    if len(measured) > 1:
+        torn[measured] = np.gradient(readings.value[measured], axis=0)
+    channels = readings.value[0].size
+    late = (np.arange(channels) + 0.5) / channels - 0.5
+    return torn * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
+
+
+def scan_share(
+    scene: Scene,
+    sizes: Systematic,
+    resting: Readings,
+    readings: Readings,
+    measured: NDArray[np.intp],
+    noise: FrameNoise | None,
+) -> float:
+    """√E[s²] of the share of its period that a frame's scan seems to take; 0 where still cells do not tell.
+
+    Frames with most motion that have two neighbours are asked.
+    """
+    inner = measured[1:-1]
+    if not len(inner) or readings.sigma is None or resting.sigma is None:
+        return 0.0
+    torn = passing(scene, readings, measured)
+    size = np.sqrt(np.mean((torn / readings.sigma) ** 2, axis=(1, 2)))
+    moving = inner[np.argsort(-size[inner])][:MOST_FRAMES]
+    if size[moving[0]] < LEAST_MOTION:
+        return 0.0
+    base = asked(scene, resting, None, sizes, noise, resting=True)
+    if base is None or base.fit.tail < UNEXPLAINED:
+        return 0.0
+    fits = [explained(scene, readings[frame], torn[frame], 0.0) for frame in moving]
+    if min(tail for _, tail in fits) < UNEXPLAINED:
+        return _share_that_explains(scene, readings, torn, moving, [cost for cost, _ in fits])
+    here = asked(scene, readings[moving[0]], base.fit.cells, sizes, noise, resting=False)
+    return 0.0 if here is None else _share(base, here, torn[moving[0]])
+
+
+def explained(scene: Scene, readings: Readings, torn: Array, share: float) -> tuple[float, float]:
+    """(log(1 + χ²), its tail) of what cells leave of one frame once share·Δ·τ is taken off; 0 without a fit."""
+    freed = replace(readings, value=np.maximum(readings.value - share * torn, LEAST_LEFT * readings.value))
+    fit = fitted(scene, freed, patient=True)
+    return (0.0, 1.0) if fit is None else (float(np.log1p(fit.chi_square)), fit.tail)
+
+
+def _share_that_explains(
+    scene: Scene, readings: Readings, torn: Array, frames: NDArray[np.intp], untorn: list[float]
+) -> float:
+    """The share that leaves least of the frames; 0 where it does not leave a THIRD of χ² in the mean."""
+    costs = {0.0: sum(untorn)}
+    for share in SHARES:
+        costs[share] = sum(explained(scene, readings[frame], torn[frame], share)[0] for frame in frames)
+    best = min(costs, key=lambda share: costs[share])
+    return best if costs[best] < costs[0.0] - len(frames) * np.log(THIRD) else 0.0
+
+
+def _share(base: Asked, here: Asked, torn: Array) -> float:
+    """√E[s²] from one frame."""
+    moves = moves_between(base, [here])
+    cost, _ = still_cells(moves.change, moves.covariance(0.0))
+    tearing = moves.with_column(here.answer(torn[None]))
+    better, still = still_cells(tearing.change, tearing.covariance(0.0))
+    if better > cost - GAIN:
+        return 0.0
+    root = possible(tearing, 0.0, still)
+    return float(np.sqrt((root[-1] ** 2).sum()))
+
+
+def said_of_motion(share: float, torn: Array, sigma: Array) -> str:
+    """That frames are torn, and how many; ''."""
+    if not share:
+        return ""
+    count = int(np.sum(np.sqrt(np.mean((torn / sigma) ** 2, axis=(1, 2))) > 1))
+    return (
+        f"loads move while a frame is scanned, as if that took {share:.2g} of the time between frames: {count} frames "
+        "are torn, which error bars allow for as far as their neighbours tell"
+    )

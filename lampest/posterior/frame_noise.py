@@ -1,0 +1,65 @@
+"""What all readings of a frame, or of one of its scanned lines, have in common by chance: columns V of their errors.
+
+A frame's readings err by noise + V·z with z standard normal, drawn for each frame: one column for its gain, some for
+patterns that all its lines share, and the same for each line's own.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.panel.memory import in_panel_order
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class FrameNoise:
+    """scene : with a readout, whose converter it acts on. unloaded : frames that the baseline is the mean of.
+
+    gain : standard deviation of the factor of a frame's voltages, as a fraction. together, apart : (channels of a
+    scanned line, n) volt, see `lampest.estimate.noise.scatter`.
+    """
+
+    scene: Scene
+    unloaded: int
+    gain: float
+    together: Array
+    apart: Array
+
+    def columns(self, measured: Array, baseline: bool) -> Array:
+        """V (frames · cells, n) in the unit of the network's readings (frames, rows, columns).
+
+        baseline : whether the first frame is the mean of the unloaded ones.
+        """
+        frames, size = len(measured), measured[0].size
+        parts = [self._of_frame(frame) for frame in measured]
+        if baseline:
+            parts[0] = parts[0] / np.sqrt(self.unloaded)
+        width = parts[0].shape[1]
+        columns = np.zeros((frames * size, frames * width))
+        for frame, part in enumerate(parts):
+            columns[frame * size : (frame + 1) * size, frame * width : (frame + 1) * width] = part
+        return columns
+
+    def _of_frame(self, measured: Array) -> Array:
+        """V (cells, n) of one frame's readings (rows, columns): differences of the readout's own equations."""
+        circuit = self.scene.circuit
+        volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+        changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
+        most = 0.5 * np.minimum(volt, circuit.supply_volt - volt)
+        changes = np.clip(changes, -most, most)
+        ends = [
+            circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene) for sign in (1, -1)
+        ]
+        return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
+
+    def _patterns(self, shape: tuple[int, ...]) -> Array:
+        """(n, rows, columns) volt: those of all lines, then those of each line."""
+        lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
+        common = np.repeat(self.together.T[:, None, :], lines, axis=1)
+        own = np.zeros((lines, self.apart.shape[1], lines, channels))
+        for line in range(lines):
+            own[line, :, line] = self.apart.T
+        flat = np.concatenate([common.reshape(-1, lines * channels), own.reshape(-1, lines * channels)])
+        return in_panel_order(self.scene.circuit, flat, (len(flat), *shape))

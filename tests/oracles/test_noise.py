@@ -1,0 +1,190 @@
+"""What frames say of their own noise, and still cells of errors that all frames share, against drawn ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import Estimator, Misfit, Panel, Scene, two_point_resistance
+from lampest.estimate.noise.outliers import leaps
+from lampest.estimate.noise.scatter import scatter
+from lampest.estimate.noise.seen import noise_seen
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Systematic
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+LINES, CHANNELS = 10, 10
+LSM = Estimator((Misfit(),), "reduced", error_bars=True)
+
+
+def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0) -> Array:
+    """Deviations about their mean, in σ: noise, a gain a frame, an offset a line, a wave that all lines share."""
+    loud = 3000.0
+    noise = rng.standard_normal((frames, LINES, CHANNELS))
+    noise += gain * loud * rng.standard_normal((frames, 1, 1))
+    noise += offset * rng.standard_normal((frames, LINES, 1))
+    phase = rng.uniform(0, 2 * np.pi, (frames, 1, 1))
+    noise += wave * np.sin(2 * np.pi * np.arange(CHANNELS) / CHANNELS + phase)
+    return np.asarray(noise - noise.mean(axis=0))
+
+
+def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.scatter.Scatter:
+    return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5, 10])
+def test_noise_alone_is_noise_alone(frames: int) -> None:
+    rng = np.random.default_rng(frames)
+    found = [parts(rng, frames) for _ in range(60)]
+    assert np.mean([one.own for one in found]) == pytest.approx(1, abs=0.02)
+    false = sum(one.gain > 0 or one.together.size > 0 or one.apart.size > 0 for one in found)
+    assert false <= 2
+
+
+def test_parts_are_found_with_their_sizes() -> None:
+    rng = np.random.default_rng(1)
+    assert np.mean([parts(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
+    apart = [parts(rng, 5, offset=3.0) for _ in range(20)]
+    assert np.mean([(one.apart**2).sum() / CHANNELS for one in apart]) == pytest.approx(9, rel=0.2)
+    assert np.mean([one.own for one in apart]) == pytest.approx(1, abs=0.06)
+    wave = [parts(rng, 10, wave=3.0) for _ in range(20)]
+    assert np.mean([(one.together**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
+
+
+def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
+    cells = np.full((7, 8, 8), 2000.0)
+    cells[3, 4, 4] = 500.0
+    touched = two_point_resistance(cells)
+    assert not leaps(touched, 1e-3 * touched).leaping.any()
+    hit = two_point_resistance(np.full((7, 8, 8), 2000.0))
+    hit[3, 2, 6] *= 1.05
+    found = leaps(hit, 1e-3 * hit)
+    assert np.argwhere(found.leaping).tolist() == [[3, 2, 6]]
+    assert found.instead[3, 2, 6] == pytest.approx(hit[2, 2, 6])
+
+
+def test_frame_noise_is_what_the_converter_would_see() -> None:
+    scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
+    measured = np.random.default_rng(3).uniform(300, 900, (1, 3, 4))
+    noise = FrameNoise(scene, 4, 1e-3, np.full((4, 1), 2e-3), np.zeros((4, 0)))
+    gain, together = noise.columns(measured, baseline=False).T.reshape(2, 3, 4)
+
+    def read(volt: Array) -> Array:  # written out: the divider across the reference, series resistance taken off
+        return (5 - volt) / volt * 1000 - 140
+
+    volt = 5 * 1000 / (1000 + measured[0] + 140)
+    assert gain == pytest.approx(read(volt * 1.001) - measured[0], rel=0.01)
+    assert together == pytest.approx(read(volt + 2e-3) - measured[0], rel=0.01)
+    assert noise.columns(measured, baseline=True) == pytest.approx(noise.columns(measured, baseline=False) / 2)
+
+
+def recorded(
+    seed: int, scene: Scene, readings: "callable", frames: int = 8, unloaded: int = 5
+) -> tuple[Recording, Array]:  # type: ignore[valid-type]
+    """Frames of a panel pressed on a few cells, of which `readings(exact, rng)` makes the recorded resistance."""
+    rng = np.random.default_rng(seed)
+    cells = np.repeat(3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0)
+    cells[unloaded:, 2:5, 3:6] *= 0.3
+    role = np.where(np.arange(frames) < unloaded, UNLOADED, MEASURED).astype(np.uint8)
+    exact = two_point_resistance(cells) + 140
+    return Recording(scene, readings(exact, rng), np.arange(float(frames)), role), cells
+
+
+def converted(exact: Array, rng: np.random.Generator, noise_lsb: float, gain: float = 0.0) -> Array:
+    """Mean of 20 readings of 12 bits of a divider across a reference of 1000 ohm."""
+    lsb = 5 / 2**12
+    volt = 5 * 1000 / (1000 + exact) * (1 + gain * rng.standard_normal((len(exact), 1, 1)))
+    sigma = lsb * np.sqrt((noise_lsb**2 + 1 / 12) / 20)
+    seen = volt + sigma * rng.standard_normal(exact.shape)
+    return np.asarray((5 - seen) / seen * 1000)
+
+
+def scene_of(noise: float | str | None, systematic: Systematic | str | None = "none") -> Scene:
+    return Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=noise), 140.0, systematic=systematic)
+
+
+def held(found: lampest.estimate.estimates.Estimates, cells: Array, unloaded: int = 5) -> tuple[float, float]:
+    """Shares of the true cells and true changes within their 95 % intervals."""
+    truth = cells[found.frame]
+    change = 100 * (truth / cells[0] - 1)
+    inside = (found.cell_resistance_lower <= truth) & (truth <= found.cell_resistance_upper)
+    changed = (found.relative_change_lower <= change) & (change <= found.relative_change_upper)
+    return float(inside.mean()), float(changed.mean())
+
+
+@pytest.mark.parametrize("told", ["estimated", None])
+def test_noise_left_open_is_that_of_the_frames(told: str | None) -> None:
+    own, _ = recorded(1, scene_of(told), lambda exact, rng: converted(exact, rng, 2.5))
+    known, _ = recorded(1, scene_of(2.5), lambda exact, rng: converted(exact, rng, 2.5))
+    assert not noise_seen(own).sentence
+    ratio = reconstruct(own, LSM).cell_resistance_errors / reconstruct(known, LSM).cell_resistance_errors
+    assert np.median(ratio) == pytest.approx(1, abs=0.1)
+
+
+def test_few_frames_leave_the_usual_noise() -> None:
+    own, _ = recorded(1, scene_of(None), lambda exact, rng: converted(exact, rng, 0.7), frames=6, unloaded=3)
+    assert noise_seen(own).used == 1
+
+
+def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
+    wrong, cells = recorded(2, scene_of(0.7), lambda exact, rng: converted(exact, rng, 2.5))
+    seen = noise_seen(wrong)
+    expected = np.sqrt((2.5**2 + 1 / 12) / (0.7**2 + 1 / 12))
+    assert seen.factor == pytest.approx(expected, rel=0.15)
+    assert abs(seen.factor - expected) < 4 * seen.factor_error
+    assert "times as much as the scene says" in seen.sentence
+    assert held(reconstruct(wrong, LSM), cells)[0] > 0.88
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_bars_hold_a_gain_of_each_frame(seed: int) -> None:
+    told, cells = recorded(seed, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7, 0.004))
+    assert "gain" in noise_seen(told).sentence
+    assert min(held(reconstruct(told, LSM), cells)) > 0.85
+
+
+def test_scenes_that_say_nothing_leave_usual_errors_possible_and_none_leaves_none() -> None:
+    silent, cells = recorded(4, scene_of(0.7, None), lambda exact, rng: converted(exact + 12, rng, 0.7))
+    none = replace(silent, scene=scene_of(0.7, "none"))
+    assert held(reconstruct(none, LSM), cells)[0] < 0.75
+    assert held(reconstruct(silent, LSM), cells)[0] > 0.85
+    assert not noise_seen(none).sentence
+
+
+def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> None:
+    def static(exact: Array, rng: np.random.Generator) -> Array:
+        return converted(exact * np.exp(0.01 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
+
+    sizes, shares = [], []
+    for seed in range(4):
+        recording, cells = recorded(seed, scene_of(0.7, None), static)
+        hidden = noise_seen(recording).hidden
+        assert hidden is not None
+        sizes.append(hidden.sizes.reading_error or 0.0)
+        shares.append(held(reconstruct(recording, LSM), cells))
+    assert np.median(sizes) == pytest.approx(0.01, rel=0.4)
+    assert np.mean(shares, axis=0).min() > 0.85
+    clean, _ = recorded(9, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
+    hidden = noise_seen(clean).hidden
+    assert hidden is not None and not hidden.sizes.reading_error
+
+
+def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
+    from lampest.posterior.dense import DenseErrors
+    from lampest.posterior.sampled import SampledErrors
+
+    told, _ = recorded(5, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7))
+    stream = lampest.Stream.begin(LSM, told.scene, 1.0, told.readings()[0])
+    data, start = stream.given(told.readings()[6])
+    model = stream.solve(data, start).surroundings()
+    assert model is not None
+    noise = FrameNoise(told.scene, 5, 0.005, np.zeros((8, 0)), np.full((8, 1), 1e-3))
+    drawn_columns = model.through @ noise.columns(data.measured, baseline=False)
+    dense, sampled = DenseErrors(model, None, drawn_columns), SampledErrors(model, None, drawn_columns)
+    assert np.median(sampled.variance / dense.variance) == pytest.approx(1, abs=0.1)
+    assert np.median(dense.variance / DenseErrors(model).variance) > 1.5
+    assert np.diag(dense.covariance) == pytest.approx(dense.variance)
