@@ -44,20 +44,21 @@ class Certificate:
     """bend : of the cost over the free cells. step : (cells) of log r by which a Newton step would move each, within
     its bounds. decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that
     count: what |s_c| is at most of its cell's posterior deviation; infinite where the noise is not known, or where the
-    step is a millionth without that.
+    step is a millionth without that. curvature : where second derivatives were asked for.
     """
 
     bend: Bend
     step: Array
     decrement: float
     deviations: float
+    curvature: Curvature | None = None
 
     @classmethod
     def at(cls, curvature: Curvature, bend: Bend, step: Array, decrement: float) -> "Certificate":
         """Of a step from where second derivatives are known."""
         short = float(np.abs(step).max(initial=0.0)) <= MILLIONTH
         deviations = float("inf") if short or bend is not Bend.UP else _deviations(curvature, decrement)
-        return cls(bend, step, decrement, deviations)
+        return cls(bend, step, decrement, deviations, curvature)
 
     @property
     def settled(self) -> bool:

@@ -85,6 +85,7 @@ def test_what_is_handed_out_is_the_point_after_the_step_that_certified_it() -> N
     found = Newton(cost, Settings(tolerance=1e-6)).solve(data, start)
     assert found.certificate is not None and found.certificate.settled
     before = found.certificate.curvature
+    assert before is not None
     factor = cho_factor(before.matrix)
     left = before.at.cell_resistance * np.exp(-cho_solve(factor, before.gradient)).reshape(previous.shape)
     moved = np.abs(np.log(before.at.cell_resistance / left)).max()
