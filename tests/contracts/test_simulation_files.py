@@ -92,7 +92,7 @@ def test_faults_are_reported_at_their_place(
 
 def test_effects_of_the_electronics_need_electronics(tmp_path: Path) -> None:
     text = BASE.replace("  readout: {kind: two_point}\n", "") + "unmodelled: {reference_tolerance: 0.01}\n"
-    with pytest.raises(InputError, match="needs a readout"):
+    with pytest.raises(InputError, match="need a readout"):
         read_simulations(written(tmp_path, text))
 
 
