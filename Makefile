@@ -23,7 +23,8 @@ run: install
 	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
 
 test: $(VENV)/.installed-dev board-packages
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --ignore tests/board
+	@$(BIN)/python -m pytest -q tests/board
 
 quick: $(VENV)/.installed-dev
 	@$(BIN)/python -m pytest -q -m 'not slow' $(QUICK)
