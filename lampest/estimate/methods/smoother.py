@@ -120,7 +120,9 @@ class SmootherMethod(Method):
         begin = perf_counter()
         data, start = _begun(stream, resting, readings, cells, on_frame)
         costs = [stream.estimator.cost(stream.scene, 1, one.partial) for one in data]
-        frames = JointData.alone(costs, data, Shared.of(stream.scene), start)
+        # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
+        told = stream.scene if stream.scene.told_systematic else replace(stream.scene, systematic="none")
+        frames = JointData.alone(costs, data, Shared.of(told), start)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
             joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), stream.estimator.solver)
             solutions = _checked(joint, rounds)[len(resting) - 1 :]
