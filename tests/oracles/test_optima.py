@@ -473,7 +473,9 @@ def test_noise_weighting_divides_by_sigma(paper: SimpleNamespace) -> None:
 
 def test_mean_of_unloaded_frames_is_trusted_more(paper: SimpleNamespace) -> None:
     """σ of the mean of n frames is √Σσ²/n: the misfit of a joint pair, weighted by noise, term by term."""
-    recorded = recording(truth((3, 4), 4, 18), 5e-3, seed=18, unloaded=3)
+    cells = truth((3, 4), 4, 18)
+    cells[1:3] = cells[0]
+    recorded = recording(cells, 5e-3, seed=18, unloaded=3)
     terms = (Misfit(weighting="noise"), term_types()["relative_change"](weight=1e-2))
     found = reconstruct(recorded, Estimator(terms))
     sigma = np.sqrt(np.sum(recorded.sigma[:3] ** 2, axis=0)) / 3
