@@ -79,7 +79,7 @@ def test_simulates_what_the_netlist_says(readout: Readout) -> None:
 
 @each_readout
 def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
-    recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
+    recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD, systematic="none"))
     told, ignored = solved(recording), solved(forgetting(recording, lines=None))
     assert np.median(np.abs(error(told))) < 0.004
     assert np.median(np.abs(error(ignored))) > 5 * np.median(np.abs(error(told)))
