@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
+from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.reach import within_reach
@@ -102,7 +102,7 @@ def direction(
     chosen = np.flatnonzero(free)
     if len(chosen) == 0:
         return Direction(known, damping)
-    if len(free) <= DENSE_UNKNOWNS:
+    if curvature.factored:
         found = _by_factorisation(curvature, chosen, slope[chosen], damping)
     else:
         found = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy, kept)
