@@ -118,8 +118,9 @@ def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array
     size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
     failed, used = 1, damping
     while failed:
-        shifted = matrix + np.diag(used * size) if used else matrix
-        triangle, step, failed = lapack.dposv(shifted.T, -slope)
+        shifted = matrix.copy()
+        shifted.flat[:: len(size) + 1] += used * size
+        triangle, step, failed = lapack.dposv(shifted.T, -slope, overwrite_a=True)
         used = raised(used) if failed else used
     # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
     if used and np.abs(step).max() < TINY and (used > damping or bends_down(matrix, size)):
