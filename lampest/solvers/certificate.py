@@ -105,7 +105,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
         return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, 0.0)
     if factor is not None and factor.solid and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
-    elif len(gradient) <= DENSE_UNKNOWNS:
+    elif curvature.factored:
         bend, step = _by_factorisation(curvature, gradient[free], free)
     else:
         bend, step = _by_conjugate_gradients(curvature, gradient[free], free, factor)

@@ -18,7 +18,7 @@ from lampest.panel.readouts.two_point.stencil import Stencil
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import linearised
-from lampest.solvers.newton import directions
+from lampest.solvers.newton import curvature
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -55,8 +55,9 @@ def recording(noise: float) -> Recording:
 def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded, estimator = recording(noise), Estimator(ESTIMATORS[name], formulation="reduced")
     factored = reconstruct(recorded, estimator)
-    for module in (directions, convex, linearised):
+    for module in (curvature, convex, linearised):
         monkeypatch.setattr(module, "DENSE_UNKNOWNS", 0)
+    monkeypatch.setattr(curvature, "DENSE_JOINT_UNKNOWNS", 0)
     products = reconstruct(recorded, estimator)
     for one, other in zip(factored.steps, products.steps, strict=True):
         assert one.solution.solved

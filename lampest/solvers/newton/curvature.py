@@ -13,9 +13,15 @@ from scipy import sparse
 
 from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation
+from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
 from lampest.solvers.newton.smoothing import Smoothing
+
+# Frames that are solved jointly, a first frame and its baseline, bend the cost downwards along many directions at once,
+# each of which ends a solve by conjugate gradients: these failed after 300 iterations at 16 × 16. A factor takes 0.1 s
+# here.
+DENSE_JOINT_UNKNOWNS = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +95,12 @@ class Curvature:
         return whole
 
     @property
+    def factored(self) -> bool:
+        """Whether ∇²φ is made and factorised, rather than only multiplied with vectors."""
+        cells = self.at.cell_resistance
+        return bool(cells.size <= (DENSE_UNKNOWNS if len(cells) == 1 else DENSE_JOINT_UNKNOWNS))
+
+    @property
     def only_misfit(self) -> bool:
         """Whether nothing but the readings of one frame bends the cost."""
         frames = len(self.at.networks)
@@ -108,28 +120,30 @@ class Curvature:
     def matrix(self) -> Array:
         """∇²φ, dense (frames · cells)²."""
         count = self.at.cell_resistance.size
-        pairs = zip(self.at.networks, self._second_orders, strict=True)
-        blocks = [(network.sensitivity(), second.matrix()) for network, second in pairs]
-        jacobian, matrix = (block_diagonal(parts) for parts in zip(*blocks, strict=True))
-        self._add_terms(matrix, jacobian)
+        jacobians = [network.sensitivity() for network in self.at.networks]
+        matrix = block_diagonal([second.matrix() for second in self._second_orders])
+        self._add_terms(matrix, jacobians)
         matrix.flat[:: count + 1] += self.direct - self.through
         return matrix
 
-    def _add_terms(self, matrix: Array, jacobian: Array) -> None:
-        """matrix += (diag r; J)ᵀ H (diag r; J)."""
+    def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
+        """matrix += (diag r; J)ᵀ H (diag r; J), J by frames."""
         cells = self.at.cell_resistance.ravel()
         count = len(cells)
         entries, values = self._entries
         row, column = entries.at_cells
         matrix[row, column] += values[entries.cells] * cells[row] * cells[column]
         if entries.at_model is None:
+            jacobian = block_diagonal(jacobians)
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
         else:
             weight = np.zeros(count)
             weight[entries.at_model] = values[entries.model]
-            matrix += weighted_square(jacobian, weight)
+            for number, jacobian in enumerate(jacobians):
+                span = slice(number * len(jacobian), (number + 1) * len(jacobian))
+                matrix[span, span] += weighted_square(jacobian, weight[span])
         if entries.crossed:
-            cross = cells[:, None] * (self.terms[:count, count:] @ jacobian)
+            cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
             matrix += cross + cross.T
 
     @property

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
+from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.reach import within_reach
@@ -102,7 +102,7 @@ def direction(
     chosen = np.flatnonzero(free)
     if len(chosen) == 0:
         return Direction(known, damping)
-    if len(free) <= DENSE_UNKNOWNS:
+    if curvature.factored:
         found = _by_factorisation(curvature, chosen, slope[chosen], damping)
     else:
         found = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy, kept)
@@ -118,8 +118,9 @@ def _by_factorisation(curvature: Curvature, free: NDArray[np.intp], slope: Array
     size = _at_least(np.abs(np.diag(matrix)), LEAST_SIZE)
     failed, used = 1, damping
     while failed:
-        shifted = matrix + np.diag(used * size) if used else matrix
-        triangle, step, failed = lapack.dposv(shifted.T, -slope)
+        shifted = matrix.copy()
+        shifted.flat[:: len(size) + 1] += used * size
+        triangle, step, failed = lapack.dposv(shifted.T, -slope, overwrite_a=True)
         used = raised(used) if failed else used
     # A shift in proportion to the diagonal may forbid every step along a faint negative curvature.
     if used and np.abs(step).max() < TINY and (used > damping or bends_down(matrix, size)):

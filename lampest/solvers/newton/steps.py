@@ -9,7 +9,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import Bend, Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
@@ -122,7 +121,7 @@ def by_kept_factor(point: Iterate, data: Data, residual: float, free: NDArray[np
 def certain_step(point: Iterate, data: Data, residual: float) -> Iterate | None:
     """The point after the certificate's own step, on large panels: a step by conjugate gradients has fewer digits."""
     found = point.certificate
-    if len(found.step) <= DENSE_UNKNOWNS or found.bend is not Bend.UP:
+    if point.curvature.factored or found.bend is not Bend.UP:
         return None
     return trial(point, data, point.at.position.ravel() + found.step, 0.0, residual, found.decrement**2)
 
