@@ -22,6 +22,7 @@ LAST_STEPS = Settings(max_iterations=20)
 # Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled: at
 # 1e-8 of it cells may still be off by 1e-5.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
+NOTHING = 1e-12  # of the cost's scale: what is left of a misfit where every reading is reproduced
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 EASY, EASY_INTERIOR = 6, 20  # iterations; warm frames take 2 to 5 and 3 to 6, and a good start 9 of the latter
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
@@ -41,6 +42,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
     stand in the same minimum. Where these terms are convex
     in log r and the previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
+    The starts after the first end with the one that brings them to one solve's limit of iterations, so that no frame
+    takes more than three times that.
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
     """
     with np.errstate(all="ignore"):
@@ -98,8 +101,21 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if far else _unchanged(data)
     else:
         points = points[:1]
-    others = [solved_from(solver, point) for point in (*points[1:], *_evaluable(solver.cost, data, more))]
-    return _least(found, others)
+    return _least(found, _others(solver, found, (*points[1:], *_evaluable(solver.cost, data, more))))
+
+
+def _others(solver: Solver, found: Solution, points: Iterable[Evaluation]) -> list[Solution]:
+    """Solutions from more starts, as many as one solve's iterations begin, and none where nothing is left to gain."""
+    solutions: list[Solution] = []
+    best = found
+    for point in points:
+        spent = sum(one.iterations for one in solutions)
+        scale = best.at.cost_scale if best.at is not None and best.status is Status.OPTIMUM else 0.0
+        if best.objective <= NOTHING * scale or spent >= solver.settings.max_iterations:
+            break
+        solutions.append(solved_from(solver, point))
+        best = _least(best, solutions[-1:])
+    return solutions
 
 
 def _unchanged(data: Data) -> list[Array]:

@@ -50,7 +50,7 @@ class Newton:
         while iteration < self.settings.max_iterations:
             residual, gap = point.residual(), point.gap()
             near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.converged)
-            if near and gap > self.settings.tolerance:
+            if near and not point.sharp(self.settings.tolerance):
                 point, iteration, stands = point.sharpened(), iteration + 1, False
                 continue
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):

@@ -18,6 +18,7 @@ from lampest.solvers.newton.ways import LONGEST_STEP, ways
 LARGEST_DAMPING = 1e10
 DECREASE = 1e-4
 EQUAL, HALVED = 1e-12, 0.5  # of the cost: where rounding hides a decrease, the residual must fall to this share
+REPRODUCED = 1e-4  # of the cost's scale: 1e-12 of it at a tolerance of 1e-8, which is rounding
 MOST_STOPS = 6
 CONTRACTION = 0.2  # of a step by the next one: a new factor costs as much as two to three such steps
 TIGHT = 0.5
@@ -49,6 +50,13 @@ class Iterate:
         """What the smoothing of absolute losses may still cost, as the test of optimality measures it."""
         slope = self.curvature.smoothing.slope(self.at.rough)
         return self.at.dual_gap(slope) / self.at.cost_scale if len(slope) else 0.0
+
+    def sharp(self, tolerance: float) -> bool:
+        """Whether the smoothing costs no more than a share of the cost's scale, and ten times that of the cost itself,
+        if the cost is more than rounding.
+        """
+        allowed = min(self.at.cost_scale, max(10 * self.at.objective, REPRODUCED * self.at.cost_scale))
+        return self.gap() * self.at.cost_scale <= tolerance * allowed
 
     def sharpened(self) -> "Iterate":
         """The same place with a tenth of the smoothing."""
