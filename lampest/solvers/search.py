@@ -22,7 +22,6 @@ LAST_STEPS = Settings(max_iterations=20)
 # Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled: at
 # 1e-8 of it cells may still be off by 1e-5.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
-NOTHING = 1e-12  # of the cost's scale: what is left of a misfit where every reading is reproduced
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 EASY, EASY_INTERIOR = 6, 20  # iterations; warm frames take 2 to 5 and 3 to 6, and a good start 9 of the latter
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
@@ -101,20 +100,16 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if far else _unchanged(data)
     else:
         points = points[:1]
-    return _least(found, _others(solver, found, (*points[1:], *_evaluable(solver.cost, data, more))))
+    return _least(found, _others(solver, (*points[1:], *_evaluable(solver.cost, data, more))))
 
 
-def _others(solver: Solver, found: Solution, points: Iterable[Evaluation]) -> list[Solution]:
-    """Solutions from more starts, as many as one solve's iterations begin, and none where nothing is left to gain."""
+def _others(solver: Solver, points: Iterable[Evaluation]) -> list[Solution]:
+    """Solutions from more starts, as many as one solve's iterations begin."""
     solutions: list[Solution] = []
-    best = found
     for point in points:
-        spent = sum(one.iterations for one in solutions)
-        scale = best.at.cost_scale if best.at is not None and best.status is Status.OPTIMUM else 0.0
-        if best.objective <= NOTHING * scale or spent >= solver.settings.max_iterations:
+        if sum(one.iterations for one in solutions) >= solver.settings.max_iterations:
             break
         solutions.append(solved_from(solver, point))
-        best = _least(best, solutions[-1:])
     return solutions
 
 
