@@ -82,7 +82,8 @@ def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any)
 def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
     """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at every column."""
     known: dict[str, Any] = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10}
-    return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, noise_lsb=0.7, **(known | changes)))
+    known["noise_lsb"] = 0.7
+    return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, **(known | changes)))
 
 
 def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:

@@ -107,7 +107,7 @@ def test_live_and_the_file_agree(tmp_path: Path) -> None:
 def test_without_a_scene_the_board_is_believed(tmp_path: Path) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(2), 1), wiring=WIRING) as board:
         done = record(board.port, tmp_path / "r.h5", frames=2)
-    assert done.scene == Recording.load(tmp_path / "r.h5").scene == loaded_scene()
+    assert done.scene == Recording.load(tmp_path / "r.h5").scene == loaded_scene(noise_lsb=None)
 
 
 @pytest.mark.parametrize(("wiring", "told"), [(WIRING, scene(4, 4)), ("two_point", loaded_scene(4, 4))])
@@ -167,7 +167,7 @@ class Settings(ctypes.Structure):
 def test_the_wiring_is_part_of_what_the_board_says() -> None:
     found = hello()
     assert (found.wiring, found.reference_milliohm, found.drive_milliohm) == (WIRING, 10_000_000, 70_000)
-    assert told_readout(found) == loaded_scene().readout
+    assert told_readout(found) == loaded_scene(noise_lsb=None).readout
 
 
 def test_a_board_that_says_nothing_of_its_wiring_has_two_multiplexers() -> None:
