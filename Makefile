@@ -5,6 +5,7 @@
 #   make test      set-up with what tests need, then all tests
 #   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, about 40 s; Python alone
 #   make lint      style and types
+#   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
 #   make clean     remove .venv, builds and caches; results/ stays
 
 PYTHON ?= python3
@@ -34,6 +35,10 @@ lint: $(VENV)/.installed-dev
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
+docs: $(VENV)/.installed-dev
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
+
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	{ echo "lampest needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
@@ -45,7 +50,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	@$(PIP) --editable '.[dev,cluster]'
+	@$(PIP) --editable '.[dev,docs,cluster]'
 	@$(PIP) --no-deps badcrossbar # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
 	@touch $@
 
@@ -60,7 +65,7 @@ board-packages:
 	else echo "The tests of the board need system packages; install them with: apt-get install $$packages" >&2; fi; fi
 
 clean:
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test quick lint board-packages clean
+.PHONY: install run test quick lint docs board-packages clean

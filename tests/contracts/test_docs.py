@@ -1,7 +1,7 @@
 """The pages are true: examples run as a stranger would run them, and what is named is there.
 
-Of docs/adding.md every section is played in a copy of the house: a block that begins with a path is written to it, a
-diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
+Of docs/howto/adding.md every section is played in a copy of the house: a block that begins with a path is written to
+it, a diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
 """
 
 import doctest
@@ -22,15 +22,16 @@ from lampest import read_run, read_scene
 
 REPOSITORY = Path(__file__).parents[2]
 README = REPOSITORY / "README.md"
-ADDING = REPOSITORY / "docs" / "adding.md"
-ARCHITECTURE = REPOSITORY / "docs" / "architecture.md"
-GLOSSARY = REPOSITORY / "docs" / "glossary.md"
-READOUTS = REPOSITORY / "docs" / "readouts.md"
+DOCS = REPOSITORY / "docs"
+ADDING = DOCS / "howto" / "adding.md"
+ARCHITECTURE = DOCS / "reference" / "architecture.md"
+GLOSSARY = DOCS / "theory" / "glossary.md"
+READOUTS = DOCS / "howto" / "readouts.md"
 PAGES = (
     README,
     REPOSITORY / "CONTRIBUTING.md",
     REPOSITORY / "firmware" / "README.md",
-    *sorted((REPOSITORY / "docs").glob("*.md")),
+    *sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts),
 )
 COPIED = ("lampest", "tests", "pyproject.toml", "README.md", "LICENSE")
 SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -186,6 +187,18 @@ def test_links_lead_somewhere(page: Path) -> None:
             there = page if not path else page.parent / path
             assert there.exists(), f"{page.name}: {target}"
             assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
+
+
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
+    command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))
+    ended = subprocess.run(
+        (*command, str(DOCS), str(tmp_path / "html")), capture_output=True, text=True, timeout=300, cwd=REPOSITORY
+    )
+    assert ended.returncode == 0, ended.stderr
+    pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
+    assert len(pages) > 15
+    assert not [found for page in pages for found in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)]
 
 
 def anchors(page: Path) -> set[str]:

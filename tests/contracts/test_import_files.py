@@ -750,7 +750,7 @@ def test_the_command_refuses_with_one_sentence(tmp_path: Path, arguments: list[s
 
 
 def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "import.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "import.md").read_text(encoding="utf-8")
     typed = re.split(r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE)[1:]
     answers = {}
     for part in typed:

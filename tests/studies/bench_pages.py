@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "studies").glob("*.md")))
 MARKED = re.compile(r"<!-- bench: (\w+) -->\n.*?<!-- /bench -->\n", re.DOTALL)
 SECTION = re.compile(r"^## (\w+):.*?\n\n(.*?)(?=^## |\Z)", re.DOTALL | re.MULTILINE)
 

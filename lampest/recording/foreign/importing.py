@@ -40,7 +40,7 @@ def import_file(
     rows, columns : of the panel; None: the scene's.
     scene : panel, readout and series resistance; None: this panel and resistances alone.
     unit : 'ohm', 'kohm', 'volt' or 'mV' at the converter, its 'code'; None: what the header says, else what the values
-        and the scene leave; see docs/import.md.
+        and the scene leave; see docs/howto/import.md.
     baseline_frames : the first so many frames were taken without load.
     transpose : the file's rows are the panel's columns.
     variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.

@@ -47,7 +47,7 @@ NEAR = {
 }
 LARGEST_BARRIER = 0.1  # IPOPT's own mu_init
 # Approximate minimum degree (0) finds that cells and far lines go first. What MUMPS orders by itself takes 1.4 times as
-# long at 10 × 10, twice at 16 × 16 and ten times at 32 × 32; see docs/speed.md.
+# long at 10 × 10, twice at 16 × 16 and ten times at 32 × 32; see docs/studies/speed.md.
 OPTIONS = {
     "mumps_pivot_order": 0,
     "bound_relax_factor": 0.0,

@@ -1,4 +1,4 @@
-"""The drawings of docs/readouts.md, one for each circuit: python docs/circuits/draw.py."""
+"""The drawings of docs/howto/readouts.md, one for each circuit: python docs/howto/circuits/draw.py."""
 
 from pathlib import Path
 from typing import Any

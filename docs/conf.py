@@ -1,0 +1,33 @@
+"""How the pages in this folder become a site: `make docs`, into docs/_build/html. Nothing is fetched."""
+
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "lampest"
+author = "The lampest developers"
+project_copyright = f"2026, {author}"
+release = version_of("lampest")
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx_design", "mathml"]
+exclude_patterns = ["_build"]
+nitpicky = True
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4  # headings are linked to as on GitHub
+highlight_language = "none"  # of blocks that name none: commands, YAML with a gap
+
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_execution_show_tb = True
+
+html_theme = "furo"
+html_title = "lampest"
+html_static_path = ["_static"]
+html_css_files = ["lampest.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_math_renderer = "mathml"
+copybutton_prompt_text = "$ "
