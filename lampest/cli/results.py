@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Out, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Out, print_figures, print_notes, print_table, progress
 from lampest.files.errors import InputError
 
 
@@ -16,9 +16,11 @@ def compare(
     report: Annotated[
         Path | None, typer.Option("--report", help="Write a page with figures, intervals and a recommendation.")
     ] = None,
+    each: Annotated[bool, typer.Option("--each", help="A block for each recording, however many there are.")] = False,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
-    from lampest.report.compare import compare_files, model_notes, screen_table, write_csv
+    from lampest.report.compare import compare_files, model_notes, write_csv
+    from lampest.report.on_screen import legend, screen_blocks
 
     rows = compare_files(results)
     if csv:
@@ -27,9 +29,11 @@ def compare(
         from lampest.report.page.page import write_report
 
         write_report(results, report)
-    print_table(screen_table(rows))
-    for note in model_notes(rows):
-        print(note)
+    blocks = screen_blocks(rows, each)
+    for block in blocks:
+        print(block.title)
+        print_figures(block.table)
+    print_notes((*legend(rows, blocks), *model_notes(rows)))
 
 
 def plot(

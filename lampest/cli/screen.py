@@ -9,9 +9,12 @@ import typer
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from lampest.report.compare import Table
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
+FIGURES_WIDTH, NAME_WIDTH = 100, 12
 
 Out = Annotated[Path | None, typer.Option("--out", help="Where the output goes.")]
 Folder = Annotated[Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")]
@@ -33,6 +36,39 @@ def print_table(table: "Table") -> None:
     for cells in table.cells:
         drawn.add_row(*cells)
     Console(width=None if sys.stdout.isatty() else 200, highlight=False, markup=False).print(drawn)
+
+
+def print_figures(table: "Table") -> None:
+    """Draw a name and its figures in each row: figures stay on one line, headers and long names take several.
+
+    Within 100 columns, or as many as the terminal has where they are more.
+    """
+    from textwrap import fill
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for number, header in enumerate(table.headers):
+        room = max((len(cells[number]) for cells in table.cells), default=0)
+        words = fill(header, max(room, *map(len, header.split())), break_long_words=False)
+        drawn.add_column(
+            words, no_wrap=number > 0, overflow="fold", min_width=None if number else min(room, NAME_WIDTH)
+        )
+    for cells in table.cells:
+        drawn.add_row(*cells)
+    screen = Console(highlight=False, markup=False)
+    screen.width = max(screen.width if sys.stdout.isatty() else 0, FIGURES_WIDTH)
+    screen.print(drawn)
+
+
+def print_notes(notes: "Iterable[str]") -> None:
+    """Print sentences within 100 columns, what follows a sentence's first line indented."""
+    from textwrap import fill
+
+    for note in notes:
+        print(fill(note, FIGURES_WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
 
 
 class progress:  # noqa: N801

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -152,63 +152,11 @@ class Table:
     cells: tuple[tuple[str, ...], ...]
 
 
-def screen_table(rows: Sequence[Row]) -> Table:
-    """The rows as short texts, mean ± standard deviation; a column in which no row has anything is left out."""
-    several = len({row.source for row in rows}) > 1
-    columns: list[tuple[str, Callable[[Row], str]]] = [
-        ("results", lambda row: row.source if several else ""),
-        ("recording", lambda row: row.recording),
-        ("estimator", lambda row: row.estimator),
-        ("steps", lambda row: row.steps),
-        ("solved", lambda row: f"{row.solved}/{row.frames}"),
-        ("time [s]", lambda row: _plus_minus(row.solve_time)),
-        ("data error [%]", lambda row: _plus_minus(row.data_error)),
-        ("cell error [%] median / mean / 95th", lambda row: _three(row.cell_error)),
-        ("open cells", lambda row: str(row.open_cells)),
-        ("missing readings", lambda row: str(row.missing_readings or "")),
-        ("bounds", lambda row: str(row.bound_readings or "")),
-        ("model", lambda row: "" if row.model_mark in SOUND else row.model_mark),
-        ("worst KKT", lambda row: "" if row.worst_kkt_residual is None else f"{row.worst_kkt_residual:.0e}"),
-        ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
-        ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
-    ]
-    filled = [(header, [text(row) for row in rows]) for header, text in columns]
-    filled = [(header, texts) for header, texts in filled if any(texts)]
-    return Table(tuple(header for header, _ in filled), tuple(zip(*(texts for _, texts in filled), strict=True)))
-
-
 def model_notes(rows: Sequence[Row]) -> list[str]:
     """Sentences for every recording of which the circuit, or its noise, is in doubt; each once."""
     notes = (f"{row.recording}: {row.model_sentence}" for row in rows if row.model_mark not in SOUND)
     noise = (f"{row.recording}: {row.noise_sentence}" for row in rows if row.noise_sentence)
     return list(dict.fromkeys((*notes, *noise)))
-
-
-def _plus_minus(values: Spread | None) -> str:
-    if values is None:
-        return ""
-    form = _format(values.mean)
-    return form.format(values.mean) + ("" if values.sd is None else f" ± {form.format(values.sd)}")
-
-
-def _three(values: Spread | None) -> str:
-    if values is None:
-        return ""
-    return " / ".join(_format(value).format(value) for value in (values.median, values.mean, values.percentile_95))
-
-
-def _published(figures: StepFigures | None, mean: str, sd: str) -> str:
-    if figures is None or getattr(figures, mean) is None:
-        return ""
-    deviation = getattr(figures, sd)
-    return f"{getattr(figures, mean):g}" + ("" if deviation is None else f" ± {deviation:g}")
-
-
-def _format(value: float) -> str:
-    """A format with three significant digits of `value`, without an exponent wherever that is short."""
-    if not 1e-4 <= abs(value) < 1e5:
-        return "{:.2e}" if value else "{:g}"
-    return f"{{:.{max(0, 2 - int(np.floor(np.log10(abs(value)))))}f}}"
 
 
 def csv_text(rows: Sequence[Row]) -> str:

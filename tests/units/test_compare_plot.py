@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
+from lampest.cli.screen import print_figures
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
-from lampest.report.compare import compare, compare_files, csv_text, screen_table, write_csv
+from lampest.report.compare import compare, compare_files, csv_text, write_csv
 from lampest.report.info import describe
+from lampest.report.on_screen import legend, screen_blocks
 from lampest.report.plots.contours import ContourPlot
 from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.results import plot_results
@@ -53,14 +55,47 @@ def test_a_joint_start_is_told_apart() -> None:
 
 def test_the_table_on_screen() -> None:
     cases = [invented_case(name, failed=(0, 1, 2) if name == "LSR-CR" else ()) for name in METHODS]
-    table = screen_table(compare(Results(tuple(cases), PUBLISHED)))
+    rows = compare(Results(tuple(cases), PUBLISHED))
+    (block,) = screen_blocks(rows)
+    table = block.table
+    assert block.title == "mouth: 3 frames"
     assert all(len(line) == len(table.headers) for line in table.cells) and len(table.cells) == 7
     line = dict(zip(table.headers, table.cells[0], strict=True))
-    assert line["published time [s]"] == "16.45 ± 0.4" and line["solved"] == "3/3" and " ± " in line["time [s]"]
-    assert dict(zip(table.headers, table.cells[1], strict=True))["time [s]"] == ""
-    bare = screen_table(compare(Results((invented_case(truth=False),))))
-    assert not any("cell error" in header or "published" in header for header in bare.headers)
-    assert screen_table([]).cells == ()
+    assert line["published time [s]"] == "16.45 ± 0.4" and line["solved"] == "3/3" and " ± " in line["time [ms]"]
+    assert float(line["time [ms]"].split()[0]) == pytest.approx(1000 * rows[0].solve_time.mean, rel=0.05)
+    assert dict(zip(table.headers, table.cells[1], strict=True))["time [ms]"] == ""
+    assert any(note.startswith("published: of another recording") for note in legend(rows, [block]))
+    rows = compare(Results((invented_case(truth=False),)))
+    bare = screen_blocks(rows)
+    assert not any("cell error" in header or "published" in header for header in bare[0].table.headers)
+    assert not any("published" in note or "truth" in note for note in legend(rows, bare))
+    assert screen_blocks([]) == []
+
+
+def test_the_table_fits_a_hundred_columns_with_whole_names(capsys: pytest.CaptureFixture[str]) -> None:
+    long = "LSR-gCR@gradient.weight=0.001"
+    cases = [invented_case(name, stem) for stem in ("lamprey_35mm", "lamprey_25mm") for name in (*METHODS, long)]
+    blocks = screen_blocks(compare(Results(tuple(cases), PUBLISHED)))
+    assert [block.title.split(":")[0] for block in blocks] == ["lamprey_35mm", "lamprey_25mm"]
+    for block in blocks:
+        print_figures(block.table)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 100 and not any("…" in line for line in lines)
+    assert long in "".join(line[:19].strip() for line in lines)
+    for name in METHODS:
+        assert any(line.startswith(f" {name} ") for line in lines)
+
+
+def test_many_recordings_are_summed_up() -> None:
+    cases = [invented_case(name, f"mouth{number}") for number in range(7) for name in METHODS[:3]]
+    rows = compare(Results(tuple(cases)))
+    (block,) = screen_blocks(rows)
+    assert block.title.startswith("7 recordings") and len(block.table.cells) == 4
+    line = dict(zip(block.table.headers, block.table.cells[0], strict=True))
+    errors = [row.cell_error.median for row in rows if row.estimator == "LSM"]
+    assert float(line["cell error [%], median"]) == pytest.approx(np.median(errors), rel=0.01)
+    assert float(line["least … most of them"].split(" … ")[1]) == pytest.approx(max(errors), rel=0.01)
+    assert line["solved"] == "21/21" and len(screen_blocks(rows, each=True)) == 7
 
 
 def test_csv(tmp_path: Path) -> None:
@@ -73,7 +108,7 @@ def test_csv(tmp_path: Path) -> None:
     assert float(lines[0]["data error mean [%]"]) == rows[0].data_error.mean
     assert lines[0]["published time sd [s]"] == "0.4" and lines[1]["published time sd [s]"] == ""
     assert csv_text(rows) == (tmp_path / "table.csv").read_text(encoding="utf-8")
-    assert "results" in screen_table(rows).headers
+    assert [block.title.split(": ")[0] for block in screen_blocks(rows)] == [row.source for row in rows[::7]]
     with pytest.raises(InputError, match="cannot be written"):
         write_csv(tmp_path / "one.h5" / "table.csv", rows)
 
