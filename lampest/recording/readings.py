@@ -163,16 +163,15 @@ class Readings:
         return self[None]
 
 
-def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp], within: float = 0.0) -> int:
+def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
     """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones.
 
-    value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count. The last that comes
-    within a share of the largest, because a load settles after it has set in.
+    value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count.
     """
     change = np.abs(np.log(value[frames] / resting))
     known = np.isfinite(change)
     change = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
-    return int(frames[np.flatnonzero(change >= (1 - within) * change.max())[-1]])
+    return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
 def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:

@@ -1,5 +1,6 @@
 """What a kind of picture is, and which frame it shows."""
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Figure
 
 from lampest.files.errors import InputError
-from lampest.recording.readings import strongest_frame
+from lampest.panel.panel import Array
 from lampest.runs.case import CaseResult
 
 STRONG = 0.9
@@ -39,13 +40,36 @@ class Plot(ABC):
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:
-    """Of the frames that most of the cases solved, the last whose mean |log y/y₀| reaches 90 % of the largest.
+    """Of the frames that most of the cases solved, the last whose mean |`likely_change`| reaches 90 % of the largest.
 
     The last one, because a load settles after it has set in.
     """
     solved = np.sum([case.solved for case in cases], axis=0)
     frames = np.flatnonzero(solved == solved.max())
-    return strongest_frame(cases[0].measured, cases[0].measured_baseline, frames, within=1 - STRONG)
+    change = np.abs(likely_change(cases[0].measured[frames], cases[0].measured_baseline))
+    known = np.isfinite(change)
+    mean = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
+    return int(frames[np.flatnonzero(mean >= STRONG * mean.max())[-1]])
+
+
+def likely_change(value: Array, resting: Array) -> Array:
+    """ln(r/r₀) ≈ K·(x̄/K + a/M + b/N + w/2), x = ln(y/y₀) = x̄ + a + b + w, K = M + N − 1; (frames, rows, columns).
+
+    The inverse of the derivative of a uniform panel's two-point resistances: mean, effects of rows, of columns, and
+    what is left of a cell are each mixed in by a factor of their own. Readings alone fall less as suction lets cells
+    rise amid others that a rim presses; cells do not, so that suction counts. A measure to choose by, no estimate.
+    value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN where a reading says nothing.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.log(value / resting)
+    moved = np.where(np.isfinite(moved), moved, np.nan)
+    rows, columns = value.shape[1:]
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a line that says nothing has no mean
+        mean = np.nanmean(moved, axis=(1, 2), keepdims=True)
+        across = np.nanmean(moved, axis=2, keepdims=True) - mean
+        down = np.nanmean(moved, axis=1, keepdims=True) - mean
+    own = moved - mean - across - down
+    return np.asarray(mean + (rows + columns - 1) * (across / rows + down / columns + own / 2))
 
 
 def shown_index(cases: Sequence[CaseResult], frame: int | None) -> int:
