@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import Rod as Rod
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
+    from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
     from lampest.panel.readouts import GroundedReadout as GroundedReadout

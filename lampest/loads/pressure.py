@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.response import RESPONSE_SD, TOLD_KPA, pressure_from_logarithm, ratio_from_pressure
+from lampest.loads.response import RESPONSE_SD, TOLD_KPA, VACUUM_KPA, pressure_from_logarithm, ratio_from_pressure
 from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
 
 GRAVITY = 9.81
 KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY
-VACUUM_KPA = -101.325
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
 
 

@@ -23,6 +23,7 @@ SUCTION_RATE = np.log(7.54) / -10.0
 SATURATING_RATE = np.log(0.06 / 0.112) / 12.0
 SATURATED_RATE = np.log(0.02 / 0.06) / 195.0
 
+VACUUM_KPA = -101.325
 # Pressures that a resistance tells. Below, nothing is published. Above, 1 % of the resistance is 1.8 kPa and no longer
 # 0.2, and what RESPONSE_SD leaves open is more than the pressure itself.
 TOLD_KPA = (-10.0, 40.0)

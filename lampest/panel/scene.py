@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
 from lampest.files.tagged import members_of
+from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import check_lines, lines_text
@@ -213,6 +214,7 @@ class Scene:
     converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
         see `lampest.panel.memory`. None: nothing.
     contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
+    film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
 
     Raises ValueError where a number is out of range.
     """
@@ -228,6 +230,7 @@ class Scene:
     lines: Lines | None = None
     converter_memory: float | None = None
     contacts: Contacts | None = None
+    film: Film | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.series_resistance_ohm, SeriesPerLine):

@@ -6,6 +6,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.panel.film import Film
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import lines_text
 from lampest.panel.scene import Faults, Scene
@@ -112,12 +113,23 @@ def _scene_lines(scene: Scene) -> list[str]:
             f"film      {100 * film.coefficient_per_kelvin:g} % per kelvin, {film.baseline_celsius:g} °C unloaded, "
             f"{film.measured_celsius:g} °C measured"
         )
+    if scene.film is not None:
+        lines.append(f"film      {_film_text(scene.film)}")
     if scene.faults is not None:
         known = ", ".join(
             f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(scene.faults).items() if value
         )
         lines.append(f"faults    {known or 'none'}")
     return lines
+
+
+def _film_text(film: Film) -> str:
+    """What it does beside its response curve, in words."""
+    shares = (("hysteresis", film.hysteresis, ""), ("creep", film.creep_per_decade, " for each decade"))
+    parts = [
+        f"{name} not known" if value == "auto" else f"{name} {100 * value:g} %{each}" for name, value, each in shares
+    ]
+    return ", ".join(parts + [f"bent by {film.curvature_per_m:g} / m"] * bool(film.curvature_per_m))
 
 
 def _results_lines(results: Results) -> list[str]:

@@ -7,8 +7,8 @@ import pytest
 
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.loads.pressure import VACUUM_KPA, pressure_of, water_pressure
-from lampest.loads.response import RESPONSE_SD, ratio_from_pressure
+from lampest.loads.pressure import pressure_of, water_pressure
+from lampest.loads.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.loads.shapes import SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Temperature, Water

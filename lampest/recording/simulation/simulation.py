@@ -7,12 +7,15 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lampest.files.document import to_yaml
+from lampest.loads.pressure import water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import AnyShape
+from lampest.panel.film import Film
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.film import remembered_ratio
 from lampest.recording.simulation.measure import measured, raw_sums
 from lampest.recording.simulation.pressure import pressure_on_cells, travelled
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
@@ -57,6 +60,7 @@ class Simulation:
     frame_period_s : time between frames.
     loads, course : what touches the panel, and when; absent in the unloaded frames.
     water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
+    film : what the film truly does beside its response, where the scene does not tell or is wrong; likewise.
     unmodelled : what the estimator is not told.
     output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
 
@@ -74,6 +78,7 @@ class Simulation:
     loads: tuple[AnyShape, ...] = ()
     course: Course = field(default_factory=Course)
     water: Water | None = None
+    film: Film | None = None
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     output: str | None = None
 
@@ -97,6 +102,14 @@ class Simulation:
             raise ValueError(f"unmodelled: {', '.join(electronic)} need a readout in the scene")
         if self.scene.readout is None and self.scene.converter_memory is not None:
             raise ValueError("converter_memory needs a readout in the scene")
+        film = self.true_film
+        if film is not None and "auto" in (film.hysteresis, film.creep_per_decade):
+            raise ValueError("film: a simulation needs numbers where the scene says auto; give a film of its own")
+
+    @property
+    def true_film(self) -> Film | None:
+        """What the film does beside its response; None: nothing."""
+        return self.film or self.scene.film
 
     @property
     def values(self) -> int:
@@ -113,7 +126,7 @@ def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
     pressure = pressure_at(simulation, loaded_time)
-    cells = cells_under(simulation, time, pressure)
+    cells = cells_under(simulation, time)
     scanned = scanned_cells(simulation, time) if simulation.unmodelled.load_speed_mm_s else ()
     recorded, sums = measured(
         simulation.scene, cells, simulation.unmodelled, simulation.seed, simulation.frame_period_s, scanned
@@ -146,13 +159,13 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
     )
 
 
-def cells_under(simulation: Simulation, time: Array, pressure: Array) -> Array:
-    """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
+def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
+    """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : as `pressure_at` has it.
 
     Raises ValueError where a cell leaves its range.
     """
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        response = answered(ratio_from_pressure(pressure), simulation.unmodelled, simulation.seed)
+        response = answered(film_ratio(simulation, time, later_s), simulation.unmodelled, simulation.seed)
         cells: Array = unloaded_cells(simulation) * drift(simulation, time) * response
         if simulation.scene.temperature is not None:
             cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
@@ -163,10 +176,22 @@ def cells_under(simulation: Simulation, time: Array, pressure: Array) -> Array:
 
 def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
     """The cells (frames, rows, columns) ohm while each scanned line is read, in the order of the lines."""
-    scene, first = simulation.scene, time[simulation.baseline_frames]
+    scene = simulation.scene
     lines = scene.panel.columns if scene.circuit.by_columns else scene.panel.rows
     later = ((np.arange(lines) + 0.5) / lines - 0.5) * simulation.frame_period_s
-    return tuple(cells_under(simulation, time, pressure_at(simulation, time - first, float(part))) for part in later)
+    return tuple(cells_under(simulation, time, float(part)) for part in later)
+
+
+def film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
+    """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
+    first, film = time[simulation.baseline_frames], simulation.true_film
+    if film is None:
+        return ratio_from_pressure(pressure_at(simulation, time - first, later_s))
+    scene, period = simulation.scene, simulation.frame_period_s
+    water = water_pressure(scene.panel, simulation.water or scene.water)
+    return film.lowering * remembered_ratio(
+        film, simulation.seed, lambda at: pressure_at(simulation, at - first, later_s), water, time, period
+    )
 
 
 def answered(ratio: Array, unmodelled: Unmodelled, seed: int) -> Array:

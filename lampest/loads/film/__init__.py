@@ -1,0 +1,1 @@
+"""What a film remembers: hysteresis and creep as operators over the frames, forwards and backwards."""

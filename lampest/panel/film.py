@@ -1,0 +1,105 @@
+"""What a piezoresistive film does beside its response curve: it remembers, and it may be bent.
+
+    hysteresis   p → p_e ≥ p: while a load is taken off, a cell still answers as to a larger one
+    creep        ln(r/r0) goes on growing by a fraction of itself for each decade of time, and fades as slowly
+    bending      unloaded cells are lower, and answer less
+
+Operators and their sources are in `lampest.loads.film`.
+"""
+
+from dataclasses import dataclass
+from math import hypot, isfinite
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
+# Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
+# (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade. Mean and standard deviation.
+OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.07), (0.03, 0.03)
+
+# Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper, figure 2-a and -d).
+CURVATURES = np.array([0.0, 20.0, 30.3, 58.8])
+BENT_OHM = np.array([3050.0, 1030.0, 560.0, 350.0])
+BENT_CHANGE = np.array([-0.94, -0.82, -0.69, -0.81])
+# Of what a bent cell answers, relatively: the three published ones lie so far from a line over the curvature.
+BENT_SD = 0.15
+
+
+class Strength(NamedTuple):
+    """What is known of a number of the film: its mean and its standard deviation for a cell."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Film:
+    """What a film does beside its response curve. Numbers are those of all cells together.
+
+    Parameters
+    ----------
+    hysteresis : the largest gap between loading and unloading of a full cycle, as the response curve reads both in
+        kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.07.
+    creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
+        by which it fades afterwards. 'auto': not known; estimated from the recording where a load was taken off.
+    deviation : relative standard deviation of the two, for all cells alike: how well they are known.
+    cell_spread : relative standard deviation of the two from cell to cell.
+    curvature_per_m : of the bent panel, the same in all frames; 0: flat.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    hysteresis: float | Literal["auto"] = 0.0
+    creep_per_decade: float | Literal["auto"] = 0.0
+    deviation: float = 0.0
+    cell_spread: float = 0.0
+    curvature_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, most in (("hysteresis", MOST_HYSTERESIS), ("creep_per_decade", MOST_CREEP)):
+            value = getattr(self, name)
+            if value != "auto" and not 0 <= value <= most:
+                raise ValueError(f"{name} must lie between 0 and {most}, or be auto")
+        for name in ("deviation", "cell_spread"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must lie between 0 and 1")
+        if not (isfinite(self.curvature_per_m) and 0 <= self.curvature_per_m <= CURVATURES[-1]):
+            raise ValueError(f"curvature_per_m must lie between 0 and {CURVATURES[-1]:g}: beyond nothing is published")
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what a cell shows depends on the past."""
+        return bool(self.hysteresis or self.creep_per_decade)
+
+    @property
+    def told_hysteresis(self) -> Strength:
+        """As told, or what is usual where it is open."""
+        return self._told(self.hysteresis, OPEN_HYSTERESIS)
+
+    @property
+    def told_creep(self) -> Strength:
+        """As told, or what is usual where it is open; a fraction for each decade."""
+        return self._told(self.creep_per_decade, OPEN_CREEP)
+
+    def _told(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
+        if value == "auto":
+            return Strength(usual[0], hypot(usual[1], usual[0] * self.cell_spread))
+        return Strength(value, value * hypot(self.deviation, self.cell_spread))
+
+    @property
+    def lowering(self) -> float:
+        """r0 of a bent cell over that of a flat one: between the published curvatures ln r0 is straight."""
+        return float(np.exp(np.interp(self.curvature_per_m, CURVATURES, np.log(BENT_OHM / BENT_OHM[0]))))
+
+    @property
+    def answer(self) -> float:
+        """ln(r/r0) of a bent cell over that of a flat one at the same pressure; taken to be alike at all pressures."""
+        answers = np.log1p(BENT_CHANGE)
+        return float(np.interp(self.curvature_per_m, CURVATURES, answers / answers[0]))
+
+    @property
+    def answer_sd(self) -> float:
+        """Its relative standard deviation; none of a flat film."""
+        return BENT_SD if self.curvature_per_m else 0.0

@@ -1,0 +1,50 @@
+"""What a film makes of pressures over time: it feels what happens between frames, too."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lampest.loads.film.memory import FilmMemory
+from lampest.loads.response import ratio_from_pressure
+from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
+from lampest.panel.panel import Array
+from lampest.recording.simulation.unmodelled import random_stream
+
+# Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
+MOMENTS, AT_ONCE = 8, 64
+
+
+def remembered_ratio(
+    film: Film, seed: int, pressure: Callable[[Array], Array], water: Array, time: Array, period: float
+) -> Array:
+    """r over that of a flat, unloaded film in air, (frames, rows, columns).
+
+    pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
+    (frames) s, `period` apart.
+    """
+    memory = true_memory(film, seed, water)
+    rest = film.answer * np.log(ratio_from_pressure(water))
+    step, parts = period / MOMENTS, []
+    for first in range(0, len(time), AT_ONCE):
+        frames = time[first : first + AT_ONCE]
+        moments = (frames[:, None] - step * np.arange(MOMENTS)[::-1]).ravel()
+        for number, loaded in enumerate(pressure(moments) - water):
+            memory, change = memory.answered(loaded, step)
+            if number % MOMENTS == MOMENTS - 1:
+                parts.append(np.exp(rest + change))
+    return np.stack(parts)
+
+
+def true_memory(film: Film, seed: int, water: Array) -> FilmMemory:
+    """A film at rest, drawn as is known of it: all cells together by its deviation, each by its spread."""
+    strengths = []
+    for name, value, most in (
+        ("hysteresis", film.hysteresis, MOST_HYSTERESIS),
+        ("creep", film.creep_per_decade, MOST_CREEP),
+    ):
+        assert value != "auto"
+        stream = random_stream(seed, f"film {name}")
+        shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
+        strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
+    hysteresis, creep = strengths
+    return FilmMemory.at_rest(hysteresis, creep, np.full(water.shape, film.answer), water)
