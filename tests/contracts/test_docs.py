@@ -27,6 +27,7 @@ ADDING = DOCS / "howto" / "adding.md"
 ARCHITECTURE = DOCS / "reference" / "architecture.md"
 GLOSSARY = DOCS / "theory" / "glossary.md"
 READOUTS = DOCS / "howto" / "readouts.md"
+PYTHON = DOCS / "howto" / "python.md"
 PAGES = (
     README,
     REPOSITORY / "CONTRIBUTING.md",
@@ -163,19 +164,30 @@ def indented(page: Path) -> list[str]:
     return [textwrap.dedent(block).strip() + "\n" for block in blocks]
 
 
-def test_python_of_the_readme_runs(copy: Path) -> None:
-    blocks = [block for block in indented(README) if re.match(r"import lampest|scene, frames", block)]
-    assert len(blocks) == 2
-    (copy / "readme.py").write_text("\n".join(blocks), encoding="utf-8")
-    typed(copy, "python readme.py")
+def fenced(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def test_estimators_of_the_readme_are_read(tmp_path: Path) -> None:
-    blocks = [block for block in indented(README) if block.startswith("estimators:")]
-    assert len(blocks) == 3
-    for block in blocks:
+@pytest.mark.parametrize("page", [README, PYTHON], ids=lambda page: page.name)
+def test_python_of_a_page_runs(page: Path, copy: Path) -> None:
+    blocks = fenced(page, "python") + [block for block in indented(page) if block.startswith("import lampest")]
+    assert blocks
+    (copy / "page.py").write_text("\n".join(blocks), encoding="utf-8")
+    typed(copy, "python page.py")
+
+
+def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
+    """Blocks of YAML that begin with estimators, sweep or executor stand in a run's file."""
+    blocks = [block for page in PAGES for block in fenced(page, "yaml")]
+    entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
+    assert len(entries) > 6
+    for block in entries:
         run = tmp_path / "run.yaml"
-        run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{block}", encoding="utf-8")
+        estimators = (
+            "" if block.startswith("estimators:") else "estimators: {LSR-gCR: {terms: {misfit: {}, gradient: {}}}}\n"
+        )
+        run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{estimators}{block}", encoding="utf-8")
         assert read_run(run).cases
 
 
