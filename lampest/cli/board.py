@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import INTERRUPTED, check_positive
+from lampest.cli.screen import INTERRUPTED, check_positive, written
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def ports() -> None:
 
 
 def record(
-    out: Annotated[Path, typer.Option("--out", help="The recording that is written; must not exist.")],
+    out: Annotated[Path, written("--out", "The recording that is written; must not exist.")],
     port: Port = None,
     frames: Frames = None,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds of frames.")] = None,
@@ -83,7 +83,7 @@ def calibrate(
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="By which fraction resistors may be off: 0.01 for those of 1 %.")
     ] = 0.01,
-    out: Annotated[Path | None, typer.Option("--out", help="The scene that is written; else it is printed.")] = None,
+    out: Annotated[Path | None, written("--out", "The scene that is written; else it is printed.")] = None,
 ) -> None:
     """Find the resistances of the electronics from known resistors and write them into a scene, with uncertainties."""
     from lampest.files.whole import write_whole
@@ -130,7 +130,7 @@ def live(
     ] = 3,
     scene: SceneFile = None,
     period: Period = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Record the board into this file as well.")] = None,
+    out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
     import signal

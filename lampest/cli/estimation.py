@@ -6,14 +6,12 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress, written
 
 
 def run(
     config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the results; results/<config> by default.")
-    ] = None,
+    out: Annotated[Path | None, written("--out", "Folder of the results; results/<config> by default.")] = None,
     assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
     jobs: Annotated[
         int | None, typer.Option("--jobs", min=1, help="Processes here; else the file's executor, or all cores.")
@@ -86,7 +84,7 @@ def starts(
 
 def simulate(
     config: Annotated[Path, typer.Argument(help="The simulation's YAML file.")],
-    out: Annotated[Path | None, typer.Option("--out", help="The recording, or a folder where the file sweeps.")] = None,
+    out: Annotated[Path | None, written("--out", "The recording, or a folder where the file sweeps.")] = None,
 ) -> None:
     """Make recordings with their truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
@@ -97,7 +95,7 @@ def simulate(
 
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
-    out: Annotated[Path, typer.Option("--out", help="The recording that is written.")],
+    out: Annotated[Path, written("--out", "The recording that is written.")],
     rows: Annotated[int | None, typer.Option("--rows", min=1, help="Of the panel; else the scene's.")] = None,
     columns: Annotated[int | None, typer.Option("--columns", min=1, help="Of the panel; else the scene's.")] = None,
     scene: Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene.")] = None,

@@ -6,15 +6,15 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Out, print_figures, print_notes, print_table, progress
+from lampest.cli.screen import SOME_FAILED, Out, print_figures, print_notes, print_table, progress, written
 from lampest.files.errors import InputError
 
 
 def compare(
     results: Annotated[list[Path], typer.Argument(help="Results files.")],
-    csv: Annotated[Path | None, typer.Option("--csv", help="Write the table to this file too.")] = None,
+    csv: Annotated[Path | None, written("--csv", "Write the table to this file too.")] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Write a page with figures, intervals and a recommendation.")
+        Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
     each: Annotated[bool, typer.Option("--each", help="A block for each recording, however many there are.")] = False,
 ) -> None:
@@ -55,7 +55,7 @@ def plot(
 
 def detect(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Annotated[Path | None, typer.Option("--out", help="Folder of the output; else beside the results.")] = None,
+    out: Annotated[Path | None, written("--out", "Folder of the output; else beside the results.")] = None,
     patch: Annotated[float | None, typer.Option("--patch", help="Edge of a film in mm; else 0.6 of the pitch.")] = None,
     depth: Annotated[
         float | None, typer.Option("--depth", help="Depth of row 0 under water in mm; else what the results say.")

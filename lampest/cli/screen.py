@@ -16,8 +16,26 @@ if TYPE_CHECKING:
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 FIGURES_WIDTH, NAME_WIDTH = 100, 12
 
-Out = Annotated[Path | None, typer.Option("--out", help="Where the output goes.")]
-Folder = Annotated[Path | None, typer.Option("--out", help="Folder of the output; results/<config> by default.")]
+
+def written(name: str, text: str) -> Any:
+    """The option of that name, of which the value is where a command writes: neither nothing nor the root of all files.
+
+    Raises InputError where a user gives one of these.
+    """
+
+    def place(value: str) -> Path:
+        return Path(value if value.strip() else Path.cwd().anchor)
+
+    def checked(value: Path | None) -> Path | None:
+        if value is not None and value.resolve() == Path(value.resolve().anchor):
+            raise InputError(f"{name}: neither nothing nor the root of all files is a place for output")
+        return value
+
+    return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
+
+
+Out = Annotated[Path | None, written("--out", "Where the output goes.")]
+Folder = Annotated[Path | None, written("--out", "Folder of the output; results/<config> by default.")]
 
 
 def check_positive(name: str, value: float | None) -> None:

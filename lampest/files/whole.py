@@ -1,22 +1,34 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, where a file may appear: the one door to the disk for all that is written."""
 
 import os
+import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lampest.files.errors import InputError
 
+# By the letter that `ls` has for them.
+KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has no such flag
+NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
 
-    Raises InputError where the folder cannot be written or the disk is full; nothing is left behind then.
+    Raises InputError as `check_output`, and where the folder cannot be written or the disk is full; nothing is left
+    behind then.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    check_output(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    made = False
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666))
+        made = True
         yield unfinished
         with unfinished.open("rb") as handle:
             os.fsync(handle.fileno())
@@ -24,11 +36,77 @@ def whole_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        with suppress(OSError):
-            unfinished.unlink()
+        if made:
+            with suppress(OSError):
+                unfinished.unlink()
 
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text in UTF-8 with the line ends it has. Raises InputError where the place cannot be written."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(text.encode("utf-8"))
+
+
+def check_output(path: Path) -> None:
+    """Raise InputError unless a file may appear at `path`: nothing stands there, or a regular file that it replaces."""
+    if path.name in ("", ".."):
+        raise InputError(f"'{path}' names no file that could be written")
+    kind = _kind(path)
+    if kind not in (None, "-"):
+        raise InputError(f"{path}: is {KINDS[kind]}; what is written is a regular file, and replaces nothing else")
+
+
+def output_folder(folder: Path) -> Path:
+    """The folder, made where there is none. Raises InputError where it is the root, no folder, or cannot be made.
+
+    The user may name it through links; what lies in it may not be reached through them, see `inner_folder`.
+    """
+    if folder.resolve() == Path(folder.resolve().anchor):
+        raise InputError(f"{folder}: is the root of all files, no folder for results")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
+    return folder
+
+
+def inner_folder(folder: Path, name: str) -> Path:
+    """The folder of that name in a folder. Raises InputError where it is something else, or a link that leads out."""
+    inner = folder / name
+    kind = _kind(inner)
+    if kind == "l" and not inner.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{inner}: is a link that leads out of {folder}; nothing is written or removed there")
+    if kind not in (None, "d", "l"):
+        raise InputError(f"{inner}: is no folder")
+    return inner
+
+
+def opened_for_locking(path: Path, make: bool = False) -> int:
+    """A descriptor of a regular file that nothing is written to and no link leads to; `make` one where there is none.
+
+    Raises OSError where it cannot be opened, InputError where it is something else.
+    """
+    if _kind(path) not in (None, "-"):
+        check_output(path)
+    made = os.O_RDWR | os.O_CREAT if make else os.O_RDONLY
+    descriptor = os.open(path, made | NO_LINK | NO_WAIT, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise InputError(f"{path}: is no regular file, which a lock must be")
+    return descriptor
+
+
+def remove_own(path: Path) -> None:
+    """Remove a regular file, if there is one; what else has that name stays."""
+    if _kind(path) == "-":
+        path.unlink(missing_ok=True)
+
+
+def _kind(path: Path) -> str | None:
+    """What stands at a path: the letter that `ls` has for it, '-' for a regular file; None: nothing."""
+    try:
+        return stat.filemode(path.lstat().st_mode)[0]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error

@@ -1,6 +1,7 @@
 """Runs cases: skips what is done, isolates what fails, keeps what is finished."""
 
 import fcntl
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.files.whole import inner_folder, opened_for_locking, output_folder, remove_own
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor
@@ -16,6 +18,7 @@ from lampest.runs.filling import case_result
 from lampest.runs.results import CaseResult, read_results, write_results
 
 RESULTS = "results.h5"
+CASES = "cases"
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Task:
     @property
     def file(self) -> Path:
         """Where the case's result is kept."""
-        return self.folder / "cases" / f"{self.case.case_id}.h5"
+        return self.folder / CASES / f"{self.case.case_id}.h5"
 
 
 def run_batch(
@@ -54,7 +57,7 @@ def run_batch(
     executor.ready()
     with exclusive(folder):
         tasks = [Task(case, folder.absolute()) for case in run.cases]
-        _clear(folder, tasks if fresh else [])
+        _clear(folder, tasks, fresh)
         found = {task.file: result for task in tasks if (result := _result(task)) is not None}
         waiting = [task for task in tasks if task.file not in found]
         failed: list[tuple[str, str]] = []
@@ -80,6 +83,7 @@ def solve_case(task: Task) -> CaseResult:
     """Solve one case and write its result, whole or not at all."""
     recording = _recording(task.case.path, task.case.sha256)
     result = case_result(task.case, reconstruct(recording, task.case.estimator))
+    inner_folder(task.folder, CASES)
     write_results(task.file, [result])
     return result
 
@@ -99,13 +103,12 @@ def _recording(path: Path, sha256: str) -> Recording:
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
     """Hold the folder for one run. Raises InputError where it cannot be written or another run holds it."""
-    lock = folder / ".lock"
+    inner_folder(output_folder(folder), CASES)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = lock.open("w")
+        descriptor = opened_for_locking(folder / ".lock", make=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
-    with handle:
+    with os.fdopen(descriptor) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -113,10 +116,14 @@ def exclusive(folder: Path) -> Iterator[None]:
         yield
 
 
-def _clear(folder: Path, tasks: Sequence[Task]) -> None:
-    """Remove the results of these tasks, and what processes that were killed have left unfinished."""
-    for file in (*(folder / "cases").glob(".*.part"), *(task.file for task in tasks)):
-        file.unlink(missing_ok=True)
+def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
+    """Remove results of these tasks where they are solved afresh, and what killed processes left of them unfinished."""
+    wholes = {RESULTS, *(task.file.name for task in tasks)}
+    for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
+        if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
+            remove_own(unfinished)
+    for task in tasks if fresh else ():
+        remove_own(task.file)
 
 
 def _result(task: Task) -> CaseResult | None:

@@ -3,6 +3,7 @@
 Its layout is the recording's. Single writer, multiple readers (SWMR): what was flushed stays readable after kill -9.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ except ImportError:  # Windows
 from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
+from lampest.files.whole import check_output, opened_for_locking
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
@@ -40,6 +42,7 @@ class Journal:
     @contextmanager
     def create(cls, path: Path, scene: Scene, readings: int) -> Iterator["Journal"]:
         """Make the file. Raises InputError where it cannot be made or a file of that name exists."""
+        check_output(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = h5py.File(path, "x", libver=("v110", "v110"))
@@ -97,7 +100,7 @@ def is_being_written(path: Path) -> bool:
     """Whether a living process is recording into the file."""
     if fcntl is None:
         return False
-    with path.open("rb") as handle:
+    with os.fdopen(opened_for_locking(path), "rb") as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -108,7 +111,7 @@ def is_being_written(path: Path) -> bool:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """A lock that readers do not mind and that ends with the process; HDF5's own ends where SWMR begins."""
-    with path.open("rb") as handle:
+    with os.fdopen(opened_for_locking(path), "rb") as handle:
         if fcntl is not None:
             fcntl.flock(handle, fcntl.LOCK_SH)
         yield

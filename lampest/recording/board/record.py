@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from lampest.files.errors import InputError
+from lampest.files.whole import check_output
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
@@ -77,6 +78,7 @@ def record(
 
     Raises InputError where the board does not answer or does not fit, `out` exists, or no frame came.
     """
+    check_output(out)
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
     port_url = port_url or only_port()

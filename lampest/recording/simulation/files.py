@@ -102,7 +102,8 @@ def _filled(document: Document, template: str, seed: int, number: int, assignmen
 def _targets(path: Path, out: Path | None, planned: list[tuple[str, Simulation]]) -> list[Path]:
     """Where the recordings go. Raises InputError where `out` is a file for several, or a folder for one."""
     if out is None:
-        return [(path.parent / name).resolve() for name, _ in planned]
+        named = [path.parent / name for name, _ in planned]
+        return [target.parent.resolve() / target.name for target in named]
     if len(planned) == 1:
         if out.is_dir():
             raise InputError(f"{out}: is a folder; name the file for the one recording of {path}")

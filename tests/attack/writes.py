@@ -1,0 +1,139 @@
+"""Outputs that would write, empty or remove what is not theirs."""
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from attack.attack import HELD, Attack, called
+from attack.targets import everything, small_folder
+
+WRITERS: tuple[tuple[str, ...], ...] = (
+    ("run", "run.yaml", "--jobs", "1", "--out"),
+    ("simulate", "simulation.yaml", "--out"),
+    ("import", "table.csv", "--rows", "3", "--columns", "4", "--out"),
+    ("compare", "results.h5", "--csv"),
+    ("compare", "results.h5", "--report"),
+    ("plot", "results.h5", "--out"),
+    ("detect", "results.h5", "--out"),
+    ("calibrate", "small.h5", "--known", "1000", "--out"),
+    ("record", "--port", "loop://", "--frames", "1", "--out"),
+)
+FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "detect"))
+
+
+def _no_place(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """'' and / of every command that writes."""
+    made = small_folder(folder / "work")
+    tries = [(writer, place) for writer in WRITERS for place in ("", "/")]
+    for index in rng.permutation(len(tries))[:count]:
+        writer, place = tries[index]
+        yield _untouched(made, (*writer, place))
+
+
+def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A device, a pipe, a socket, a folder and a link in place of a file: opening them would wait or harm."""
+    made = small_folder(folder / "work")
+    (folder / "precious").write_text("precious")
+    os.mkfifo(made / "pipe.h5")
+    (made / "folder.h5").mkdir()
+    (made / "link.h5").symlink_to(folder / "precious")
+    device, kinds = made / "device.h5", ["pipe", "folder", "link", "socket"]
+    with socket.socket(socket.AF_UNIX) as server:
+        with contextlib.chdir(made):  # the names of sockets are short
+            server.bind("socket.h5")
+        try:
+            os.mknod(device, 0o600 | 0o020000, os.makedev(1, 3))
+            kinds.append("device")
+        except PermissionError:
+            pass
+        tries = [(writer, kind) for writer in FILES for kind in kinds]
+        for index in rng.permutation(len(tries))[:count]:
+            writer, kind = tries[index]
+            yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
+
+
+def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A run's lock that links to a file which opening it for writing would empty; or that is a pipe."""
+    for kind in ("link", "pipe"):
+        made = small_folder(folder / kind)
+        (folder / "precious").write_text("precious")
+        (made / "out").mkdir()
+        if kind == "link":
+            (made / "out" / ".lock").symlink_to(folder / "precious")
+        else:
+            os.mkfifo(made / "out" / ".lock")
+        yield _untouched(made, ("run", "run.yaml", "--jobs", "1", "--out", "out")) or _precious(folder)
+
+
+def _cases_elsewhere(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A folder of cases that links to another's, with unfinished files in it."""
+    for fresh in ((), ("--fresh",)):
+        made, other = small_folder(folder / f"work{len(fresh)}"), folder / "other"
+        other.mkdir(exist_ok=True)
+        for name in (".theirs.h5.17.part", "theirs.h5"):
+            (other / name).write_text("precious")
+        (made / "out").mkdir()
+        (made / "out" / "cases").symlink_to(other)
+        before = everything(other)
+        yield _untouched(made, ("run", "run.yaml", "--jobs", "1", "--out", "out", *fresh))
+        yield HELD if everything(other) == before else "the other folder is another one"
+
+
+def _parts_of_others(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Unfinished files in the folder of results that this run did not make: they stay."""
+    made = small_folder(folder / "work")
+    for place in (made / "out", made / "out" / "cases"):
+        place.mkdir()
+        (place / ".theirs.h5.17.part").write_text("precious")
+    ended = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=made)
+    yield HELD if ended.code == 0 else ended.said("the run failed")
+    kept = [path for path in made.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
+    yield HELD if len(kept) == 2 else "an unfinished file of another is gone"
+
+
+def _results_that_are_links(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A results file and a picture that are links: what they point at stays as it is."""
+    made = small_folder(folder / "work")
+    (folder / "precious").write_text("precious")
+    (made / "out").mkdir()
+    (made / "out" / "results.h5").symlink_to(folder / "precious")
+    ended = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=made)
+    yield ended.refused("results.h5", "link") or _precious(folder)
+    (made / "contours_small.png").symlink_to(folder / "precious")
+    yield _untouched(made, ("plot", "results.h5")) or _precious(folder)
+
+
+def _simulation_through_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A simulation's own `output` that is a link."""
+    made = small_folder(folder / "work")
+    (folder / "precious").write_text("precious")
+    (made / "simulation.h5").symlink_to(folder / "precious")
+    yield _untouched(made, ("simulate", "simulation.yaml")) or _precious(folder)
+
+
+def _precious(folder: Path) -> str:
+    return HELD if (folder / "precious").read_text() == "precious" else "precious is lost"
+
+
+def _untouched(folder: Path, arguments: tuple[str, ...]) -> str:
+    """HELD where the command refuses in one sentence and leaves the folder as it is; locks that are empty may stay."""
+    before = everything(folder)
+    ended = called(*arguments, folder=folder)
+    after = everything(folder)
+    changed = [name for name in before | after if before.get(name) != after.get(name)]
+    fault = ended.refused() or ("" if not changed else f"{changed} changed")
+    return f"{' '.join(arguments)}: {fault}" if fault else HELD
+
+
+ATTACKS = (
+    Attack("writes", "nothing and / as outputs", _no_place, 18, 18),
+    Attack("writes", "devices, pipes, sockets, folders and links as outputs", _no_file, 12, 30),
+    Attack("writes", "a lock that is a link or a pipe", _lock_that_is_a_link),
+    Attack("writes", "cases that link to another's folder", _cases_elsewhere),
+    Attack("writes", "unfinished files of others", _parts_of_others),
+    Attack("writes", "results and pictures that are links", _results_that_are_links, 1),
+    Attack("writes", "a simulation's output that is a link", _simulation_through_a_link, 1),
+)
