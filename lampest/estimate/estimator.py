@@ -33,7 +33,8 @@ BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 @dataclass(frozen=True)
 class Bounds:
-    """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (R_a/1000).
+    """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (10⁻⁶·R_a,
+    a dead short).
 
     upper : 'resolution' (beyond which a cell cannot be told from an open one: R²/σ of two-point readings, though never
     below twice the cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_a, where double precision sees no

@@ -29,7 +29,7 @@ from lampest.panel.readouts.lines import (
     per_line,
     scaled,
 )
-from lampest.panel.readouts.readout import LEAST_SHARE, Readout
+from lampest.panel.readouts.readout import LEAST_SHARE, SHORT_SHARE, Readout
 
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
@@ -158,7 +158,7 @@ class GroundedReadout(Readout):
 
     def nearly_shorted(self, measured: Array) -> Array:
         """A share of the start, too: idle lines at ground make a lone cell of each reading many times too large."""
-        return np.asarray(np.minimum(super().nearly_shorted(measured), LEAST_SHARE * self.uniform_start(measured)))
+        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured)))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Σ_i v_ij ≤ 1, and v_ij + Σ_k v_ik·Rd_i/(Rc_k + Rs_k) ≤ 1; see `held_tests`."""

@@ -34,7 +34,8 @@ from lampest.panel.readouts.wiring import Wiring
 if TYPE_CHECKING:
     from lampest.panel.scene import Scene
 
-LEAST_SHARE = 1e-3  # of its apparent resistance that any cell may have: no circuit here hides a smaller one
+LEAST_SHARE = 1e-3  # of a load: what a reading at its end leaves of the apparent resistance
+SHORT_SHARE = 1e-6  # of the apparent resistance: from here to a dead short readings move by a millionth
 USUAL_NOISE_LSB = 0.7  # enough to dither: what the shipped boards show, and what averaging needs
 HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
@@ -172,8 +173,8 @@ class Readout(ABC):
         return self.nearly_shorted(measured)
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """Cells (…, rows, columns) ohm that are smaller than any that these readings leave possible."""
-        return LEAST_SHARE * self.apparent_resistance(measured)
+        """Cells (…, rows, columns) ohm that no reading tells from dead shorts."""
+        return SHORT_SHARE * self.apparent_resistance(measured)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """r_max = |∂y_c/∂g_c|/σ at the start: an open cell in its place changes its reading by just the noise σ.

@@ -25,7 +25,7 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-LEAST_MULTIPLIER = 1e-12  # times the room to a bound, some thousand times the scale, is still less than any tolerance
+LEAST_MULTIPLIER = 1e-15  # times the room to a bound, some million times the scale, is still less than any tolerance
 # A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
 WARM = {
     "mu_strategy": "adaptive",
