@@ -13,7 +13,8 @@ from lampest.estimate.model_check.check import ModelCheck, recording_check
 from lampest.estimate.model_check.frame_misfit import frame_misfit
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen
 from lampest.estimate.step import Step
-from lampest.loads.pressure import Pressure, pressure_of
+from lampest.loads.film.known import FilmKnown
+from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -216,6 +217,21 @@ class Estimates:
         """What the recording's own frames say of its noise, beside what the scene says."""
         return noise_seen(self.recording)
 
+    @cached_property
+    def film(self) -> FilmKnown | None:
+        """What is known of the film's strengths; None where the scene names no film, or nothing has error bars.
+
+        What the scene leaves open is estimated from the frames after a load was taken off.
+        """
+        film = self.recording.scene.film
+        if film is None or self._bars is None:
+            return None
+        warmth = self.recording.scene.temperature
+        change = np.log(self._ratio) - (0.0 if warmth is None else warmth.logarithm)
+        with np.errstate(divide="ignore"):
+            width = np.log(self._bars.ratio_upper) - np.log(self._bars.ratio_lower)
+        return FilmKnown.told(film).estimated(change, width / (2 * NORMAL_95), self.time)
+
     @property
     def misfit(self) -> dict[str, Array]:
         """Every frame's misfit against its noise; see `frame_misfit`. Empty where the noise is unknown."""
@@ -236,5 +252,9 @@ class Estimates:
         """None without error bars: without them nobody can say what the response tells."""
         if self._bars is None:
             return None
-        ratio = self.cell_resistance / self.baseline_resistance
-        return pressure_of(ratio, self._bars.ratio_lower, self._bars.ratio_upper, self.recording.scene)
+        ratio, lower, upper = self._ratio, self._bars.ratio_lower, self._bars.ratio_upper
+        return pressure_of(ratio, lower, upper, self.recording.scene, self.time, self.film)
+
+    @property
+    def _ratio(self) -> Array:
+        return self.cell_resistance / self.baseline_resistance

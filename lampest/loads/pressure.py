@@ -1,10 +1,13 @@
 """Pressure of a load on every cell, from the cell's resistance over its unloaded one; and the water's pressure."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.loads.film.known import FilmKnown
+from lampest.loads.film.track import FilmTrack
 from lampest.loads.response import RESPONSE_SD, TOLD_KPA, VACUUM_KPA, pressure_from_logarithm, ratio_from_pressure
 from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
@@ -37,43 +40,108 @@ class Pressure:
     saturated: NDArray[np.uint8]
 
 
-def pressure_of(ratio: Array, lower: Array, upper: Array, scene: Scene) -> Pressure:
+def pressure_of(
+    ratio: Array,
+    lower: Array,
+    upper: Array,
+    scene: Scene,
+    time: Array | None = None,
+    known: FilmKnown | None = None,
+) -> Pressure:
     """p = f⁻¹(f(p_w)·e^x) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
     that of the estimate (each side its own), |T − T_b|·σ_α, and for the scatter of the cells' response
     `response_sd`·|x| of the scene's systematic errors, RESPONSE_SD·|x| where it names none.
-    A cell at its baseline has none of the last: f(0) = 1 by definition.
+    A cell at its baseline has none of the last: f(0) = 1 by definition. Where the scene names a film, frame after
+    frame is read by what the film remembers of those before; see `PressureTrack`.
 
     Parameters
     ----------
     ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed.
     lower, upper : ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
     scene : panel, and water and temperature where it names them; the water stood there in the unloaded frames too.
+    time : (frames) s; a second apart where it is None. known : of the film; None: what the scene says.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
     """
     _check(ratio, lower, upper, scene.panel)
-    water = water_pressure(scene.panel, scene.water)
-    warming, warming_sd = 0.0, 0.0
-    if scene.temperature is not None:
-        warming = scene.temperature.logarithm
-        warming_sd = abs(scene.temperature.difference_kelvin) * scene.temperature.coefficient_sd_per_kelvin
-    change = np.log(ratio) - warming
-    errors_named = usual(scene)
-    scatter = RESPONSE_SD if errors_named is None or errors_named.response_sd is None else errors_named.response_sd
-    shared = NORMAL_95 * np.hypot(scatter * change, warming_sd)
-    with np.errstate(divide="ignore"):
-        below = np.hypot(np.log(ratio) - np.log(lower), shared)
-        above = np.hypot(np.log(upper) - np.log(ratio), shared)
+    track = PressureTrack.begin(scene, known)
+    if track.film is None:
+        return track.pressure(ratio, lower, upper, 0.0)
+    seconds, frames = np.arange(len(ratio)) if time is None else time, []
+    for frame in zip(ratio, lower, upper, map(float, seconds), strict=True):
+        frames.append(track.pressure(*frame))
+        track = track.after(frame[0], frame[3])
+    parts = [np.stack([getattr(frame, part.name) for frame in frames]) for part in fields(Pressure)]
+    return Pressure(*parts)
 
-    def on_film(logarithm: Array) -> Array:
-        return np.maximum(pressure_from_logarithm(np.log(ratio_from_pressure(water)) + logarithm), VACUUM_KPA)
 
-    least, most = on_film(change + above), on_film(change - below)
-    errors = (on_film(change - below / NORMAL_95) - on_film(change + above / NORMAL_95)) / 2
-    saturated = (least < TOLD_KPA[0]) | (most > TOLD_KPA[1])
-    return Pressure(on_film(change) - water, least - water, most - water, errors, saturated.astype(np.uint8))
+@dataclass(frozen=True, eq=False)
+class PressureTrack:
+    """Pressures of frames as they come; with a film, where that stands after the last one.
+
+    scene : as `pressure_of` has it. film : its memory; None where the scene names no film.
+    """
+
+    scene: Scene
+    film: FilmTrack | None
+
+    @classmethod
+    def begin(cls, scene: Scene, known: FilmKnown | None = None) -> "PressureTrack":
+        """Before the first frame. known : of the film; None: what the scene says."""
+        if scene.film is None:
+            return cls(scene, None)
+        water = water_pressure(scene.panel, scene.water)
+        return cls(scene, FilmTrack.begin(known or FilmKnown.told(scene.film), water))
+
+    def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
+        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where there is no film.
+
+        What the film's strengths leave open is one more error: what p moves by if each is by its deviation more.
+        """
+        change, below, above = self._change(ratio), *self._beside(ratio, lower, upper, time)
+        water, tell = water_pressure(self.scene.panel, self.scene.water), self._tell(time)
+        here, *others = tell(change)
+        least, most = tell(change + above)[0], tell(change - below)[0]
+        errors = (tell(change - below / NORMAL_95)[0] - tell(change + above / NORMAL_95)[0]) / 2
+        if others:
+            open_kpa = np.sqrt(np.sum((np.stack(others) - here) ** 2, axis=0))
+            least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
+            most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
+        saturated = (least + water < TOLD_KPA[0]) | (most + water > TOLD_KPA[1])
+        return Pressure(here, least, most, errors, saturated.astype(np.uint8))
+
+    def after(self, ratio: Array, time: float) -> "PressureTrack":
+        """Once a frame with r/r_baseline (rows, columns) has been seen at a time in s."""
+        return self if self.film is None else replace(self, film=self.film.told(self._change(ratio), time))
+
+    def _change(self, ratio: Array) -> Array:
+        """ln(r/r_baseline) without what warmth does."""
+        warmth = self.scene.temperature
+        return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
+
+    def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
+        """Half the 95 % interval of the change, below and above it."""
+        scene, answer = self.scene, self._change(ratio)
+        if self.film is not None:
+            answer = self.film.at_once(answer, time)
+        warmth, named = scene.temperature, usual(scene)
+        warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
+        scatter = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
+        bent = 0.0 if scene.film is None else scene.film.answer_sd
+        shared = NORMAL_95 * np.hypot(np.hypot(scatter, bent) * answer, warming_sd)
+        with np.errstate(divide="ignore"):
+            return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
+
+    def _tell(self, time: float) -> Callable[[Array], Sequence[Array]]:
+        """Changes → pressures of the load, by every film."""
+        film = self.film
+        if film is not None:
+            return lambda change: list(film.pressures(change, time))
+        water = water_pressure(self.scene.panel, self.scene.water)
+        rest = np.log(ratio_from_pressure(water))
+        return lambda change: [np.maximum(pressure_from_logarithm(rest + change), VACUUM_KPA) - water]
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

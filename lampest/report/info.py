@@ -148,6 +148,8 @@ def _results_lines(results: Results) -> list[str]:
         ]
         if first.model_mark:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
+        if first.film_sentence:
+            lines.append(f"film      {first.film_sentence}")
         if first.noise_sentence:
             lines.append(f"noise     {first.noise_sentence}")
         width = max(len(case.estimator) for case in cases)

@@ -60,7 +60,8 @@ class Plays:
     def pressure(self, effective: Array) -> Array:
         """p (...) kPa of the next p_e: the inverse of `effective`. NaN stays."""
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
-        reached = np.stack([self.effective(corner) for corner in corners])
+        each = replace(self, weight=self.weight[:, None], reach=self.reach[:, None], held=self.held[:, None])
+        reached = each.effective(corners)
         last = len(corners) - 1
         below = np.clip((reached <= effective).sum(axis=0) - 1, 0, last - 1)
         start, end = (np.take_along_axis(corners, below[None] + step, axis=0)[0] for step in (0, 1))

@@ -63,6 +63,10 @@ class FilmMemory:
     def _at_once(self, effective: Array) -> Array:
         return np.asarray(np.log(ratio_from_pressure(self.water)) - np.log(ratio_from_pressure(self.water + effective)))
 
+    def at_once(self, change: Array, seconds: float) -> Array:
+        """−ln(r/r_rest) (...) without what crept, at the end of such an interval."""
+        return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
+
     def _effective(self, change: Array, seconds: float) -> Array:
         at_once = self.creep.at_once(-change / self.gain, seconds)
         on_film = pressure_from_logarithm(np.log(ratio_from_pressure(self.water)) - at_once)

@@ -106,7 +106,9 @@ def _model(first: CaseResult) -> list[str]:
     """Whether the scene's circuit explains the readings, and its noise their scatter, where the results say so."""
     model = f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."
     noise = f"Is the noise as the scene says? {first.noise_sentence}."
-    return [model] * bool(first.model_mark) + [noise] * bool(first.noise_sentence)
+    film = f"The film: {first.film_sentence}."
+    told = ((model, first.model_mark), (noise, first.noise_sentence), (film, first.film_sentence))
+    return [sentence for sentence, present in told if present]
 
 
 def _brief(found: Mapping[str, Measures]) -> str:

@@ -1,0 +1,136 @@
+"""Pressure on films that remember: what was put in comes out, within its interval, with what is open estimated."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.files.hdf5 import existing_file, read_attribute
+from lampest.loads.film.known import FilmKnown
+from lampest.loads.pressure import Pressure, pressure_of
+from lampest.loads.shapes import Rod
+from lampest.panel.film import OPEN_CREEP, Film
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.runs.filling import named_result
+from lampest.runs.results import read_results, write_results
+
+EXACT = Systematic(response_sd=0.0)
+TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
+COURSE = Course(approach_s=10, release_at_s=30, release_s=10)
+
+
+def made(truth: Film, told: Film | None, seed: int = 3, course: Course = COURSE, mass_g: float = 2400) -> Recording:
+    """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
+    rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=mass_g)
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, systematic=EXACT, film=told)
+    return simulate(Simulation(1, seed, scene, frames=60, loads=(rod,), course=course, film=truth))
+
+
+def of_truth(recording: Recording, known: FilmKnown | None = None) -> tuple[Pressure, Array]:
+    """Pressures that the true cells tell, and the true ones."""
+    cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
+    assert cells is not None and pressure is not None
+    ratio = (cells / cells[0])[3:]
+    return pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], known), pressure[3:]
+
+
+def test_told_film_is_taken_off() -> None:
+    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
+    for told, worst in ((TRUE, 0.02), (None, np.inf)):
+        found, truth = of_truth(made(TRUE, told))
+        error = np.abs(found.pressure - truth).max() / truth.max()
+        assert error < worst and (told is not None or error > 0.24)
+        after = np.abs(found.pressure - truth)[45:].max()
+        assert after < 0.05 if told else after > 0.15
+
+
+@pytest.mark.parametrize("told", [TRUE, replace(TRUE, deviation=0.2, cell_spread=0.2)])
+def test_memory_is_causal(told: Film) -> None:
+    """Frames that come later change nothing."""
+    recording = made(TRUE, told)
+    found, _ = of_truth(recording)
+    cells = recording.truth_cell_resistance
+    assert cells is not None
+    ratio = (cells / cells[0])[3:33]
+    part = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:33])
+    np.testing.assert_array_equal(part.pressure, found.pressure[:30])
+
+
+def test_intervals_hold_films_that_differ() -> None:
+    """Films and cells drawn as the scene says what is known of them: 95 % intervals, 12 films."""
+    told = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
+    inside = []
+    for seed in range(12):
+        found, truth = of_truth(made(told, told, seed))
+        pressed = truth.max(axis=0) > 1
+        inside.append(((found.lower - 0.05 <= truth) & (truth <= found.upper + 0.05))[10:40, pressed].mean())
+    assert 0.88 < np.mean(inside) < 0.995
+
+
+def test_failed_frames_leave_a_gap_and_no_more() -> None:
+    recording = made(TRUE, TRUE)
+    cells = recording.truth_cell_resistance
+    assert cells is not None and recording.truth_pressure is not None
+    ratio = (cells / cells[0])[3:]
+    ratio[20:23] = np.nan
+    found = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:])
+    assert np.isnan(found.pressure[20:23]).all()
+    assert np.abs(found.pressure - recording.truth_pressure[3:])[23:].max() < 0.5
+
+
+def test_bent_film_is_read_as_it_answers() -> None:
+    bent = Film(curvature_per_m=20)
+    found, truth = of_truth(made(bent, bent))
+    np.testing.assert_allclose(found.pressure, truth, atol=1e-6)
+    assert found.errors.max() > 0.1 * truth.max()
+    silent, _ = of_truth(made(bent, None))
+    assert np.abs(silent.pressure - truth).max() > 0.2 * truth.max()
+
+
+@cache
+def estimated(creep: float, release: bool = True) -> Estimates:
+    told = Film(hysteresis=0.24, creep_per_decade="auto", cell_spread=0.1)
+    course = COURSE if release else replace(COURSE, release_at_s=None)
+    recording = made(Film(0.24, creep, cell_spread=0.1), told, course=course)
+    return reconstruct(recording, Estimator((Misfit(),), "reduced"))
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.02, 0.08])
+def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
+    film = estimated(creep).film
+    assert film is not None and film.creep.sd < 0.02
+    assert film.creep.mean == pytest.approx(creep, abs=max(3 * film.creep.sd, 0.005))
+    assert film.hysteresis == (0.24, pytest.approx(0.024))
+
+
+def test_open_creep_stays_open_where_nothing_was_released() -> None:
+    film = estimated(0.05, release=False).film
+    assert film is not None and film.creep.mean == pytest.approx(OPEN_CREEP[0], rel=0.5)
+    assert film.creep.sd == pytest.approx(OPEN_CREEP[1], rel=0.5) and "assumed" in film.sentence
+
+
+def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent() -> None:
+    found = estimated(0.08)
+    assert found.pressure is not None and found.recording.truth_pressure is not None
+    truth = found.recording.truth_pressure[found.frame]
+    assert np.percentile(np.abs(found.pressure - truth), 99) < 0.08 * truth.max()
+
+
+def test_results_say_what_the_film_was_taken_for(tmp_path: Path) -> None:
+    path = tmp_path / "results.h5"
+    write_results(path, [named_result(estimated(0.08), "LSM")])
+    (case,) = read_results(path).cases
+    assert case.film_sentence.startswith("creep ") and "from the recording" in case.film_sentence
+    with existing_file(path) as file:
+        assert read_attribute(file, f"/entry/{case.recording}/LSM", "film") == case.film_sentence
