@@ -38,6 +38,7 @@ for _command in (
     studies.tradeoff,
     studies.extremes,
     studies.audit,
+    studies.paper,
 ):
     app.command(_command.__name__.rstrip("_"))(_command)
 

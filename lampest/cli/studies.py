@@ -89,3 +89,19 @@ def audit(
     print_table(audit_table(found))
     for line in (*audit_remarks(found), *files):
         print(line)
+
+
+def paper(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the output.")] = Path("results/paper"),
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="Processes here; else all cores.")] = None,
+) -> None:
+    """Draw the paper's figures and its table from shipped recordings, each beside the published numbers.
+
+    Writes paper.html with everything in it, numbers.csv and every picture as PNG.
+    """
+    from lampest.studies.paper.run import shipped_folder, write_paper
+
+    with progress("cases") as on_case:
+        files = write_paper(shipped_folder(), out, jobs, on_case)
+    for file in files:
+        print(file)

@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from lampest.files.whole import write_whole
 from lampest.report.page.advice import Advice, advise, doubts
@@ -17,6 +15,7 @@ from lampest.report.page.section import section
 from lampest.report.page.standing import standing_section
 from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
+from lampest.report.page.template import SHARED, filled
 from lampest.report.page.words import counted, listed
 from lampest.report.plots.style import verbatim
 
@@ -66,9 +65,8 @@ def report(batch: Batch) -> str:
             section(subject, number, found[subject.name], drawn, subject.name in whole)
             for number, subject in enumerate(batch.subjects, 1)
         ]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files("lampest.report.page").joinpath("page.html").read_text(encoding="utf-8"))
-    return template.render(
+    return filled(
+        SHARED,
         size=f"{counted(len(batch.subjects), 'recording')}, {counted(batch.frames, 'frame')}, "
         f"{counted(len(batch.estimators), 'estimator')}",
         sources=batch.sources,

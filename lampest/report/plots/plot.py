@@ -40,16 +40,21 @@ class Plot(ABC):
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:
-    """Of the frames that most of the cases solved, the last whose mean |`likely_change`| reaches 90 % of the largest.
+    """Of the frames that most of the cases solved, the one whose cells have moved furthest."""
+    solved = np.sum([case.solved for case in cases], axis=0)
+    frames = np.flatnonzero(solved == solved.max())
+    return int(frames[furthest(cases[0].measured[frames], cases[0].measured_baseline)])
+
+
+def furthest(value: Array, resting: Array) -> int:
+    """The last of some frames (frames, rows, columns) whose mean |`likely_change`| reaches 90 % of the largest.
 
     The last one, because a load settles after it has set in.
     """
-    solved = np.sum([case.solved for case in cases], axis=0)
-    frames = np.flatnonzero(solved == solved.max())
-    change = np.abs(likely_change(cases[0].measured[frames], cases[0].measured_baseline))
+    change = np.abs(likely_change(value, resting))
     known = np.isfinite(change)
     mean = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
-    return int(frames[np.flatnonzero(mean >= STRONG * mean.max())[-1]])
+    return int(np.flatnonzero(mean >= STRONG * mean.max())[-1])
 
 
 def likely_change(value: Array, resting: Array) -> Array:

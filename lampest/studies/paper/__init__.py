@@ -1,0 +1,1 @@
+"""The paper's figures and its table from shipped recordings, beside the published numbers."""

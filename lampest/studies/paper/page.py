@@ -1,0 +1,167 @@
+"""The paper's figures and table beside ours as one HTML file, with pictures and a table of numbers beside it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from lampest.files.whole import write_whole
+from lampest.report.page.section import Illustration
+from lampest.report.page.tables import Sheet
+from lampest.report.page.template import filled
+from lampest.report.plots.style import data_uri, save, verbatim
+from lampest.studies.paper import tables
+from lampest.studies.paper.figures import (
+    bending_figure,
+    loads_figure,
+    methods_figure,
+    mouths_figure,
+    response_figure,
+)
+from lampest.studies.paper.published import Published
+from lampest.studies.paper.side import Side
+from lampest.studies.paper.tables import Held, counts, csv_rows, sheet
+from lampest.studies.study import comma_separated
+
+PAGE, NUMBERS = "paper.html", "numbers.csv"
+OURS = "lampest"
+RESPONSE = (
+    "The answer of one flat cell. lampest's curve was made to pass through the published numbers (orange); between and "
+    "beyond them it is ours. In the inset, the published sensitivities are bars over their ranges."
+)
+BENDING = (
+    "Left, Fig. 2-a: unloaded resistance of a bent cell; right, Fig. 2-d: its answer up to 40 kPa, of which the paper "
+    "gives the ends (dots). lampest interpolates the logarithm. Fig. 2-b is a photograph of the set-up; of the three "
+    "cycles of Fig. 2-c the text gives no numbers."
+)
+LOADS = (
+    "What was measured of six loads, in the frame in which cells have moved furthest; below each map what the film "
+    "feels there. The paper gives conditions, and no numbers of the maps."
+)
+METHODS = "Six maps of one frame of the large mouth; the paper's range stands below ours. All on the scale of ±100 %."
+MOUTHS = (
+    "A large and a small mouth. Covered are rows and columns with a cell that fell by more than half as much as the "
+    "one that fell most."
+)
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A figure or table of the paper: title, place in it, sentence, tables, pictures."""
+
+    title: str
+    anchor: str
+    place: str
+    about: str
+    sheets: tuple[tuple[str, Sheet], ...]
+    pictures: tuple[Illustration, ...]
+
+
+def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tuple[Path, ...]:
+    """Write paper.html, numbers.csv and every picture as PNG; returns their paths.
+
+    Raises InputError where the folder cannot be written.
+    """
+    names = tuple(side.scenes.name for side in sides)
+    held = [
+        *tables.map_ranges(sides, published),
+        *tables.covered_cells(sides, published),
+        *tables.data_errors(sides, published),
+    ]
+    timed, own = tables.step_times(sides, published), tables.built_in(published)
+    pictures: list[Path] = []
+
+    def drawn(figure: Figure, word: str, alternative: str, caption: str) -> Illustration:
+        file = folder / f"{word}.png"
+        save(figure, file)
+        pictures.append(file)
+        return Illustration(data_uri(figure, "png"), alternative, caption, True)
+
+    with verbatim():
+        chapters = (
+            *_film(published, own, drawn),
+            *_maps(sides, published, held, drawn),
+            _table(held, timed, names, published),
+        )
+    text = filled(
+        "lampest.studies.paper", chapters=chapters, sides=[side.scenes for side in sides], summary=_summary(held, names)
+    )
+    write_whole(folder / PAGE, text)
+    write_whole(folder / NUMBERS, comma_separated(csv_rows([*held, *timed, *_wide(own, len(names))], names)))
+    return (folder / PAGE, folder / NUMBERS, *pictures)
+
+
+Drawn = Callable[[Figure, str, str, str], Illustration]
+
+
+def _film(published: Published, own: Sequence[Held], drawn: Drawn) -> tuple[Chapter, Chapter]:
+    """Figures 1-e and 2."""
+    first = sheet([row for row in own if row.figure.startswith("Fig. 1")], (OURS,))
+    second = sheet([row for row in own if row.figure.startswith("Fig. 2")], (OURS,))
+    response = drawn(
+        response_figure(published.response), "fig1e", "Relative change over pressure, and its slope", RESPONSE
+    )
+    bending = drawn(
+        bending_figure(published.bending), "fig2", "Bent cells: resistance, and change under pressure", BENDING
+    )
+    return (
+        Chapter("The answer of a cell", "response", published.response.place, "", (("The curve", first),), (response,)),
+        Chapter("A bent cell", "bending", published.bending.place, "", (("Bent cells", second),), (bending,)),
+    )
+
+
+def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], drawn: Drawn) -> tuple[Chapter, ...]:
+    """Figures 6, 8 and 9, one picture for each side."""
+    names = tuple(side.scenes.name for side in sides)
+    loads = [
+        drawn(loads_figure(side, published), f"fig6_{side.scenes.word}", "Maps of six loads", LOADS) for side in sides
+    ]
+    methods = [
+        drawn(methods_figure(side, published), f"fig8_{side.scenes.word}", "Maps of six methods", METHODS)
+        for side in sides
+    ]
+    small = [
+        drawn(mouths_figure(side, published), f"fig9_{side.scenes.word}", "Maps of two mouths", MOUTHS)
+        for side in sides
+    ]
+    of_maps = [row for row in held if row.figure.startswith("Fig. 8")]
+    of_mouths = [row for row in held if row.figure.startswith("Fig. 9")]
+    return (
+        Chapter("Six loads as measured", "loads", published.loads.place, "", (), tuple(loads)),
+        Chapter(
+            "Six methods",
+            "methods",
+            published.ranges.place,
+            counts(of_maps, names),
+            (("Ranges of the maps", sheet(of_maps, names)),),
+            tuple(methods),
+        ),
+        Chapter(
+            "Two mouths",
+            "mouths",
+            published.mouths.place,
+            counts(of_mouths, names),
+            (("Cells covered", sheet(of_mouths, names)),),
+            tuple(small),
+        ),
+    )
+
+
+def _table(held: Sequence[Held], timed: Sequence[Held], names: Sequence[str], published: Published) -> Chapter:
+    """Table I."""
+    rows = [row for row in held if row.figure == "Table I"]
+    sheets = (("Data errors |f(r) − R|/R", sheet(rows, names)), ("Time of a step", sheet(timed, names)))
+    about = f"{counts(rows, names)} Times are those of another program on another machine."
+    return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
+
+
+def _summary(held: Sequence[Held], names: Sequence[str]) -> str:
+    """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
+    checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
+    return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I: {counts(checked, names)}"
+
+
+def _wide(own: Sequence[Held], sides: int) -> list[Held]:
+    """What lampest has built in is the same on every side."""
+    return [Held(row.figure, row.quantity, row.unit, row.published, row.ours * sides) for row in own]

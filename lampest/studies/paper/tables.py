@@ -1,0 +1,153 @@
+"""Every published number beside ours, as rows of text and as CSV."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.loads.response import relative_change_from_pressure
+from lampest.panel.film import Film
+from lampest.report.compare import Row, compare
+from lampest.report.page.tables import Sheet
+from lampest.report.page.words import digits
+from lampest.studies.paper.figures import covered
+from lampest.studies.paper.published import ErrorRow, Published
+from lampest.studies.paper.side import Side
+
+WITHIN = 0.25  # of the published number: what counts as reproduced
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Held:
+    """A published number and ours. ours : one for each side, NaN where it is not to be had."""
+
+    figure: str
+    quantity: str
+    unit: str
+    published: float
+    ours: tuple[float, ...]
+
+    def reproduced(self, number: int) -> bool:
+        """Whether ours lies within a quarter of the published number."""
+        return abs(self.ours[number] - self.published) <= WITHIN * abs(self.published)
+
+
+def built_in(published: Published) -> list[Held]:
+    """Figures 1-e and 2: what lampest's response was made from, read back."""
+    rows = [
+        Held("Fig. 1-e", f"ΔR/R₀ at {one.kpa:g} kPa", "%", one.percent, (100 * float(_change(one.kpa)),))
+        for one in published.response.changes
+    ]
+    for part in published.response.slopes:
+        slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
+        name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
+        rows.append(Held("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, (float(slope),)))
+    flat = published.bending.cells[0].ohm
+    for cell in published.bending.cells:
+        film = Film(curvature_per_m=cell.curvature_per_m)
+        at = f"at {cell.curvature_per_m:g} 1/m"
+        rows.append(Held("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, (flat * film.lowering,)))
+        change = 100 * ((1 + _change(40.0)) ** film.answer - 1)
+        rows.append(Held("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {at}", "%", cell.percent, (float(change),)))
+    return rows
+
+
+def _change(kpa: float) -> float:
+    return float(relative_change_from_pressure(kpa))
+
+
+def map_ranges(sides: Sequence[Side], published: Published) -> list[Held]:
+    """Figure 8: the smallest and the largest change of every map."""
+    rows = []
+    for one in published.ranges.maps:
+        changes = [side.change(one.method) for side in sides]
+        for name, value, end in (("smallest", one.low, np.nanmin), ("largest", one.high, np.nanmax)):
+            ours = tuple(float(end(change)) for change in changes)
+            rows.append(Held(f"Fig. 8-{one.letter}", f"{one.method}, {name} change", "%", value, ours))
+    return rows
+
+
+def covered_cells(sides: Sequence[Side], published: Published) -> list[Held]:
+    """Figure 9: how many rows and columns a mouth covers."""
+    rows = []
+    for number, mouth in enumerate(published.mouths.maps):
+        seen = [covered(side.change(published.mouths.method, number)) for side in sides]
+        for name, place in (("rows", 0), ("columns", 1)):
+            quantity = f"mouth of {mouth.diameter_mm:g} mm, {name} covered"
+            ours = tuple(float(one[place]) for one in seen)
+            rows.append(Held(f"Fig. 9-{mouth.letter}", quantity, "cells", float(mouth.cells), ours))
+    return rows
+
+
+def data_errors(sides: Sequence[Side], published: Published) -> list[Held]:
+    """Table I: data errors, mean and standard deviation over the readings of all steps."""
+    found = [_compared(side) for side in sides]
+    rows = []
+    for row in published.errors.rows:
+        own = [_figures(rows_of, row) for rows_of in found]
+        name = f"{row.method}, {row.steps} steps"
+        means = tuple(NAN if one is None or one.data_error is None else one.data_error.mean for one in own)
+        spreads = tuple(NAN if one is None or one.data_error is None else one.data_error.sd or NAN for one in own)
+        rows.append(Held("Table I", f"{name}: data error", "%", row.error_percent, means))
+        rows.append(Held("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, spreads))
+    return rows
+
+
+def step_times(sides: Sequence[Side], published: Published) -> list[Held]:
+    """Table I: time of a step. Ours is another program on another machine."""
+    found = [_compared(side) for side in sides]
+    rows = []
+    for row in published.errors.rows:
+        own = [_figures(rows_of, row) for rows_of in found]
+        means = tuple(NAN if one is None or one.solve_time is None else one.solve_time.mean for one in own)
+        rows.append(Held("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, means))
+    return rows
+
+
+def _compared(side: Side) -> list[Row]:
+    return [row for row in compare(side.results) if row.recording == side.results.recordings()[0]]
+
+
+def _figures(rows: Sequence[Row], published: ErrorRow) -> Row | None:
+    for row in rows:
+        if row.estimator == published.method and row.steps == published.steps:
+            return row
+    return None
+
+
+def sheet(rows: Sequence[Held], names: Sequence[str]) -> Sheet:
+    """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
+    headers = ("", "place", "published", *names)
+    texts = tuple(
+        (f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *(_text(one) for one in row.ours))
+        for row in rows
+    )
+    best = {
+        (place, 3 + number)
+        for place, row in enumerate(rows)
+        for number in range(len(row.ours))
+        if row.reproduced(number)
+    }
+    return Sheet(headers, texts, frozenset(best))
+
+
+def _text(value: float) -> str:
+    return "–" if np.isnan(value) else digits(value)
+
+
+def counts(rows: Sequence[Held], names: Sequence[str]) -> str:
+    """'13 of 19 within a quarter (clean scenes), …' over rows that all sides have."""
+    parts = [
+        f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
+    ]
+    return f"Within a quarter of the published number: {', '.join(parts)}."
+
+
+def csv_rows(rows: Sequence[Held], names: Sequence[str]) -> list[list[object]]:
+    """A header and one line for each number."""
+    lines: list[list[object]] = [["figure", "quantity", "unit", "published", *names]]
+    for row in rows:
+        ours = [*row.ours, *([NAN] * (len(names) - len(row.ours)))]
+        lines.append([row.figure, row.quantity, row.unit, row.published, *ours])
+    return lines

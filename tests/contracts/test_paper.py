@@ -1,0 +1,66 @@
+"""`lampest paper`: one page that needs nothing else, its pictures, and every published number beside ours."""
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def paper(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run it as a user does."""
+    command = [sys.executable, "-c", "from lampest.cli import main; main()", "paper", "--out", "out", "--jobs", "1"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=dict(os.environ))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("paper")
+    done = paper(folder)
+    assert done.returncode == 0, done.stderr
+    assert all((folder / line).is_file() for line in done.stdout.splitlines())
+    return folder / "out"
+
+
+def numbers(written: Path) -> list[dict[str, str]]:
+    with (written / "numbers.csv").open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_page_needs_nothing_else(written: Path) -> None:
+    page = (written / "paper.html").read_text(encoding="utf-8")
+    assert "http" not in page.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
+    for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"):
+        assert part in page
+    pictures = {file.stem.split("_")[0] for file in written.glob("*.png")}
+    assert pictures == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
+
+
+def test_every_published_number_is_there(written: Path) -> None:
+    rows = numbers(written)
+    published = {(row["figure"], row["quantity"]): float(row["published"]) for row in rows}
+    ranges = [key for key in published if key[0].startswith("Fig. 8")]
+    means = [key for key in published if key[1].endswith("data error")]
+    assert (len(ranges), len(means)) == (12, 7)
+    assert published["Fig. 8-b", "LSM, largest change"] == 11873.9
+    assert published["Table I", "LSR-gCR, all steps: data error"] == 5.67
+    clean = [row for row in rows if row["figure"].startswith(("Fig. 1", "Fig. 2"))]
+    assert all(float(row["clean scenes"]) == pytest.approx(float(row["published"]), rel=1e-9) for row in clean)
+
+
+def test_what_clean_scenes_give_is_told_as_it_is(written: Path) -> None:
+    """The two mouths cover as many cells as published; plain least squares follows its readings far more closely."""
+    ours = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in numbers(written)}
+    assert [ours[key] for key in ours if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
+    assert ours["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
+    assert ours["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), "series resistance included"
+
+
+def test_a_second_time_solves_nothing(written: Path) -> None:
+    files = {file: file.stat().st_mtime_ns for file in written.glob("*/cases/*.h5")}
+    before = {file.name: file.read_bytes() for file in written.glob("*.png")}
+    assert files and paper(written.parent).returncode == 0
+    assert {file: file.stat().st_mtime_ns for file in files} == files
+    assert {file.name: file.read_bytes() for file in written.glob("*.png")} == before
