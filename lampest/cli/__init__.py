@@ -8,6 +8,7 @@ import typer
 from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT
 from lampest.files.errors import InputError
+from lampest.files.interrupts import ending_signals
 from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
@@ -44,10 +45,11 @@ for _command in (
 
 
 def main() -> None:
-    """Run the command; input errors end with code 2 and one sentence, Ctrl-C with 130."""
+    """Run the command; input errors end with code 2 and one sentence, Ctrl-C and its kin with 130."""
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
     try:
-        app()
+        with ending_signals():
+            app()
     except InputError as error:
         print(f"lampest: {error}", file=sys.stderr)
         sys.exit(WRONG_INPUT)

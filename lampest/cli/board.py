@@ -133,8 +133,7 @@ def live(
     out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
-    import signal
-
+    from lampest.files.interrupts import ending_signals
     from lampest.recording.foreign.importing import read_scene
     from lampest.report.live.run import LiveBoard, Replay
     from lampest.report.live.run import live as run_live
@@ -148,11 +147,8 @@ def live(
     else:
         source = Replay(recording, speed, baseline)
     # A board is told to stop, however live ends.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+    with ending_signals():
         done = run_live(source, estimator, config, http, frames, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True))
-    finally:
-        signal.signal(signal.SIGTERM, before)
     if done is not None:
         report_recorded(done)
 
@@ -167,7 +163,9 @@ def report_recorded(done: "Recorded") -> None:
             "some 140 ohm, which lampest calibrate measures",
             file=sys.stderr,
         )
-    if done.interrupted:
+    if done.ended_by:
+        behind = f"{done.behind} of the {done.frames} frames were" if done.behind else "no frame was"
+        print(f"lampest: {done.ended_by} ended the recording; {behind} still in the port then", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
 
 

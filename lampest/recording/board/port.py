@@ -17,6 +17,7 @@ from lampest.recording.board.protocol import (
     Answer,
     Foreign,
     Frame,
+    Garbage,
     Hello,
     Kind,
     Message,
@@ -30,6 +31,9 @@ BOOT_SECONDS = 2.0
 HELLO_SECONDS = 8.0
 ANSWER_SECONDS = 0.5
 TRIES = 4
+# At the end: what the port holds is read up to the answer to STOP, or until this long nothing came, or for so long.
+QUIET_SECONDS, DRAIN_SECONDS = 0.4, 3.0
+MOST_WAITING = 4096  # frames that come while an answer is awaited
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
 
 
@@ -73,8 +77,14 @@ class Board:
         self._port = port
         self._url = url
         self._receiver = Receiver()
-        self._waiting: deque[Message] = deque()
+        self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
         self._tags = count(1)
+        self._heard = False
+
+    @property
+    def heard(self) -> bool:
+        """Whether anything at all has arrived."""
+        return self._heard
 
     @classmethod
     @contextlib.contextmanager
@@ -100,21 +110,39 @@ class Board:
         self._waiting.clear()
         return waiting or self._arrived()
 
+    def last_messages(self) -> tuple[Message, ...]:
+        """Stop the board; all that it sent before, up to its answer, as far as that comes within 3 s."""
+        found = list(self._waiting)
+        self._waiting.clear()
+        tag = next(self._tags) % 256
+        until = quiet = time.monotonic() + DRAIN_SECONDS
+        with contextlib.suppress(OSError):
+            self._port.write(command(Kind.STOP, tag))
+            while time.monotonic() < min(until, quiet):
+                came = self._arrived()
+                found.extend(came)
+                if any(isinstance(item, Answer) and (item.command, item.tag) == (Kind.STOP, tag) for item in came):
+                    break
+                if came or quiet == until:
+                    quiet = time.monotonic() + QUIET_SECONDS
+        return tuple(found)
+
     def hello(self) -> Hello:
         """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
         began = time.monotonic()
-        ask_at = began + BOOT_SECONDS
+        asked = began - ANSWER_SECONDS
         while time.monotonic() < began + HELLO_SECONDS:
             found = self.messages()
             for item in found:
                 if isinstance(item, Hello) and not item.running:
                     return item
             # Whatever talks without a HELLO was not reset by opening the port.
-            running = any(isinstance(item, Frame) for item in found) and time.monotonic() > began + 0.3
-            if running or time.monotonic() > ask_at:
+            patient = 0.3 if any(isinstance(item, Frame) for item in found) else BOOT_SECONDS
+            if time.monotonic() > max(began + patient, asked + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
-                ask_at = time.monotonic() + ANSWER_SECONDS
-        raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s")
+                asked = time.monotonic()
+        said = "though the line is not silent" if self._heard else "and nothing came"
+        raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {said}")
 
     def order(self, kind: Kind, value: int = 0) -> Answer:
         """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
@@ -145,13 +173,18 @@ class Board:
                 found = self._arrived()
                 for place, item in enumerate(found):
                     if wanted(item):
-                        self._waiting.extend(found[:place] + found[place + 1 :])
+                        self._keep(found[:place] + found[place + 1 :])
                         return item
-                self._waiting.extend(found)
+                self._keep(found)
         raise NoBoardError(f"{self._url}: the board does not answer {name}")
 
+    def _keep(self, found: tuple[Message, ...]) -> None:
+        self._waiting.extend(item for item in found if not isinstance(item, Garbage))
+
     def _arrived(self) -> tuple[Message, ...]:
-        self._receiver, found = self._receiver.feed(self._port.read(self._port.in_waiting or 1))
+        data = self._port.read(self._port.in_waiting or 1)
+        self._heard = self._heard or bool(data)
+        self._receiver, found = self._receiver.feed(data)
         for item in found:
             if isinstance(item, Foreign):
                 raise InputError(

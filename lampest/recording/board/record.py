@@ -2,43 +2,64 @@
 
 import contextlib
 import dataclasses
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lampest.files.errors import InputError
+from lampest.files.interrupts import deaf, ending_signals
 from lampest.files.whole import check_output
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
+from lampest.recording.board.sample import Sample
+from lampest.recording.board.stream import Samples, agreed_and_recorded, board_samples
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 FEWEST_REPEATS = 50
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """What `record` did: frames in the file, frames known to be missing, restarts of the board, ended by Ctrl-C or not.
+@dataclass(frozen=True, kw_only=True)
+class FrameCount:
+    """Frames in the file, frames known to be missing, restarts of the board; frames that the port held at the end."""
 
-    noise_lsb : noise of one reading as the baseline's repeats show it, or None where they do not suffice. scene : what
-    board and user agreed on.
+    frames: int = 0
+    lost: int = 0
+    restarts: int = 0
+    behind: int = 0
+
+    def after(self, sample: Sample, behind: bool) -> "FrameCount":
+        """With one more; `behind` where the end had been asked for before it was read."""
+        return FrameCount(
+            frames=self.frames + 1,
+            lost=self.lost + sample.lost,
+            restarts=sample.session,
+            behind=self.behind + behind,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded(FrameCount):
+    """What `record` did.
+
+    ended_by : the signal that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : noise of one reading as the
+    baseline's repeats show it, or None where they do not suffice. scene : what board and user agreed on.
     """
 
     path: Path
-    frames: int
-    lost: int
-    restarts: int
-    interrupted: bool
-    noise_lsb: float | None
     scene: Scene
+    ended_by: str
+    noise_lsb: float | None
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a signal ended it."""
+        return bool(self.ended_by)
 
 
 @dataclass(frozen=True)
@@ -76,46 +97,88 @@ def record(
     on_progress : called after every frame, and when the board comes or goes.
     keys : gives the keys pressed since it was last called; each marks an event.
 
-    Raises InputError where the board does not answer or does not fit, `out` exists, or no frame came.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it as well, with all that the port has delivered by then. Raises InputError
+    where the board does not answer or does not fit, `out` exists, no frame came, or nothing fits any more; what came
+    before is in the file then.
     """
     check_output(out)
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
     port_url = port_url or only_port()
-    state = ""
+    count, state = FrameCount(), ""
 
     def on_state(sentence: str) -> None:
         nonlocal state
         state = sentence
 
-    count = lost = restarts = 0
-    finished: tuple[Recording, float | None] | None = None
-    began = time.monotonic()
-    try:
-        with _interruptible(lambda: count > 0) as interrupted, contextlib.ExitStack() as stack:
-            samples = stack.enter_context(contextlib.closing(board_samples(port_url, scene, period, on_state)))
-            journal: Journal | None = None
-            for sample in samples:
-                if sample is not None:
-                    agreed, recorded = agreed_and_recorded(sample, scene)
-                    if journal is None:
-                        journal = stack.enter_context(Journal.create(out, agreed, sample.hello.readings))
-                    journal.append(sample, recorded, UNLOADED if count < baseline else MEASURED)
-                    count, lost, restarts, state = count + 1, lost + sample.lost, sample.session, ""
-                    for key in keys():
-                        journal.mark(sample.time, key)
-                if sample is not None or state:
-                    on_progress(Progress(sample, count, lost, state))
-                if interrupted() or _enough(sample, count, began, frames, seconds):
-                    break
-    finally:
-        # However it ended: what was recorded is left as a clean file.
-        if count:
-            finished = _finish(out)
-    if finished is None:
-        raise InputError(f"{out}: ended before the first frame; nothing is written")
-    recording, noise = finished
-    return Recorded(out, count, lost, restarts, interrupted(), noise, recording.scene)
+    with ending_signals(lambda: count.frames > 0 and not state) as asked:
+        try:
+            with contextlib.ExitStack() as stack:
+                batches = board_samples(port_url, scene, period, on_state, lambda: bool(asked()))
+                stack.enter_context(contextlib.closing(batches))
+                wanted = _wanted(batches, frames, seconds, period or 1.0)
+                journal: Journal | None = None
+                for batch in wanted:
+                    if batch:
+                        journal = journal or stack.enter_context(_journal(out, batch[0], scene))
+                        _append(journal, batch, scene, baseline - count.frames)
+                        state = ""
+                        for key in keys():
+                            journal.mark(batch[-1].time, key)
+                    for sample in batch:
+                        count = count.after(sample, bool(asked()))
+                        on_progress(Progress(sample, count.frames, count.lost, state))
+                    if state:
+                        on_progress(Progress(None, count.frames, count.lost, state))
+        except KeyboardInterrupt:
+            if not count.frames:
+                raise
+        except InputError as error:
+            if count.frames:
+                raise InputError(f"{error}; the {count.frames} frames that came before are in {out}") from error
+            raise
+        finally:
+            # However it ended: what was recorded is left as a clean file.
+            finished = _finish(out) if count.frames else None
+        if finished is None:
+            raise InputError(f"{out}: ended before the first frame; nothing is written")
+        recording, noise = finished
+        return Recorded(path=out, scene=recording.scene, ended_by=asked(), noise_lsb=noise, **asdict(count))
+
+
+def _journal(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
+    agreed, _ = agreed_and_recorded(sample, scene)
+    return Journal.create(out, agreed, sample.hello.readings)
+
+
+def _append(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, unloaded: int) -> None:
+    """Write samples of which the first so many are unloaded."""
+    recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
+    journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
+
+
+def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
+    """The batches until so many frames have come, or s have gone by on the board's clock.
+
+    The host's clock ends it too, whatever comes or does not: 5 %, a period and a second after the board's should.
+    """
+    count, began = 0, None
+    for batch in batches:
+        ended = frames is not None and count + len(batch) >= frames
+        batch = batch if frames is None else batch[: frames - count]
+        if seconds is not None:
+            began = began or time.monotonic()
+            last = [number for number, sample in enumerate(batch) if _is_last(sample, seconds)]
+            batch = batch[: last[0] + 1] if last else batch
+            ended = bool(last) or time.monotonic() - began > 1.05 * seconds + period + 1
+        count += len(batch)
+        yield batch
+        if ended:
+            return
+
+
+def _is_last(sample: Sample, seconds: float) -> bool:
+    return sample.time + sample.hello.period_us * 1e-6 > seconds - 1e-3
 
 
 def repair(path: Path) -> int:
@@ -131,14 +194,15 @@ def repair(path: Path) -> int:
 
 
 def _finish(path: Path) -> tuple[Recording, float | None]:
-    """Rewrite a journal as a clean recording; that, and the noise that its baseline shows."""
-    recording = Recording.load(path)
-    noise = noise_from_repeats(recording)
-    readout = recording.scene.readout
-    if readout is not None:
-        seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
-        recording = dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
-    recording.save(path)
+    """Rewrite a journal as a clean recording, whatever signals come; that, and the noise that its baseline shows."""
+    with deaf():
+        recording = Recording.load(path)
+        noise = noise_from_repeats(recording)
+        readout = recording.scene.readout
+        if readout is not None:
+            seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
+            recording = dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
+        recording.save(path)
     return recording, noise
 
 
@@ -170,37 +234,3 @@ def _noise_of_variance(readout: Readout, variance: float) -> float:
         bias = dataclasses.replace(noisy, readings=65535).sigma_code() ** 2
         low, high = (middle, high) if noisy.sigma_code() ** 2 - bias < variance else (low, middle)
     return low
-
-
-def _enough(sample: Sample | None, count: int, began: float, frames: int | None, seconds: float | None) -> bool:
-    if frames is not None and count >= frames:
-        return True
-    if seconds is None:
-        return False
-    if sample is not None:
-        return sample.time + sample.hello.period_us * 1e-6 > seconds - 1e-3
-    # While nothing comes only the host's clock goes on.
-    return time.monotonic() - began > seconds + 10
-
-
-@contextlib.contextmanager
-def _interruptible(worth_finishing: Callable[[], bool]) -> Iterator[Callable[[], bool]]:
-    """Ctrl-C and SIGTERM set a flag, so that no frame is torn; a second one, or one before any frame, acts at once."""
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set
-        return
-
-    def ask(number: int, stack: object) -> None:
-        # Set first: an exception raised inside a destructor is lost, the flag is not.
-        again = asked.is_set()
-        asked.set()
-        if again or not worth_finishing():
-            raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -10,7 +10,8 @@ import numpy as np
 from lampest.estimate.sequence import frame_period
 from lampest.panel.scene import Scene
 from lampest.recording.board.record import Progress, Recorded, record
-from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
+from lampest.recording.board.sample import Sample
+from lampest.recording.board.stream import agreed_and_recorded, board_samples
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource, Scan
 
@@ -23,12 +24,12 @@ def from_board(engine: Engine, url: str, scene: Scene | None, period: float | No
     engine.say(f"waiting for the board at {url}")
     with closing(board_samples(url, scene, period, engine.say)) as samples:
         came = 0
-        for sample in samples:
-            if sample is not None:
+        for batch in samples:
+            for sample in batch:
                 take_sample(engine, sample, scene)
                 came += 1
-            if came == frames:
-                return
+                if came == frames:
+                    return
 
 
 def recorded_from_board(

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
 
+from lampest.files.interrupts import ENDING
 from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
 
 
@@ -95,10 +96,10 @@ class _Worker:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Processes started here never see Ctrl-C, not even while they import; here it comes a moment later."""
-    # Starting the tracker unblocks the signal again, so it must be running before.
+    """Processes started here never see Ctrl-C and its kin, not even while they import; here it comes a moment later."""
+    # Starting the tracker unblocks them again, so it must be running before.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         yield
     finally:

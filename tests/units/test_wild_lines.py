@@ -1,0 +1,163 @@
+"""A serial line that never ends or that lies: deadlines hold, counters wrap, and what is replayed is no frame."""
+
+import itertools
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wild_board import IDLE, Script, wild_board, wire
+
+from lampest import InputError, Recording
+from lampest.recording.board import patience
+from lampest.recording.board.framing import message
+from lampest.recording.board.protocol import Frame, Hello, hello_body
+from lampest.recording.board.record import Recorded, record
+from lampest.recording.board.sample import Sample, Scanning
+from lampest.recording.board.stream import board_samples
+
+Sent = Iterator[tuple[float, bytes]]
+
+
+def larger(hello: Hello) -> Sent:
+    """Well-formed frames of another size, as fast as the line takes them."""
+    for number in itertools.count():
+        yield 0.0, wire(hello, number, shape=(5, 5))
+
+
+def garbage(hello: Hello) -> Sent:
+    rng = np.random.default_rng(16)
+    while True:
+        yield 0.0, rng.bytes(400)
+
+
+def restarts(hello: Hello) -> Sent:
+    """A board that says again and again that it does not scan."""
+    while True:
+        yield 0.0, message(hello_body(replace(hello, running=False)))
+
+
+def replayed(hello: Hello) -> Sent:
+    """Twenty frames, then the first ten of them for ever."""
+    for number in itertools.chain(range(20), itertools.cycle(range(10))):
+        yield 0.01, wire(hello, number)
+
+
+def flooded(hello: Hello) -> Sent:
+    """Good frames, each among many of another size."""
+    for number in itertools.count():
+        yield 0.01, wire(hello, number) + wire(hello, number, shape=(5, 5)) * 20
+
+
+def recorded(script: Script, folder: Path, frames: int | None = None, seconds: float | None = None) -> Recorded:
+    with wild_board(script) as board:
+        return record(board.port, folder / "r.h5", frames=frames, seconds=seconds, period=0.01)
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [(larger, "frames of another size"), (garbage, "pieces that are no message"), (restarts, "answers")],
+)
+def test_a_line_that_never_says_what_fits_ends_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: Script, said: str
+) -> None:
+    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    with pytest.raises(InputError, match=rf"nothing fit for \d+ s, though the line is not silent \(\d+ {said}"):
+        recorded(script, tmp_path, frames=10)
+    assert not (tmp_path / "r.h5").exists()
+
+
+def test_what_came_before_a_flood_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    with pytest.raises(
+        InputError, match=r"nothing fit .* frames out of order\); the 20 frames that came before are in"
+    ):
+        recorded(replayed, tmp_path, frames=30)
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    assert found.acquisition.sequence.tolist() == list(range(20)) and not found.acquisition.lost.any()
+
+
+@pytest.mark.parametrize("script", [larger, garbage, restarts])
+def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> None:
+    """By the host's clock it ends, a second and a period late at most; some seconds more are the machine's."""
+    began = time.monotonic()
+    with pytest.raises(InputError, match="ended before the first frame"):
+        recorded(script, tmp_path, seconds=0.2)
+    assert time.monotonic() - began < 10
+
+
+def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
+    done = recorded(flooded, tmp_path, frames=50)
+    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
+
+
+def test_the_flood_of_a_live_line_ends_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    with wild_board(garbage) as board, pytest.raises(InputError, match="nothing fit"):
+        for batch in board_samples(board.port):
+            assert batch == ()
+
+
+def frame(number: int, device_ms: int) -> Frame:
+    return Frame(2, number % 2**32, device_ms % 2**32, 0, np.zeros((3, 4), np.uint16))
+
+
+def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
+    """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
+    run, found = Scanning(replace(IDLE, period_us=10_000), 0, None), []
+    for number, device_ms in frames:
+        run, samples = run.taking(frame(number, device_ms))
+        found += samples
+    return run, found
+
+
+def places(found: list[Sample]) -> list[tuple[int, int, int]]:
+    return [(sample.frame.sequence, sample.lost, sample.session) for sample in found]
+
+
+def test_numbers_and_clock_wrap() -> None:
+    _, found = run_of(*((2**32 - 5 + step, 2**32 - 22 + 10 * step) for step in range(9)))
+    assert [lost for _, lost, _ in places(found)][1:] == [0] * 8
+    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(9))
+
+
+def test_a_first_number_is_believed_as_far_as_the_clock_allows() -> None:
+    assert run_of((7, 100))[1][0].lost == 7
+    assert run_of((2**32 - 5, 100))[1][0].lost == 0
+
+
+def test_what_is_sent_again_is_no_frame() -> None:
+    sent = [(number, 500 + 10 * number) for number in range(20)]
+    run, found = run_of(*sent, *sent[:15], *sent[3:9])
+    assert places(found) == [(number, 0, 0) for number in range(20)]
+    more = [sample for step in range(5) for sample in run.taking(frame(*sent[step]))[1]]
+    assert not more
+    _, found = run_of(*sent, *sent[:15], (20, 700))
+    assert places(found)[-1] == (20, 0, 0)
+
+
+def test_numbers_that_begin_anew_while_the_clock_goes_on_are_a_new_session() -> None:
+    _, found = run_of((0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550))
+    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
+    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(6))
+    _, found = run_of((0, 500), (1, 510), (2, 520), (0, 560), (1, 570))
+    assert places(found)[3:] == [(0, 3, 1), (1, 0, 1)], "what the clock says is missing"
+
+
+def test_a_single_frame_out_of_order_is_dropped() -> None:
+    _, found = run_of((0, 500), (1, 510), (900, 515), (2, 520), (3, 530))
+    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)]
+
+
+def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
+    run, _ = run_of((0, 500), (1, 510), (100, 2000))
+    run, samples = run.taking(frame(2, 520))
+    assert not samples
+    doubting = run.doubted()
+    again, samples = doubting.taking(frame(4, 540))
+    assert places(list(samples)) == [(4, 2, 0)] and samples[0].time > 1.5
+    assert not doubting.taking(frame(0, 500))[1], "nor is what was sent before the frame that is not in doubt"
+    assert again.taking(frame(5, 550))[1]

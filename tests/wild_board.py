@@ -1,0 +1,113 @@
+"""A board in a thread behind a pseudo-terminal that answers as the firmware does and sends what a script says."""
+
+import itertools
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lampest.recording.board.framing import message, unstuffed
+from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Result, answer_body, frame_body, hello_body
+
+IDLE = Hello(3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False)
+SETTINGS = {Kind.SET_ROWS: "rows", Kind.SET_COLUMNS: "columns", Kind.SET_READINGS: "readings"}
+SETTINGS |= {Kind.SET_PERIOD: "period_us"}
+
+Script = Callable[[Hello], Iterator[tuple[float, bytes]]]  # (s to wait before, bytes to send) once the board is started
+
+
+@dataclass
+class WildBoard:
+    """Where it is to be opened, and how many bytes of its script the line has taken so far."""
+
+    port: str = ""
+    sent: int = 0
+    deaf: bool = False
+    hello: Hello = IDLE
+    _spoken_to: bool = False
+    _plan: Iterator[tuple[float, bytes]] | None = None
+    _ended: threading.Event = field(default_factory=threading.Event)
+
+    def live(self, line: int, script: Script) -> None:
+        """Until it is ended: answer commands, and send what the script says when it is due; no message tears one."""
+        commands, answers, current, begun, due = b"", b"", b"", False, 0.0
+        while not self._ended.is_set():
+            if self._plan is not None and not current:
+                wait, current = next(self._plan, (60.0, b""))
+                due = max(due + wait, time.monotonic() - 1.0)
+            if not self._spoken_to:
+                answers += message(hello_body(self.hello)) if time.monotonic() >= due and not answers else b""
+                due = time.monotonic() + 0.1 if time.monotonic() >= due else due
+            ripe = current if begun or time.monotonic() >= due else b""
+            outgoing = current if begun else answers or ripe
+            pause = 0.02 if not current else min(0.02, max(0.0, due - time.monotonic()))
+            readable, writable, _ = select.select(
+                [line], [line] if outgoing else [], [], pause if not outgoing else 0.02
+            )
+            if writable:
+                taken = os.write(line, outgoing[:512])
+                if begun or not answers:
+                    current, self.sent = current[taken:], self.sent + taken
+                    begun = bool(current)
+                else:
+                    answers = answers[taken:]
+            if readable:
+                *pieces, commands = (commands + os.read(line, 4096)).split(b"\0")
+                for piece in filter(None, pieces):
+                    self._spoken_to = True
+                    before = self._plan
+                    answers += self._obey(piece, script)
+                    if self._plan is not before:
+                        current, due = current if begun else b"", time.monotonic()
+
+    def _obey(self, piece: bytes, script: Script) -> bytes:
+        """The answer to a command; the plan is another one after START and STOP."""
+        body = unstuffed(piece)
+        if self.deaf or body is None or len(body) != 9:
+            return b""
+        kind, tag, value = Kind(body[1]), body[2], int.from_bytes(body[3:7], "little")
+        if kind is Kind.IDENTIFY:
+            return message(hello_body(self.hello))
+        if kind in SETTINGS:
+            self.hello = replace(self.hello, **{SETTINGS[kind]: value})
+        if kind in (Kind.STOP, Kind.START):
+            self.hello = replace(self.hello, running=kind is Kind.START)
+            self._plan = script(self.hello) if kind is Kind.START else None
+        return message(answer_body(Answer(kind, tag, Result.DONE, value)))
+
+
+@contextmanager
+def wild_board(script: Script, hello: Hello = IDLE) -> Iterator[WildBoard]:
+    """A board with that script, as long as the block lasts."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    board = WildBoard(os.ttyname(slave), hello=hello)
+    thread = threading.Thread(target=board.live, args=(master, script), daemon=True)
+    thread.start()
+    try:
+        yield board
+    finally:
+        board._ended.set()
+        thread.join(5)
+        os.close(master)
+        os.close(slave)
+
+
+def wire(hello: Hello, number: int, device_ms: int | None = None, shape: tuple[int, int] | None = None) -> bytes:
+    """Frame `number` as it goes over the line; its first reading tells the number."""
+    sums = np.full(shape or (hello.rows, hello.columns), 700 * hello.readings // 2, np.uint16)
+    clock = 1000 + round(number * hello.period_us / 1000) if device_ms is None else device_ms
+    return message(frame_body(Frame(hello.readings, number % 2**32, clock % 2**32, 0, sums)))
+
+
+def hundred_a_second(hello: Hello) -> Iterator[tuple[float, bytes]]:
+    """A script of nothing but good frames."""
+    for number in itertools.count():
+        yield 0.01, wire(hello, number)
