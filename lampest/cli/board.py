@@ -124,6 +124,14 @@ def live(
     http: Annotated[
         str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            "--token",
+            envvar="LAMPEST_TOKEN",
+            help="What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up.",
+        ),
+    ] = None,
     frames: Frames = None,
     baseline: Annotated[
         int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
@@ -148,7 +156,9 @@ def live(
         source = Replay(recording, speed, baseline)
     # A board is told to stop, however live ends.
     with ending_signals():
-        done = run_live(source, estimator, config, http, frames, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True))
+        done = run_live(
+            source, estimator, config, http, frames, token, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True)
+        )
     if done is not None:
         report_recorded(done)
 

@@ -61,6 +61,7 @@ def live(
     config: Path | None = None,
     http: str = "127.0.0.1:8137",
     frames: int | None = None,
+    token: str | None = None,
     on_url: Callable[[str], None] = lambda url: None,
 ) -> Recorded | None:
     """Reconstruct each frame as it comes and show it in the browser, until `frames` have come or Ctrl-C.
@@ -70,6 +71,7 @@ def live(
     source : a board or a recording.
     method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
     http : HOST:PORT to listen at; port 0 for any that is free.
+    token : what whoever opens the page must bring; where others can reach it, one is made up if none is given.
     on_url : told the page's address once it can be opened.
 
     Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
@@ -79,7 +81,7 @@ def live(
     port = source.port or only_port() if isinstance(source, LiveBoard) else ""
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
-        serving(*address(http), engine.shown) as server,
+        serving(*address(http), engine.shown, token) as server,
     ):
         on_url(server.url)
         try:

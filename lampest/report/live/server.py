@@ -10,8 +10,10 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from threading import BoundedSemaphore, Thread
+from urllib.parse import urlsplit
 
 from lampest.files.errors import InputError
+from lampest.report.live.access import Access
 from lampest.report.live.newest import Newest
 from lampest.report.live.view import View, view_text
 
@@ -19,6 +21,7 @@ MOST_STREAMS = 16
 HEARTBEAT_SECONDS = 2.0
 FAREWELL_SECONDS = 1.0
 # Scripts and styles stand in the page; nothing is loaded from elsewhere.
+HINT = ": open the address that lampest printed when it began, with its token if it has one"
 POLICY = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
@@ -31,19 +34,21 @@ class PageServer(ThreadingHTTPServer):
     # On Windows it would share the port with another server.
     allow_reuse_address = os.name == "posix"
 
-    def __init__(self, host: str, port: int, shown: Newest[View]) -> None:
+    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None = None) -> None:
         self.shown = shown
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats = BoundedSemaphore(MOST_STREAMS)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
+        self.access = Access.of(token, self.local, int(self.server_address[1]))
 
     @property
     def url(self) -> str:
-        """What to open in a browser on this computer."""
+        """What to open in a browser on this computer, with the token where one is asked for."""
         host, port = self.server_address[:2]
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(str(host), str(host))
-        return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
+        token = f"?token={self.access.token}" if self.access.token else ""
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/{token}"
 
     @property
     def local(self) -> bool:
@@ -58,6 +63,7 @@ class PageHandler(BaseHTTPRequestHandler):
     """One request."""
 
     server: PageServer
+    introduced = False
     timeout = 10.0
     disable_nagle_algorithm = True
     server_version, sys_version = "lampest", ""
@@ -75,14 +81,20 @@ class PageHandler(BaseHTTPRequestHandler):
         if self.server.local and not is_local_name(self.headers.get("Host", "")):
             self.send_error(HTTPStatus.FORBIDDEN)
             return False
+        access, header = self.server.access, self.headers.get
+        self.introduced = access.shown_by(self.path, header("Authorization", ""))
+        if access.token and not self.introduced and not access.remembered_by(header("Cookie", "")):
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return False
         return True
 
     def do_GET(self) -> None:
         """The page at /, the views at /views; all else is not there."""
-        if self.path == "/":
+        path = self.path if not self.introduced else urlsplit(self.path).path
+        if path == "/":
             self._start("text/html; charset=utf-8", len(self.server.page))
             self.wfile.write(self.server.page)
-        elif self.path != "/views":
+        elif path != "/views":
             self.send_error(HTTPStatus.NOT_FOUND)
         elif not self.server.seats.acquire(blocking=False):
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
@@ -93,14 +105,27 @@ class PageHandler(BaseHTTPRequestHandler):
             finally:
                 self.server.seats.release()
 
-    def _start(self, kind: str, length: int | None = None) -> None:
-        self.send_response(HTTPStatus.OK)
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Say what a number means and nothing of what was asked."""
+        status = HTTPStatus(code)
+        told = HINT if status is HTTPStatus.FORBIDDEN else ""
+        text = f"{status.value} {status.phrase}{told}\n".encode()
+        self.close_connection = True
+        self._start("text/plain; charset=utf-8", len(text), status)
+        if self.command != "HEAD":
+            self.wfile.write(text)
+
+    def _start(self, kind: str, length: int | None = None, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
         self.send_header("Content-Type", kind)
         if length is not None:
             self.send_header("Content-Length", str(length))
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", POLICY)
         self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        if status is HTTPStatus.OK and self.introduced:
+            self.send_header("Set-Cookie", self.server.access.cookie)
         self.end_headers()
 
     def _stream(self) -> None:
@@ -148,10 +173,15 @@ def address(text: str) -> tuple[str, int]:
 
 
 @contextmanager
-def serving(host: str, port: int, shown: Newest[View]) -> Iterator[PageServer]:
-    """A server that runs beside; at the end everybody gets the last view. Raises InputError where it cannot listen."""
+def serving(host: str, port: int, shown: Newest[View], token: str | None = None) -> Iterator[PageServer]:
+    """A server that runs beside; at the end everybody gets the last view.
+
+    token : what whoever looks must bring; None for one that is made up, or for none on the loopback address. Raises
+    InputError where it cannot listen, or the token is too short.
+    """
+    Access(token or "")
     try:
-        server = PageServer(host, port, shown)
+        server = PageServer(host, port, shown, token)
     except OSError as error:
         raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
     with server:
