@@ -123,11 +123,11 @@ def record(
                         journal = journal or stack.enter_context(_journal(out, batch[0], scene))
                         _append(journal, batch, scene, baseline - count.frames)
                         state = ""
-                        for key in keys():
-                            journal.mark(batch[-1].time, key)
-                    for sample in batch:
-                        count = count.after(sample, bool(asked()))
-                        on_progress(Progress(sample, count.frames, count.lost, state))
+                        for sample in batch:
+                            for key in keys():
+                                journal.mark(sample.time, key)
+                            count = count.after(sample, bool(asked()))
+                            on_progress(Progress(sample, count.frames, count.lost, state))
                     if state:
                         on_progress(Progress(None, count.frames, count.lost, state))
         except KeyboardInterrupt:

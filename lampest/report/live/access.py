@@ -16,7 +16,7 @@ FEWEST_SIGNS = 16
 class Access:
     """A token and the cookie for it; without a token everybody may see the page.
 
-    token : at least 16 letters, digits or any of - _ . ~, or ''. name : of the cookie. Raises InputError for another token.
+    token : at least 16 letters, digits or any of - _ . ~, or ''. name : of the cookie. Raises InputError for another.
     """
 
     token: str = ""
