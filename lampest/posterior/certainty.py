@@ -89,6 +89,13 @@ class Certainty:
             above=np.sqrt(self.above**2 + reach),
         )
 
+    def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
+        """With intervals of single cells (numbers) that reach at least so far."""
+        lower, upper = self.below.copy(), self.above.copy()
+        lower.flat[cells] = np.maximum(lower.flat[cells], below)
+        upper.flat[cells] = np.maximum(upper.flat[cells], above)
+        return replace(self, below=lower, above=upper)
+
     def of_frame(self, frame: int) -> "Certainty":
         """That of one frame, (rows, columns)."""
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))

@@ -11,6 +11,7 @@ from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.pressed import Pressed
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 
 MOST_DENSE = 1200  # unknowns; from there on samples are faster
@@ -72,10 +73,11 @@ class Track:
         Raises numpy.linalg.LinAlgError where the cost is flat.
         """
         errors = errors_of(model, None, self._drawn(model, baseline=True))
-        answer, own = self._answer(errors), Certainty.of(errors)
+        own = Certainty.of(errors)
+        answer, certainty = self._answered(errors, own)
         return Track(
             self.shared,
-            _widened(own, answer).of_frame(0),
+            certainty.of_frame(0),
             own.deviation[0],
             errors.memory().resting() if remembered else None,
             (answer, answer),
@@ -87,8 +89,8 @@ class Track:
         relative = any(term.needs_previous for term in model.at.cost.terms)
         joint = len(model.at.cell_resistance) == 2
         errors = errors_of(model, self.memory, self._drawn(model, baseline=joint))
-        answer, own = self._answer(errors), Certainty.of(errors)
-        certainty = _widened(own, answer)
+        own = Certainty.of(errors)
+        answer, certainty = self._answered(errors, own)
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
         baseline = certainty.of_frame(0) if joint else self.baseline
@@ -105,21 +107,25 @@ class Track:
             return None
         return np.asarray(model.through @ self.noise.columns(model.at.data.measured, baseline))
 
-    def _answer(self, errors: DenseErrors | SampledErrors) -> Array:
-        """What shared errors do to log r, (frames · cells, n); nothing where bounds decide or nothing is shared."""
+    def _answered(self, errors: DenseErrors | SampledErrors, own: Certainty) -> tuple[Array, Certainty]:
+        """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's.
+
+        Where one cell or more press against bounds, see `Pressed`.
+        """
         model = errors.model
         cells = model.at.cell_resistance
         if self.shared is None:
-            return np.zeros((cells.size, 0))
+            return np.zeros((cells.size, 0)), own
         columns = self.shared.columns(cells, model.at.data.measured, model.at.networks)
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
-        answer = np.zeros((cells.size, columns.shape[1]))
-        answer[model.free] = errors.answer(np.asarray(model.through @ columns), last, baseline)
-        return answer
-
-
-def _widened(certainty: Certainty, answer: Array) -> Certainty:
-    return certainty.widened(np.sum(answer**2, axis=1).reshape(certainty.deviation.shape))
+        answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
+        if isinstance(errors, DenseErrors) and (model.at_lower | model.at_upper).any():
+            pressed = Pressed.of(errors, rows, last, baseline)
+            answer[model.free] = pressed.answer
+            own = own.reaching(pressed.cells, pressed.below, pressed.above)
+        else:
+            answer[model.free] = errors.answer(rows, last, baseline)
+        return answer, own.widened(np.sum(answer**2, axis=1).reshape(cells.shape))
 
 
 def errors_of(

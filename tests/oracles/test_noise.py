@@ -173,6 +173,42 @@ def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> N
     assert hidden is not None and not hidden.sizes.reading_error
 
 
+@pytest.mark.parametrize("size", [0.03, 0.1])
+def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_and_are_held(size: float) -> None:
+    """So large ones press cells against their bounds; no cells give the readings of the larger."""
+
+    def static(exact: Array, rng: np.random.Generator) -> Array:
+        return converted(exact * np.exp(size * rng.standard_normal(exact.shape[1:])), rng, 0.7)
+
+    sizes, shares = [], []
+    for seed in range(20, 23):
+        recording, cells = recorded(seed, scene_of(0.7, None), static)
+        hidden = noise_seen(recording).hidden
+        assert hidden is not None
+        sizes.append(hidden.sizes.reading_error or 0.0)
+        shares.append(held(reconstruct(recording, LSM), cells))
+    assert np.median(sizes) == pytest.approx(size, rel=0.4)
+    assert np.mean(shares, axis=0).min() > 0.85
+
+
+def test_a_told_static_error_is_not_added_to_itself() -> None:
+    def static(exact: Array, rng: np.random.Generator) -> Array:
+        return converted(exact * np.exp(0.005 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
+
+    recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
+    hidden = noise_seen(recording).hidden
+    assert hidden is not None and hidden.sizes.reading_error == 0.02
+
+
+def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
+    """Four times the usual one: what is left possible of it holds that, and not nothing."""
+    wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))
+    hidden = noise_seen(wrong).hidden
+    assert hidden is not None and hidden.root is not None
+    assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(4, rel=0.3)
+    assert min(held(reconstruct(wrong, LSM), cells)) > 0.85
+
+
 def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
     from lampest.posterior.dense import DenseErrors
     from lampest.posterior.sampled import SampledErrors

@@ -11,7 +11,6 @@ from itertools import pairwise
 from time import process_time
 
 import numpy as np
-from studies.mouth_scenes import MAKERS, MOUTHS, cells, film, recorded
 
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import KINDS
@@ -22,6 +21,7 @@ from lampest.loads.recognition.verdict import OR, Verdict
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
+from tests.studies.mouth_scenes import MAKERS, MOUTHS, cells, film, recorded
 
 UNLOADED, ATTACHED = 3, 3.0  # unloaded frames; s after which a mouth is fully attached
 ROUND = ("mouth", "uneven mouth", "pressed mouth", "mouth partly off", "cup", "ring", "rod")

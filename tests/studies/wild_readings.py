@@ -7,7 +7,6 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from studies.coverage import mouth
 
 from lampest import two_point_resistance
 from lampest.cost.losses import AnyLoss, Huber, Squared
@@ -17,6 +16,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
+from tests.studies.coverage import mouth
 
 FRAMES, STRUCK = 4, 2  # one reading in 144 to 1,024 of a recording is wild, in the third of four frames
 LOSSES: dict[str, AnyLoss] = {"squared": Squared()} | {f"huber {c:g} σ": Huber(corner=c) for c in (1.5, 3.0)}

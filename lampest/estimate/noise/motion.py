@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check.cells_fit import fitted
-from lampest.estimate.noise.unseen import GAIN, Asked, asked, moves_between, possible, still_cells
+from lampest.estimate.noise.moves import Asked, asked, moves_between
+from lampest.estimate.noise.unseen import GAIN, possible, still_cells
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic

@@ -5,55 +5,39 @@ as of `lampest.panel.hidden` and K the inverse of the readings' derivative. Over
 
     d = a z + noise,   z ~ N(0, 1),   of which each reading's own error ~ N(0, e²).
 
-That gives what is left possible of z, and e by maximum likelihood where it is larger than zero beyond chance. Which
-cells stand still is found on the way: a cell that moved has any change of the order of 1 instead.
+That gives what is left possible of z, and e where it is larger than zero beyond chance, by its marginal likelihood.
+Which cells stand still is found on the way: a cell that moved has any change of the order of 1 instead, and cells that
+touch it are not asked in the end. Errors so large that no cells explain the unloaded panel, or that cells answer to
+them along a curve, have their size from `lampest.estimate.noise.alike`, and still cells then narrow nothing.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import MOST_CELLS, CellsFit, fitted
-from lampest.panel.hidden import Possible, hidden_columns
+from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
+from lampest.estimate.noise.alike import Alike
+from lampest.estimate.noise.moves import Moves, moves_of
+from lampest.panel.hidden import Possible
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
 SIZES = tuple(float(size) for size in np.geomspace(5e-4, 0.2, 12))  # of a reading's own error that are tried
-COARSE = (0.003, 0.01, 0.02, 0.04, 0.08, 0.15)  # of an error without which no cells give the readings
-HIDDEN = 2.5  # cells take up most of an error: of 3 and of 10 % they left unexplained what 1 and 4 % would explain
+FINE = np.geomspace(SIZES[0] / 2, SIZES[-1], 30)  # the same, once cells are chosen
 UNEXPLAINED = 1e-4  # P(χ²), as in the check of the circuit
-MEDIAN = 0.4549  # of χ² with one degree of freedom
 GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel and nothing is told
+LARGER = 4.0  # −2 log likelihood that a larger size must gain among unloaded cells, once there is such an error
+STRAIGHT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 ROUNDS = 15  # of choosing cells; the choice is settled after a handful
-CREEP = 3e-3  # of log r, by which films move on their own, as in the check of the circuit
-TOGETHER = 0.05  # of log r, by which all cells may change with temperature
 
 
 Chosen = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class Moves:
-    """Of the cells of all frames asked: change (n), covariance (n, n) of its noise, a (n, k), and own (n, cells)."""
-
-    change: Array
-    noise: Array
-    a: Array
-    own: Array
-
-    def covariance(self, size: float) -> Array:
-        """Of changes of still cells, if each reading errs by so much on its own."""
-        return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
-
-    def with_column(self, column: Array) -> "Moves":
-        """With one more error that the frames do not share with the baseline, (n, 1), behind the others."""
-        return replace(self, a=np.hstack([self.a, column]))
 
 
 def unseen(
@@ -65,10 +49,9 @@ def unseen(
     """
     if sizes is None or resting.sigma is None or resting.value.size > MOST_CELLS or not len(frames.value):
         return None
-    unexplained = size_that_explains(scene, resting)
-    if unexplained:
-        told = replace(sizes, reading_error=float(np.hypot(sizes.reading_error or 0.0, unexplained)))
-        return Possible(told, None)
+    fit = fitted(scene, resting, patient=True)
+    if fit is None or fit.tail < UNEXPLAINED:
+        return Possible(with_reading_error(sizes, Alike.of(scene, resting).size), None)
     moves = moves_of(scene, sizes, resting, frames, noise)
     if moves is None:
         return None
@@ -77,35 +60,32 @@ def unseen(
     if costs[best][0] > costs[0.0][0] - GAIN:
         best = 0.0
     still = costs[best][1]
-    size = spread_of(moves, still) if best else 0.0
-    told = replace(sizes, reading_error=float(np.hypot(sizes.reading_error or 0.0, size)) or None)
+    apart = apart_from_moved(still, resting.value.shape)
+    size = size_of(moves, apart) if best else 0.0
+    if size:
+        alike, straight = Alike.of(scene, resting), STRAIGHT / moves.reach
+        if size > straight or alike.contradicts(size) > LARGER:
+            return Possible(with_reading_error(sizes, max(alike.size, min(size, straight))), None)
+    told = with_reading_error(sizes, size)
     if still.mean() < FEWEST:
         return Possible(told, None)
-    return Possible(told, possible(moves, told.reading_error or 0.0, still))
+    return Possible(told, possible(moves, told.reading_error or 0.0, apart))
 
 
-def size_that_explains(scene: Scene, resting: Readings) -> float:
-    """HIDDEN times the least error of single readings with which cells explain the unloaded panel; 0 without any."""
-    assert resting.sigma is not None
-    for size in (0.0, *COARSE):
-        fit = fitted(scene, replace(resting, sigma=np.hypot(resting.sigma, size * resting.value)), patient=not size)
-        if fit is not None and fit.tail >= UNEXPLAINED:
-            return HIDDEN * size
-    return HIDDEN * COARSE[-1]
+def with_reading_error(sizes: Systematic, size: float) -> Systematic:
+    """The sizes with an error of each reading that is at least so large: what was seen holds what was told."""
+    return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
 
 
-def spread_of(moves: Moves, still: Chosen) -> float:
-    """The size of readings' own errors with which the median change of still cells is as likely as not.
-
-    The likelihood says whether there is such an error. Of its size it says too much: where a reading's error is large
-    the answer of cells is no longer linear, and few cells that moved far decide.
-    """
-    change = moves.change[still] - np.median(moves.change[still])
-    own = (moves.own[still] ** 2).sum(axis=1)
-    rest = np.diag(moves.covariance(0.0))[still] - TOGETHER**2
-    sizes = np.geomspace(SIZES[0] / 2, 2 * SIZES[-1], 200)
-    middle = np.array([np.median(change**2 / (rest + size**2 * own)) for size in sizes])
-    return float(sizes[np.argmin(np.abs(middle - MEDIAN))])
+def size_of(moves: Moves, still: Chosen) -> float:
+    """√E[e²] of readings' own errors, from the marginal likelihood of the still cells: wider where it is uncertain."""
+    part, change = np.ix_(still, still), moves.change[still]
+    costs = np.empty(len(FINE))
+    for number, size in enumerate(FINE):
+        covariance = moves.covariance(size)[part]
+        costs[number] = change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1]
+    odds = np.exp(-(costs - costs.min()) / 2)
+    return float(np.sqrt(odds @ np.square(FINE) / odds.sum()))
 
 
 def possible(moves: Moves, size: float, still: Chosen) -> Array:
@@ -157,76 +137,12 @@ def likelihood(change: Array, covariance: Array, still: Chosen) -> float:
     return float(chi_square + np.linalg.slogdet(part)[1] + (moved**2).sum() + MOVED * len(moved))
 
 
-def moves_of(
-    scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
-) -> Moves | None:
-    """The changes of all cells between the unloaded panel and the frames; None where a fit fails."""
-    base = asked(scene, resting, None, sizes, noise, resting=True)
-    if base is None:
-        return None
-    fits = [asked(scene, frame, base.fit.cells, sizes, noise, resting=False) for frame in each(frames)]
-    others = [one for one in fits if one is not None]
-    if len(others) < len(fits):
-        return None
-    return moves_between(base, others)
-
-
-def moves_between(base: "Asked", others: "Sequence[Asked]") -> Moves:
-    """The changes of all cells from the unloaded panel to the frames."""
-    cells = base.fit.cells.size
-    change = np.concatenate([np.log(one.fit.cells / base.fit.cells).ravel() for one in others])
-    covariance = np.tile(base.error, (len(others), len(others)))
-    for number, one in enumerate(others):
-        part = slice(number * cells, (number + 1) * cells)
-        covariance[part, part] += one.error + CREEP**2 * np.eye(cells) + TOGETHER**2
-    told = np.vstack([one.told - base.told for one in others])
-    return Moves(
-        change,
-        covariance + told @ told.T,
-        np.vstack([one.hidden - base.hidden for one in others]),
-        np.vstack([one.own - base.own for one in others]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """One frame's fit, gain (cells, readings), covariance of its error, and what shared errors do to its log cells."""
-
-    fit: CellsFit
-    gain: Array
-    error: Array
-    hidden: Array
-    own: Array
-    told: Array
-
-    def answer(self, columns: Array) -> Array:
-        """(cells, n): what errors of the readings (n, rows, columns) do to log cells."""
-        return np.asarray(self.gain @ columns.reshape(len(columns), self.gain.shape[1]).T)
-
-
-def asked(
-    scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None, resting: bool
-) -> Asked | None:
-    """One frame; None where it is not fitted. near : cells to begin at. resting : whether it is the unloaded mean."""
-    fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
-    if fit is None or fit.sensitivity is None:
-        return None
-    assert readings.sigma is not None
-    error = np.linalg.inv(fit.information)
-    gain = error @ (fit.sensitivity.T / readings.sigma.ravel())
-    if noise is not None:
-        drawn = gain @ noise.columns(readings.value[None], resting)
-        error = error + drawn @ drawn.T
-    here = fit.cells, readings.value
-    channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
-    nothing = np.zeros((len(error), 0))
-    blank = Asked(fit, gain, error, nothing, nothing, nothing)
-    return replace(
-        blank,
-        hidden=blank.answer(hidden_columns(*here, scene, replace(sizes, reading_error=None))),
-        own=blank.answer(hidden_columns(*here, scene, Systematic(reading_error=1.0))),
-        told=blank.answer(scene.circuit.shared_errors(*here, scene, *channels)),
-    )
+def apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
+    """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
+    moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
+    touched = sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1))
+    apart = still & ~touched.ravel()
+    return apart if apart.mean() >= FEWEST else still
 
 
 def said_of_readings(size: float, known: float) -> str:
@@ -237,8 +153,3 @@ def said_of_readings(size: float, known: float) -> str:
         f"cells that nobody touched seem to move as if each reading were off by {100 * size:.2g} %, the same in all "
         "frames, which error bars allow for"
     )
-
-
-def each(frames: Readings) -> list[Readings]:
-    """One after the other, (rows, columns) each."""
-    return [frames[number] for number in range(len(frames.value))]
