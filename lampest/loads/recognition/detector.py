@@ -10,6 +10,7 @@ from lampest.loads.recognition.candidates import LOADS, UNIFORM
 from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
 from lampest.loads.recognition.frame import Observation, Uncertain, Whitening, outliers, without
+from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.search import DiscSearch, cell_map
 from lampest.loads.recognition.together import Together, twins
 from lampest.loads.recognition.verdict import Verdict, judged
@@ -49,6 +50,7 @@ class Detector:
     search : templates all over the panel. response : the film's relative deviation that `LEVELS` multiply.
     previous : the verdict on the last frame, or None. changed : ln r/r0 of its field, where a field was fitted.
     searched : (rows, columns) ohm of the frame in which all of the panel was searched last.
+    remembered : what the film remembers of loads.
     """
 
     panel: Panel
@@ -61,6 +63,7 @@ class Detector:
     previous: Verdict | None = None
     changed: Array | None = None
     searched: Array | None = None
+    remembered: Remembered | None = None
 
     @classmethod
     def of(cls, panel: Panel, patch_mm: float, first: Observation, loads: tuple[Candidate, ...] = LOADS) -> "Detector":
@@ -72,7 +75,24 @@ class Detector:
         return cls(panel, patch_mm, loads, exact, coarse, search, first.baseline.model_errors.response)
 
     def push(self, frame: Observation) -> tuple["Detector", Verdict]:
-        """The verdict on a frame, and the detector for the next one."""
+        """The verdict on a frame, and the detector for the next one, by what the film remembers of those before."""
+        remembered = self.remembered or Remembered.nothing(self.panel.shape)
+        resting = remembered.rest(frame.baseline, frame.seconds)
+        here = self
+        if resting is not frame.baseline:
+            frame = replace(frame, baseline=resting)
+            rest = Whitening.at_rest(frame)
+            here = replace(self, rest=rest, search=self.search.against(rest))
+        detector, verdict = here._pushed(frame)
+        return replace(
+            detector,
+            rest=self.rest,
+            search=self.search,
+            remembered=remembered.after(verdict.best.change, frame.seconds),
+        ), verdict
+
+    def _pushed(self, frame: Observation) -> tuple["Detector", Verdict]:
+        """The same of a frame with the baseline that the film has left."""
         calm, whitening = self._at_rest(frame)
         if whitening is not None:
             verdict = self._judged(calm, self._uniform(calm, whitening))

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.loads.response import RESPONSE_SD
+from lampest.panel.film import OPEN_CREEP
 from lampest.panel.panel import Array
 
 
@@ -21,10 +22,13 @@ class ModelErrors:
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
     drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
     settled : of the logarithm of a cell's resistance at rest, apart from drift.
+    creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation; a mean, not an
+        error: what is left of a load that is gone. Wider than a scene that leaves it open, because false alarms cost
+        more than weak loads that come back to a place just left.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
 
-    Source of the last four: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    Source of the others: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
     creep by a few percent for each decade of time. Raises ValueError where one is negative or not finite.
     """
 
@@ -33,6 +37,8 @@ class ModelErrors:
     cell_spread: float = 0.4
     drift_per_minute: float = 0.01
     settled: float = 0.002
+    creep: float = OPEN_CREEP[0]
+    creep_sd: float = 0.05
     channel_ohm: float = 3.0
     reference: float = 0.006
 

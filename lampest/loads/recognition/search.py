@@ -1,6 +1,6 @@
 """Where to begin: a map of the cells, and round templates laid over it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -24,14 +24,15 @@ class DiscSearch:
 
     panel, templates : themselves. discs : (discs) what a fit begins with where one of them matches, one template after
     the other.
-    changes : (cells, discs) ln r/r0 of unit length.
-    errors : (cells, discs of the faint ones) what they add to whitened readings of a panel at rest, of unit length.
+    changes : (cells, discs) ln r/r0 of unit length. readings : (cells, discs of the faint ones) ohm, what they add.
+    errors : the same of whitened readings of a panel at rest, of unit length.
     """
 
     panel: Panel
     templates: tuple[Template, ...]
     discs: tuple[Disc, ...]
     changes: Array
+    readings: Array
     errors: Array
 
     @classmethod
@@ -49,8 +50,12 @@ class DiscSearch:
                 discs += [Disc(*centre, *size, *pressures, 0.0, 0.0) for centre in centres]
         changes = _unit(np.concatenate(patterns).reshape(-1, panel.cells).T)
         faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.cells)]
-        errors = _unit(whitening @ (network_of(baseline.logarithm).sensitivity() @ faint))
-        return cls(panel, templates, tuple(discs), changes, errors)
+        readings = network_of(baseline.logarithm).sensitivity() @ faint
+        return cls(panel, templates, tuple(discs), changes, readings, _unit(whitening @ readings))
+
+    def against(self, whitening: Whitening) -> "DiscSearch":
+        """The same where a panel at rest has other errors."""
+        return replace(self, errors=_unit(whitening @ self.readings))
 
     def stands_out(self, errors: Array) -> float:
         """By how many standard deviations errors of unit variance, against a panel at rest, look like a disc."""

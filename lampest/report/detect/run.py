@@ -137,11 +137,17 @@ def _compared(frame: Direct, estimate: Array) -> Observation:
 
 
 def _model_errors(settings: RecognitionSettings, scene: Scene) -> ModelErrors:
-    """What the settings assume; where they leave it as published, how far off the scene says all readings may be."""
-    if scene.told_systematic is None or settings.model_errors != AS_PUBLISHED.model_errors:
-        return settings.model_errors
+    """What the settings assume; where they leave it as published, what the scene says of errors and of the film."""
+    errors = settings.model_errors
+    if errors != AS_PUBLISHED.model_errors:
+        return errors
+    if scene.film is not None:
+        creep = scene.film.told_creep
+        errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)
+    if scene.told_systematic is None:
+        return errors
     reference = scene.told_systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-    return replace(settings.model_errors, channel_ohm=scene.told_systematic.channel_spread_ohm, reference=reference)
+    return replace(errors, channel_ohm=scene.told_systematic.channel_spread_ohm, reference=reference)
 
 
 def _complete(measured: Array) -> Array:

@@ -1,0 +1,150 @@
+"""What a film's memory costs pressures, and how often it is taken for a lamprey after one has let go.
+
+Run it with: python -m tests.studies.film --recordings 34 --seed 1001
+
+Films are drawn: hysteresis 10 to 30 % (24 % for pressures), creep 0.5 to 12 % for each decade, a fifth from cell to
+cell. For pressures a rod of 10 to 24 kPa is put on and taken off a 10 × 10 panel; for recognition a lamprey lets go
+after 20 to 150 s and nothing touches the panel for 300 frames. `--film silent` does not tell the film; `told` tells it
+to a tenth.
+"""
+
+import argparse
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.verdict import OR
+from lampest.loads.shapes import OralDisc, Rod
+from lampest.panel.film import Film
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic, Water
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.detect.detection import Detection
+from lampest.report.detect.events import states
+from lampest.report.detect.run import GivenRecording, detected
+from lampest.runs.filling import named_result
+
+AFTER = 300
+PANEL, READOUT = Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7)
+TOLD = {
+    "silent": lambda film: None,
+    "all open": lambda film: Film("auto", "auto"),
+    "creep open": lambda film: replace(film, creep_per_decade="auto"),
+    "told": lambda film: replace(film, deviation=0.1),
+}
+
+
+def film_of(rng: np.random.Generator, hysteresis: float | None = None) -> Film:
+    """One film."""
+    gap = float(rng.uniform(0.1, 0.3)) if hysteresis is None else hysteresis
+    return Film(gap, float(rng.uniform(0.005, 0.12)), cell_spread=0.2)
+
+
+def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, kpa: float) -> Recording:
+    """A rod put on in 15 s, left for 30 s, taken off in 15 s, and 50 s of rest."""
+    place, across = rng.uniform(35, 55, 2), 45.0
+    rod = Rod(
+        kind="rod",
+        centre_mm=(float(place[0]), float(place[1])),
+        diameter_mm=across,
+        mass_g=kpa * np.pi / 4 * across**2 / 9.81,
+    )
+    scene = Scene(PANEL, READOUT, 140.0, systematic=Systematic(response_sd=0.05), film=told)
+    course = Course(approach_s=15, release_at_s=45, release_s=15)
+    return simulate(Simulation(1, seed, scene, frames=110, loads=(rod,), course=course, film=film))
+
+
+def pressures(count: int, seed: int) -> None:
+    """Print errors in percent of the largest pressure, cells under the rod; and how many intervals hold the truth."""
+    for name, tell in TOLD.items():
+        rng, errors, held = np.random.default_rng(seed), [], []
+        for number in range(count):
+            film, kpa = film_of(rng, 0.24), float(rng.uniform(10, 24))
+            made = pressed(rng, seed + number, film, tell(film), kpa)
+            found = reconstruct(made, Estimator((Misfit(),), "reduced"))
+            assert made.truth_pressure is not None and found.pressure is not None
+            assert found.pressure_lower is not None and found.pressure_upper is not None
+            truth = made.truth_pressure[found.frame]
+            under = truth.max(axis=0) > 0.2 * truth.max()
+            errors.append(100 * np.abs(found.pressure - truth)[:, under] / truth.max())
+            held.append(((found.pressure_lower <= truth) & (truth <= found.pressure_upper))[:, under])
+        parts = {"loading": slice(0, 45), "unloading": slice(45, 60), "after": slice(62, None)}
+        said = [
+            f"{part} {np.percentile(np.concatenate([one[at].ravel() for one in errors]), 95):.1f} "
+            f"(worst {max(one[at].max() for one in errors):.1f})"
+            for part, at in parts.items()
+        ]
+        print(f"{name:10s} 95th percentile: {', '.join(said)}; within {100 * np.mean(held):.0f} %", flush=True)
+
+
+def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> tuple[Recording, int]:
+    """A lamprey that lets go, and the first frame after that."""
+    place = rng.uniform(25, 65, 2)
+    mouth = OralDisc(
+        kind="oral_disc",
+        centre_mm=(float(place[0]), float(place[1])),
+        diameter_mm=float(rng.uniform(25, 38)),
+        rim_width_mm=5.5,
+        pressure_kpa=-float(rng.uniform(4, 16)),
+        rim_kpa=float(rng.uniform(40, 90)),
+    )
+    stays = int(rng.integers(20, 150))
+    scene = Scene(
+        PANEL, READOUT, 140.0, water=Water(50.0), systematic=Systematic(0.01, channel_spread_ohm=3), film=told
+    )
+    course = Course(-0.8, 0.6, 2.0, 1.15, 0.1, float(stays), 1.0)
+    unmodelled = Unmodelled(
+        channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.01, outlier_probability=1e-4
+    )
+    plain = Simulation(1, seed, scene, frames=stays + 2 + AFTER, loads=(mouth,), course=course, film=film)
+    return simulate(replace(plain, unmodelled=unmodelled)), stays + 2
+
+
+def reports(detection: Detection, frames: slice) -> tuple[int, int, int]:
+    """How many frames are called a lamprey and nothing else, may be one, and belong to a state that is one."""
+    labels, calm = detection.labels[frames], states(detection.labels)[frames]
+    sure = sum(label == "lamprey" for label in labels)
+    may = sum("lamprey" in label.split(OR) and "nothing" not in label.split(OR) for label in labels)
+    return sure, may, sum("lamprey" in label.split(OR) and "nothing" not in label.split(OR) for label in calm)
+
+
+def memories(count: int, seed: int, name: str) -> None:
+    """Print how many frames after release are reported, and how many before it are recognised."""
+    rng, total, before, labels = np.random.default_rng(seed), np.zeros(3, int), np.zeros(2, int), Counter[str]()
+    for number in range(count):
+        film = film_of(rng)
+        made, first = left(rng, seed + number, film, TOLD[name](film))
+        case = named_result(reconstruct(made, Estimator((Misfit(),), "naive")), "naive")
+        seen = detected(GivenRecording.of(case, RecognitionSettings()), None)
+        found = np.array(reports(seen, slice(first, None)))
+        total += found
+        before += np.array([reports(seen, slice(3, first - 2))[1], first - 5])
+        labels.update(seen.labels[first:])
+        print(f"  {number}: hysteresis {film.hysteresis:.2f}, creep {film.creep_per_decade:.3f}: {found}", flush=True)
+    print(
+        f"{name}: after release {count * AFTER} frames, called a lamprey {total[0]}, lamprey or another load {total[1]}"
+        f", in a state that is one {total[2]}; attached: a lamprey in {before[0]} of {before[1]}"
+    )
+    print(f"  {labels.most_common(12)}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--recordings", type=int, default=34)
+    parser.add_argument("--seed", type=int, default=1001)
+    parser.add_argument("--part", choices=("pressure", "release"))
+    parser.add_argument("--film", choices=tuple(TOLD), default="silent")
+    given = parser.parse_args()
+    if given.part != "release":
+        pressures(given.recordings, given.seed)
+    if given.part != "pressure":
+        memories(given.recordings, given.seed, given.film)
