@@ -28,9 +28,9 @@ from scipy import sparse
 from scipy.linalg import blas, lapack
 
 from lampest.cost.cost import Cost
+from lampest.cost.residuals import residuals
 from lampest.panel.panel import Array
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.residuals import residuals
 
 MOST_RANKED = 2048
 IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything

@@ -16,8 +16,8 @@ from scipy import sparse
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation
+from lampest.cost.residuals import Part, Residuals, residuals
 from lampest.panel.panel import Array
-from lampest.posterior.residuals import Part, Residuals, residuals
 
 NEAR_BOUND = 1e-3  # in log r
 

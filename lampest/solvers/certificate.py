@@ -20,6 +20,7 @@ from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, preconditioner
+from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, Squares
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
@@ -28,6 +29,7 @@ NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost m
 REPRODUCED = 1e-5  # of a reading: what second derivatives of readings add to JᵀΩJ is no larger part of it
 REPRODUCED_UNKNOWNS = 600  # cells, up to which a solve with J is asked for where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
+SURE = 1e-3  # of what squares of residuals bend
 ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
 
@@ -107,6 +109,8 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif curvature.factored:
         bend, step = _by_factorisation(curvature, gradient[free], free)
+        if bend is not Bend.UP and (finer := _by_squares(curvature, free)) is not None:
+            return finer
     else:
         bend, step = _by_conjugate_gradients(curvature, gradient[free], free, factor)
     decrement = float(np.sqrt(max(-float(gradient[free] @ step), 0.0)))
@@ -151,6 +155,17 @@ def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]
     solid = values > ROUNDING
     step = -vectors[:, solid] @ ((vectors[:, solid].T @ (slope / size)) / values[solid]) / size
     return Bend.DOWN if values[0] < -ROUNDING else Bend.FLAT, step
+
+
+def _by_squares(curvature: Curvature, free: NDArray[np.intp]) -> Certificate | None:
+    """From residuals' first derivatives, which have twice the digits; None where those do not suffice or φ falls."""
+    if len(free) > ORTHOGONAL_UNKNOWNS:
+        return None
+    found = Squares.of(curvature, free).newton(curvature.matrix[np.ix_(free, free)])
+    if found is None or not found[0] > max(found[1], SURE):
+        return None
+    _, _, step, decrement = found
+    return Certificate.at(curvature, Bend.UP, _within_bounds(curvature.at, free, step), decrement)
 
 
 def clear_of_rounding(triangle: Array, unit: Array) -> bool:

@@ -82,6 +82,12 @@ class Loss(ABC):
         """
         return np.maximum(_halves(self, residual)[1], 0.0)
 
+    def stiffness(self, residual: Array) -> Array:
+        """½ρ'(x)/x (rows): the weights of reweighted least squares, ½ρ'' at 0."""
+        slope, bend = _halves(self, residual)
+        nothing = residual == 0
+        return np.where(nothing, bend, slope / np.where(nothing, 1.0, residual))
+
     def data_curvature(self, residual: Array, noise: Array) -> Array:
         """ω of data rows with the noise τ (rows)."""
         return self.curvature(residual)

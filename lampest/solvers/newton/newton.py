@@ -15,8 +15,9 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
+from lampest.solvers.newton.groping import advanced
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.newton.steps import Iterate, advance, by_kept_factor, certain_step
+from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
 
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
@@ -56,7 +57,7 @@ class Newton:
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
                 return certified(point, iteration)
             unsettled += near
-            moved = (certain_step(point, data, residual) if near else None) or advance(point, data, residual)
+            moved = (certain_step(point, data, residual) if near else None) or advanced(point, data, residual)
             if moved is None:
                 if not near and not stands and point.converged:
                     stands = True

@@ -1,0 +1,118 @@
+"""The cost as a sum of squares near a point, φ ≈ ½|b + A s|², and the digits that its second derivatives lose.
+
+Row i of A is √κ_i·∂x_i/∂u and b_i = ρ'(x_i)/√κ_i, so that Aᵀb is the gradient; κ = ρ'(x)/x, of absolute losses what
+their smoothing bends. AᵀA never bends down, which makes a step where ∇²φ does. And by an orthogonal factorisation of A
+itself, with rows and columns sorted, a penalty may outweigh the data by the square of what ∇²φ bears.
+Source: Björck, Numerical Methods for Least Squares Problems, 1996, sections 4.4 (heavy rows) and 9.2 (Gauss, Newton).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from lampest.cost.residuals import Part, residuals
+from lampest.panel.panel import Array
+from lampest.solvers.newton.curvature import Curvature, block_diagonal
+
+ORTHOGONAL_UNKNOWNS = 600  # beyond, an orthogonal factorisation takes more than a second
+EPSILON = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """matrix : A (rows, free cells), its columns divided by `size`. right : b (rows)."""
+
+    matrix: Array
+    right: Array
+    size: Array
+
+    @classmethod
+    def of(cls, curvature: Curvature, free: NDArray[np.intp]) -> "Squares":
+        """Of a point, over its free cells."""
+        at = curvature.at
+        cells = sparse.diags_array(at.cell_resistance.ravel())
+        sensitivity = block_diagonal([network.sensitivity() for network in at.networks])[:, free]
+        found, matrices, rights = residuals(at.cost), [], []
+        for part in (found.data, found.penalties):
+            value = part.values(at)
+            pull, bend = _pulls(curvature, part, value)
+            root = np.sqrt(bend)
+            direct = sparse.csc_array(part.jacobian("by_cells", at) @ cells)[:, free].toarray()
+            slope = direct + part.jacobian("by_model", at) @ sensitivity
+            matrices.append(slope * root[:, None])
+            rights.append(pull / np.where(root > 0, root, 1.0))
+        matrix = np.concatenate(matrices)
+        size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+        size = np.maximum(size, EPSILON * size.max(initial=1e-300))
+        return cls(matrix / size, np.concatenate(rights), size)
+
+    def step(self, damping: float) -> Array:
+        """argmin |b + A s|² + damping·|s·size|²."""
+        if len(self.size) > ORTHOGONAL_UNKNOWNS:
+            square = self.matrix.T @ self.matrix
+            square.flat[:: len(square) + 1] += max(damping, len(square) * EPSILON)
+            return np.asarray(-linalg.solve(square, self.matrix.T @ self.right, assume_a="pos") / self.size)
+        if not damping:
+            upper, turned, order = self._orthogonal
+        else:
+            shift = np.sqrt(damping) * np.eye(len(self.size))
+            rows, right = np.concatenate([self.matrix, shift]), np.concatenate([self.right, np.zeros(len(shift))])
+            upper, turned, order = _factored(rows, right)
+        rank = int(np.sum(np.abs(np.diag(upper)) > len(upper) * EPSILON * abs(upper[0, 0])))
+        step = np.zeros(len(self.size))
+        step[order[:rank]] = -linalg.solve_triangular(upper[:rank, :rank], turned[:rank])
+        return np.asarray(step / self.size)
+
+    @cached_property
+    def _orthogonal(self) -> tuple[Array, Array, NDArray[np.intp]]:
+        return _factored(self.matrix, self.right)
+
+    def newton(self, matrix: Array) -> tuple[float, float, Array, float] | None:
+        """(λ, δλ, s, decrement) of ∇²φ = `matrix` over the free cells; None where A has no full rank.
+
+        λ : the least eigenvalue of M = R⁻ᵀ ∇²φ R⁻¹, which is near 1 where the residuals bend little; it has the sign of
+        ∇²φ's. δλ : what rounding of ∇²φ may make of it. s = −R⁻¹ M⁻¹ Qᵀb, the Newton step, and √(bᵀQ M⁻¹ Qᵀb).
+        """
+        upper, turned, order = self._orthogonal
+        if abs(upper[-1, -1]) <= len(upper) * EPSILON * abs(upper[0, 0]):
+            return None
+        inverse = linalg.solve_triangular(upper, np.eye(len(upper)))
+        square = self.matrix.T @ self.matrix
+        rest = (matrix / self.size[:, None] / self.size - square)[np.ix_(order, order)]
+        values, vectors = np.linalg.eigh(np.eye(len(upper)) + inverse.T @ rest @ inverse)
+        lost = EPSILON * float(np.sum(inverse**2))
+        if values[0] <= 0:
+            return float(values[0]), lost, np.zeros(len(order)), float("inf")
+        along = vectors.T @ turned
+        step = np.zeros(len(order))
+        step[order] = -inverse @ (vectors @ (along / values))
+        return float(values[0]), lost, np.asarray(step / self.size), float(np.sqrt(np.sum(along**2 / values)))
+
+
+def _factored(matrix: Array, right: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    """(R, Qᵀb, order) with matrix[:, order] = QR; heavy rows first, without which light ones lose their digits."""
+    heavy = np.argsort(-np.abs(matrix).max(axis=1))
+    turn, upper, order = linalg.qr(matrix[heavy], mode="economic", pivoting=True, check_finite=False)
+    return upper, turn.T @ right[heavy], order
+
+
+def _pulls(curvature: Curvature, part: Part, value: Array) -> tuple[Array, Array]:
+    """weight·(ρ'(x), κ) of every row; absolute losses are smoothed."""
+    cost, smoothing = curvature.at.cost, curvature.smoothing
+    bend: Array = 2 * cost.weights[part.term]
+    pull = bend * value
+    for number, term in enumerate(cost.terms):
+        rows = part.term == number
+        if not rows.any():
+            continue
+        if term.loss.enters == "dual":
+            own = replace(smoothing, dual=smoothing.dual[cost.functions.rough_terms == number])
+            pull[rows] = cost.weights[number] * own.slope(value[rows])
+            bend[rows] = cost.weights[number] * own.stiffness(value[rows])
+        elif not term.loss.squared:
+            bend[rows] *= term.loss.stiffness(value[rows])
+            pull[rows] = bend[rows] * value[rows]
+    return pull, bend
