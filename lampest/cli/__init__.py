@@ -30,6 +30,7 @@ for _command in (
     results.terms,
     results.schema,
     results.info,
+    results.check,
     board.ports,
     board.record,
     board.repair,

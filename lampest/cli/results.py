@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Out, print_figures, print_notes, print_table, progress, written
+from lampest.cli.screen import SOME_FAILED, WRONG_INPUT, Out, print_figures, print_notes, print_table, progress, written
 from lampest.files.errors import InputError
 
 
@@ -121,3 +121,20 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
 
     for line in describe(file):
         print(line)
+
+
+def check(files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings or results.")]) -> None:
+    """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
+    from lampest.report.checked import checked_sentence
+
+    damaged = 0
+    with progress("files") as on_file:
+        for number, file in enumerate(files, 1):
+            try:
+                print(checked_sentence(file))
+            except InputError as error:
+                print(f"lampest: {error}", file=sys.stderr)
+                damaged += 1
+            on_file(number, len(files))
+    if damaged:
+        raise typer.Exit(WRONG_INPUT)

@@ -9,6 +9,8 @@ import h5py
 import numpy as np
 
 from lampest.files.errors import InputError
+from lampest.files.extents import extents_of
+from lampest.files.seal import check_seal, seal_of
 from lampest.files.whole import whole_file
 
 MOST_VALUES = 100_000_000
@@ -21,7 +23,7 @@ OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """A file that appears under its name only when it is complete and on the disk.
+    """A file that appears under its name only when it is complete and on the disk, with the checksums of `seal`.
 
     Raises InputError where the folder cannot be written or the disk is full; nothing is left behind then.
     """
@@ -30,16 +32,23 @@ def new_file(path: Path) -> Iterator[h5py.File]:
         yield file
         file.flush()
         image = file.id.get_file_image()
+        seal = seal_of(image, extents_of(file))
     with whole_file(path) as unfinished:
         unfinished.write_bytes(image)
+        with unfinished.open("ab") as stream:
+            stream.write(seal)
 
 
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
-    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
+    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged.
+
+    Its checksums are held against it before HDF5 sees it: damage has no chance to be taken for sizes.
+    """
     if not _is_file(path):
         raise InputError(f"{path}: no such file")
     try:
+        check_seal(path)
         with _opened(path) as file:
             yield file
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:

@@ -53,7 +53,7 @@ DOORS = {
     "xarray": ("runs.labelled",),
     "pandas": ("runs.labelled", "recording.foreign"),
     "openpyxl": ("recording.foreign",),
-    "h5py": ("files.hdf5", "recording", "runs.results"),
+    "h5py": ("files.hdf5", "files.extents", "recording", "runs.results"),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),
     "serial": ("recording.board",),

@@ -1,0 +1,160 @@
+"""Damaged files: what is read from them is what was written, or nothing is."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from attack.attack import HELD, Attack, called, command
+from attack.targets import small_folder
+from fuzz.mutants import good_recordings, good_results, without_checksums
+
+from lampest.files.document import plain_content
+from lampest.files.errors import InputError
+from lampest.recording.recording import Recording
+from lampest.runs.results import read_results
+
+Reader = Callable[[Path], Any]
+BITS_AT_ONCE = (1, 1, 1, 2, 8)
+MOST_ADDRESSES = 3_000_000_000
+
+
+def _flipped(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Callable[..., Iterator[str]]:
+    def tries(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+        """A few bits of a file are turned: it is refused in a sentence, or read as what was written."""
+        whole, path = make(folder), folder / name
+        path.write_bytes(whole)
+        meant = said(reader(path))
+        for _ in range(count):
+            damaged, bits = bytearray(whole), int(rng.choice(BITS_AT_ONCE))
+            for bit in rng.integers(0, 8 * len(whole), bits):
+                damaged[bit // 8] ^= 1 << (bit % 8)
+            path.write_bytes(bytes(damaged))
+            yield _outcome(path, reader, meant)
+
+    return tries
+
+
+def _cut(name: str, reader: Reader, make: Callable[[Path], bytes]) -> Callable[..., Iterator[str]]:
+    def tries(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+        """A file that ends early, lost a page in its middle, or has one twice."""
+        whole, path = make(folder), folder / name
+        path.write_bytes(whole)
+        meant = said(reader(path))
+        for _ in range(count):
+            begin, length = int(rng.integers(0, len(whole))), int(rng.choice((1, 17, 512, 4096)))
+            rest = whole[begin + length :]
+            harm = str(rng.choice(("end", "gap", "twice", "zeros")))
+            between = {"end": b"", "gap": rest, "twice": whole[begin:], "zeros": bytes(length) + rest}[harm]
+            path.write_bytes(whole[:begin] + between)
+            yield _outcome(path, reader, meant)
+
+    return tries
+
+
+def _outcome(path: Path, reader: Reader, meant: dict[str, Any]) -> str:
+    try:
+        read = said(reader(path))
+    except InputError as error:
+        return HELD if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
+    other = [name for name in meant if not _same(meant[name], read.get(name))]
+    return f"read as another {', '.join(other)}" if other or len(meant) != len(read) else HELD
+
+
+def said(thing: Any) -> dict[str, Any]:
+    """All that a recording or results say, name → plain value or array."""
+    if isinstance(thing, Recording):
+        return {**vars(thing), "scene": repr(thing.scene), "acquisition": _plain(thing.acquisition)}
+    found: dict[str, Any] = {"published": repr(plain_content(dict(thing.published)))}
+    for case in thing.cases:
+        for name, value in vars(case).items():
+            found[f"{case.recording}/{case.estimator}/{name}"] = repr(value) if name == "scene" else value
+    return found
+
+
+def _plain(thing: Any) -> Any:
+    return None if thing is None else dict(vars(thing))
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+    return bool(one == other) or (one != one and other != other)
+
+
+def _recording(folder: Path) -> bytes:
+    return good_recordings(folder)[0]
+
+
+def _unsealed(folder: Path) -> bytes:
+    return without_checksums(_recording(folder), folder)
+
+
+def _older_files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Files without checksums, or changed by another program, are read; `check` says that nothing vouches for them."""
+    made = small_folder(folder / "work")
+    for name in ("small.h5", "results.h5"):
+        ended = called("check", name, folder=made)
+        yield HELD if ended.code == 0 and "as written" in ended.out else ended.said(f"{name} is not as written")
+        with h5py.File(made / name, "a") as file:
+            file.attrs["note"] = "mine"
+        ended = called("check", name, folder=made)
+        yield HELD if ended.code == 0 and "without checksums" in ended.out else ended.said(f"{name} is not read")
+        yield HELD if called("info", name, folder=made).code == 0 else f"{name}: info refuses"
+
+
+def _named(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A turned bit in each dataset: the sentence names that dataset, in `check` and wherever the file is opened."""
+    made = small_folder(folder / "work")
+    with h5py.File(made / "small.h5") as file:
+        places: dict[str, int] = {}
+        file.visititems(
+            lambda name, node: places.update({f"/{name}": place}) if (place := _place(node)) is not None else None
+        )
+    whole = (made / "small.h5").read_bytes()
+    for name, place in places.items():
+        damaged = bytearray(whole)
+        damaged[place] ^= 16
+        (made / "small.h5").write_bytes(damaged)
+        for verb in ("check", "info"):
+            yield called(verb, "small.h5", folder=made).refused("small.h5", f"{name} is damaged", "checksum")
+
+
+def _place(node: Any) -> int | None:
+    """Where the values of a dataset begin in its file."""
+    if not isinstance(node, h5py.Dataset):
+        return None
+    return node.id.get_chunk_info(0).byte_offset + 9 if node.chunks else node.id.get_offset()
+
+
+def _allocations(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Bits turned in a file of an older version, read with little memory: a sentence or its numbers, never a crash."""
+    whole = _unsealed(folder)
+    structure = [place for place in range(len(whole)) if whole[place] not in (0, 255)][:6000]
+    for number in range(count):
+        damaged = bytearray(whole)
+        damaged[int(rng.choice(structure))] ^= 1 << int(rng.integers(8))
+        (folder / f"{number}.h5").write_bytes(damaged)
+    ended = command(
+        *("check", *(f"{number}.h5" for number in range(count))), folder=folder, seconds=60, addresses=MOST_ADDRESSES
+    )
+    fine = ended.code in (0, 2) and "Traceback" not in ended.err and ended.peak < 1e9
+    for number in range(count):
+        with contextlib.suppress(OSError):
+            (folder / f"{number}.h5").unlink()
+        yield HELD if fine else ended.said("an older file, damaged")
+
+
+ATTACKS = (
+    Attack("damage", "bits of a recording", _flipped("a.h5", Recording.load, _recording), 100, 2500),
+    Attack("damage", "bits of results", _flipped("b.h5", read_results, good_results), 50, 2500),
+    Attack("damage", "a recording with pages lost or doubled", _cut("c.h5", Recording.load, _recording), 40, 400),
+    Attack("damage", "results with pages lost or doubled", _cut("d.h5", read_results, good_results), 20, 400),
+    Attack("damage", "a bit in each dataset", _named),
+    Attack("damage", "files without checksums", _older_files),
+    Attack("damage", "sizes in files without checksums", _allocations, 0, 400),
+)
