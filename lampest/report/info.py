@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lampest.estimate.noise.seen import frame_noise_seen
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.film import Film
@@ -51,12 +52,22 @@ def _recording_lines(recording: Recording) -> list[str]:
         *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
         *_touching_lines(recording),
+        *_noise_lines(recording),
         f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",
         *(f"{'':9} {sentence}" for sentence in _holes(recording)),
         f"besides   {held or 'nothing'}",
         f"readings of frame 0 ({first}) in {circuit.unit}:",
         *text_map(recorded[0]),
     ]
+
+
+def _noise_lines(recording: Recording) -> list[str]:
+    """What the frames alone tell of their noise."""
+    try:
+        learned = frame_noise_seen(recording).learned
+    except InputError:  # said where an estimate is asked for; a look at the file is free
+        return []
+    return [f"noise     {learned}"] if learned else []
 
 
 def _touching_lines(recording: Recording) -> list[str]:
@@ -150,8 +161,8 @@ def _results_lines(results: Results) -> list[str]:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
         if first.film_sentence:
             lines.append(f"film      {first.film_sentence}")
-        if first.noise_sentence:
-            lines.append(f"noise     {first.noise_sentence}")
+        said = (first.noise_learned, first.noise_sentence)
+        lines += [f"{head:9} {line}" for head, line in zip(("noise", ""), filter(None, said), strict=False)]
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(

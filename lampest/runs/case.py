@@ -53,6 +53,7 @@ class CaseResult:
     model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
     where an older file does not say), and the sentence that says so.
     noise_sentence : what the recording's own frames say against the noise that its scene tells; ''.
+    noise_learned : what they told of it, contradiction or not; ''.
     film_sentence : what the scene leaves open of the film, and what pressures take it for; ''.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
@@ -95,6 +96,7 @@ class CaseResult:
     model_mark: str = ""
     model_sentence: str = ""
     noise_sentence: str = ""
+    noise_learned: str = ""
     film_sentence: str = ""
     sigma: Array | None = None
     sigma_baseline: Array | None = None

@@ -56,6 +56,7 @@ def _filled(
         model_mark=estimates.model_check.mark,
         model_sentence=estimates.model_check.sentence,
         noise_sentence=estimates.noise.sentence,
+        noise_learned=estimates.noise.learned,
         film_sentence="" if estimates.film is None else estimates.film.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )

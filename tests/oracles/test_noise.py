@@ -1,6 +1,8 @@
 """What frames say of their own noise, and still cells of errors that all frames share, against drawn ones."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.report.info import describe
 
 LINES, CHANNELS = 10, 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
@@ -207,6 +210,17 @@ def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     assert hidden is not None and hidden.root is not None
     assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(4, rel=0.3)
     assert min(held(reconstruct(wrong, LSM), cells)) > 0.85
+
+
+def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> None:
+    wrong, _ = recorded(2, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 2.5, 0.004))
+    wrong.save(tmp_path / "wrong.h5")
+    (line,) = [line for line in describe(tmp_path / "wrong.h5") if line.startswith("noise")]
+    assert re.search(r"sigma [23]\.\d+ \+- 0\.\d+ times as assumed", line) and "% gain" in line and "leap" in line
+    lampest.reconstruct(wrong, [Misfit()], formulation="reduced").save(tmp_path / "results.h5")
+    told, sentence = (line for line in describe(tmp_path / "results.h5") if "times as" in line)
+    assert told.startswith("noise") and "left possible, as standard deviations: series" in told
+    assert "times as much as the scene says" in sentence
 
 
 def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:

@@ -77,6 +77,18 @@ def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     )
 
 
+def test_an_unloaded_reading_that_leaps_is_left_out_as_in_a_batch(lamprey: Recording) -> None:
+    recorded = lamprey.recorded.copy()
+    recorded[1, 2, 3] *= 1.5
+    wild = dataclasses.replace(lamprey, recorded=recorded)
+    found, calm = pictures(LSM, wild), pictures(LSM, lamprey)
+    batch = reconstruct(wild, LSM)
+    assert batch.noise.outliers[1, 2, 3]
+    measured = np.array([picture.measured_change for picture in found])[:, 2, 3]
+    np.testing.assert_allclose(measured, 100 * (batch.measured / batch.measured_baseline - 1)[:, 2, 3])
+    np.testing.assert_allclose(measured, [picture.measured_change[2, 3] for picture in calm], atol=1)
+
+
 def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Recording) -> None:
     unsaid = dataclasses.replace(lamprey, role=np.full(9, MEASURED))
     found = pictures(METHODS["LSR-gCR"], unsaid)

@@ -11,6 +11,7 @@ from lampest.estimate.noise.motion import passing, said_of_motion, scan_share
 from lampest.estimate.noise.outliers import LEAST_FRAMES, SHARE, leaps, pair_scale
 from lampest.estimate.noise.scatter import Scatter, scatter
 from lampest.estimate.noise.unseen import said_of_readings, unseen
+from lampest.estimate.noise.words import joined, said_of_factor, said_of_frames, said_of_outliers, said_of_sizes
 from lampest.panel.hidden import Possible, usual
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -25,7 +26,6 @@ from lampest.solvers.search import BROKEN
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene does not tell is taken from them
 LEVEL = 1e-4  # of the test of the told noise, as in the check of the circuit
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, as in the check of the circuit
-CROWDED = 0.05  # of the unloaded readings: where more leap, neighbours in time leap too and replace them badly
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,18 @@ class NoiseSeen:
     readings: Readings
     hidden: Possible | None = None
 
+    @property
+    def learned(self) -> str:
+        """What the frames told, contradiction or not, in one line; '' where the noise is unknown."""
+        if np.isnan(self.factor):
+            return ""
+        shown = [f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed, {self.used:.3g} times taken"]
+        shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
+        frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
+        shown.append(f"frames share {frames or 'nothing'}")
+        shown.append(f"{int(self.outliers.sum())} of {self.outliers.size} readings leap")
+        return joined(shown + said_of_sizes(self.hidden))
+
 
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
 def noise_seen(recording: Recording) -> NoiseSeen:
@@ -83,7 +95,7 @@ def with_still_cells(
     asked = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
     hidden = unseen(scene, sizes, resting, seen.readings[asked], seen.frame)
     said = "" if hidden is None else said_of_readings(hidden.sizes.reading_error or 0.0, sizes.reading_error or 0.0)
-    return replace(seen, hidden=hidden, sentence=_joined([seen.sentence, said]))
+    return replace(seen, hidden=hidden, sentence=joined([seen.sentence, said]))
 
 
 def with_torn_frames(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:
@@ -93,7 +105,7 @@ def with_torn_frames(scene: Scene, seen: NoiseSeen, share: float, measured: NDAr
     torn = share * passing(scene, seen.readings, measured)
     wider = replace(seen.readings, sigma=np.hypot(seen.readings.sigma, torn))
     said = said_of_motion(share, torn, seen.readings.sigma)
-    return replace(seen, readings=wider, sentence=_joined([seen.sentence, said]))
+    return replace(seen, readings=wider, sentence=joined([seen.sentence, said]))
 
 
 def frame_noise_seen(recording: Recording) -> NoiseSeen:
@@ -121,7 +133,7 @@ def _summed_up(
 ) -> NoiseSeen:
     said = [said_of_outliers(outliers, rate)]
     if parts is None:
-        return NoiseSeen(np.nan, np.nan, 1.0, None, 0.0, 0.0, 0.0, outliers, rate, _joined(said), cleaned)
+        return NoiseSeen(np.nan, np.nan, 1.0, None, 0.0, 0.0, 0.0, outliers, rate, joined(said), cleaned)
     error = parts.own / np.sqrt(2 * parts.own_freedom)
     readout, frame, sizes = recording.scene.readout, None, (0.0, 0.0)
     told = readout is None or recording.sigma is not None or readout.noise_told
@@ -141,7 +153,7 @@ def _summed_up(
     ]
     if used != 1 and cleaned.sigma is not None:
         cleaned = replace(cleaned, sigma=used * cleaned.sigma)
-    return NoiseSeen(parts.own, error, used, frame, parts.gain, *sizes, outliers, rate, _joined(said), cleaned)
+    return NoiseSeen(parts.own, error, used, frame, parts.gain, *sizes, outliers, rate, joined(said), cleaned)
 
 
 def _rms(root: Array, readout: Readout) -> float:
@@ -219,40 +231,3 @@ def used_factor(parts: Scatter) -> float:
     """The factor, where noise is larger than told beyond chance and by more than changes any verdict; else 1."""
     tail = chi_square_tail(parts.own**2 * parts.own_freedom, parts.own_freedom)
     return parts.own if parts.own >= LEAST_FACTOR and tail < LEVEL else 1.0
-
-
-def said_of_factor(factor: float, error: float, used: float) -> str:
-    """'unloaded frames scatter ...', where that contradicts the scene; ''."""
-    if used == 1:
-        return ""
-    return (
-        f"unloaded frames scatter {factor:.2g} +- {error:.1g} times as much as the scene says, "
-        "and error bars are wider by that"
-    )
-
-
-def said_of_frames(gain: float, together: float, apart: float) -> list[str]:
-    """What the readings of a frame share, in words; error bars hold it."""
-    said = []
-    if gain:
-        said.append(f"the gain of a frame varies by {100 * gain:.2g} %")
-    if together:
-        said.append(f"the lines of a scan vary together by {together:.2g} LSB")
-    if apart:
-        said.append(f"the readings of a scanned line vary together by {apart:.2g} LSB")
-    return [f"{', '.join(said)}, which error bars allow for"] if said else []
-
-
-def said_of_outliers(outliers: NDArray[np.bool_], rate: float) -> str:
-    """How many readings leap, and what became of them; ''."""
-    count = int(outliers.sum())
-    if count == 0:
-        return ""
-    text = f"{count} of {outliers.size} readings leap for one frame alone and were replaced by their neighbours in time"
-    if rate <= CROWDED:
-        return text
-    return f"{text}; with {100 * rate:.2g} % of them there are more that nobody sees, and error bars do not hold them"
-
-
-def _joined(said: list[str]) -> str:
-    return "; ".join(part for part in said if part)

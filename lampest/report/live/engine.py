@@ -9,6 +9,7 @@ import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check.check import model_check
+from lampest.estimate.noise.seen import without_leaps
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -88,12 +89,16 @@ class Engine:
         self.shown.change(lambda view: replace(view, state=sentence))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
-        """Start solving against the mean of unloaded frames. Raises InputError where one of them makes no readings."""
+        """Start solving against the mean of unloaded frames, without readings that leap.
+
+        Raises InputError where one of them makes no readings.
+        """
         try:
             first, *others = (scan.readings(source.scene) for scan in unloaded)
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
-        resting = first.together(*others).mean()
+        every = first.together(*others)
+        resting = without_leaps(every, np.ones(len(every.value), dtype=bool))[1].mean()
         self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 

@@ -103,6 +103,7 @@ def _read_case(
             model_mark=str(texts.get("model_explains", "")),
             model_sentence=str(texts.get("model_check", "")),
             noise_sentence=str(texts.get("noise_check", "")),
+            noise_learned=str(texts.get("noise_learned", "")),
             film_sentence=str(texts.get("film", "")),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
             **{folder.name: _read_figures(file, f"{base}/{folder.folder}", sizes["time"]) for folder in FIGURES},

@@ -93,6 +93,8 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
             hdf5.set_attributes(estimate, model_check=case.model_sentence, model_explains=case.model_mark)
         if case.noise_sentence:
             hdf5.set_attributes(estimate, noise_check=case.noise_sentence)
+        if case.noise_learned:
+            hdf5.set_attributes(estimate, noise_learned=case.noise_learned)
         if case.film_sentence:
             hdf5.set_attributes(estimate, film=case.film_sentence)
         _write_columns(estimate, case, [*(column for column in table if not column.shared), FRAME])
