@@ -99,9 +99,9 @@ def paper(
 
     Writes paper.html with everything in it, numbers.csv and every picture as PNG.
     """
-    from lampest.studies.paper.run import shipped_folder, write_paper
+    from lampest.studies.paper.run import write_paper
 
     with progress("cases") as on_case:
-        files = write_paper(shipped_folder(), out, jobs, on_case)
+        files = write_paper(out, jobs, on_case)
     for file in files:
         print(file)

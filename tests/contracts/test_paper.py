@@ -58,9 +58,11 @@ def test_what_clean_scenes_give_is_told_as_it_is(written: Path) -> None:
     assert ours["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), "series resistance included"
 
 
-def test_a_second_time_solves_nothing(written: Path) -> None:
-    files = {file: file.stat().st_mtime_ns for file in written.glob("*/cases/*.h5")}
-    before = {file.name: file.read_bytes() for file in written.glob("*.png")}
-    assert files and paper(written.parent).returncode == 0
-    assert {file: file.stat().st_mtime_ns for file in files} == files
-    assert {file.name: file.read_bytes() for file in written.glob("*.png")} == before
+def test_the_scene_of_the_papers_panel_gives_most_of_its_numbers(written: Path) -> None:
+    """Ranges of figure 8 and mean errors of table I within a quarter, by the solver in kind; clean scenes give 7."""
+    rows = [row for row in numbers(written) if row["figure"].startswith("Fig. 8") or "data error" in row["quantity"]]
+    good = {
+        side: sum(abs(float(row[side]) / float(row["published"]) - 1) <= 0.25 for row in rows)
+        for side in ("clean scenes", "paper's panel", "its solver")
+    }
+    assert len(rows) == 19 and good["its solver"] >= 13 > good["clean scenes"]

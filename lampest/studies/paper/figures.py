@@ -75,7 +75,7 @@ def loads_figure(side: Side, published: Published) -> Figure:
         seen = side.loads[load.letter]
         note = f"measured {_span(seen.change)}\nfilm feels {_plain(seen.felt[0])} … {_plain(seen.felt[1])} kPa"
         tiles.append(Tile(f"({load.letter}) {_wrapped(load.condition)}", seen.change, note))
-    return maps_figure_of(tiles, side.loads["a"].panel, side.scenes.name)
+    return maps_figure_of(tiles, side.panel, side.name)
 
 
 def methods_figure(side: Side, published: Published) -> Figure:
@@ -87,7 +87,7 @@ def methods_figure(side: Side, published: Published) -> Figure:
         tiles.append(
             Tile(f"({one.letter}) {'measured two-point' if one.method == MEASURED else one.method}", change, note)
         )
-    return maps_figure_of(tiles, side.mouth(0)[0].scene.panel, side.scenes.name)
+    return maps_figure_of(tiles, side.panel, side.name)
 
 
 def mouths_figure(side: Side, published: Published) -> Figure:
@@ -100,7 +100,7 @@ def mouths_figure(side: Side, published: Published) -> Figure:
         tiles.append(
             Tile(f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouths.method}", change, note)
         )
-    return maps_figure_of(tiles, side.mouth(0)[0].scene.panel, side.scenes.name, 2)
+    return maps_figure_of(tiles, side.panel, side.name, 2)
 
 
 def covered(change: Array) -> tuple[int, int]:

@@ -63,7 +63,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
 
     Raises InputError where the folder cannot be written.
     """
-    names = tuple(side.scenes.name for side in sides)
+    names = tuple(side.name for side in sides)
     held = [
         *tables.map_ranges(sides, published),
         *tables.covered_cells(sides, published),
@@ -84,9 +84,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
             *_maps(sides, published, held, drawn),
             _table(held, timed, names, published),
         )
-    text = filled(
-        "lampest.studies.paper", chapters=chapters, sides=[side.scenes for side in sides], summary=_summary(held, names)
-    )
+    text = filled("lampest.studies.paper", chapters=chapters, sides=sides, summary=_summary(held, names))
     write_whole(folder / PAGE, text)
     write_whole(folder / NUMBERS, comma_separated(csv_rows([*held, *timed, *_wide(own, len(names))], names)))
     return (folder / PAGE, folder / NUMBERS, *pictures)
@@ -113,18 +111,14 @@ def _film(published: Published, own: Sequence[Held], drawn: Drawn) -> tuple[Chap
 
 def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], drawn: Drawn) -> tuple[Chapter, ...]:
     """Figures 6, 8 and 9, one picture for each side."""
-    names = tuple(side.scenes.name for side in sides)
+    names = tuple(side.name for side in sides)
     loads = [
-        drawn(loads_figure(side, published), f"fig6_{side.scenes.word}", "Maps of six loads", LOADS) for side in sides
+        drawn(loads_figure(side, published), f"fig6_{side.word}", "Maps of six loads", LOADS) for side in sides[:2]
     ]
     methods = [
-        drawn(methods_figure(side, published), f"fig8_{side.scenes.word}", "Maps of six methods", METHODS)
-        for side in sides
+        drawn(methods_figure(side, published), f"fig8_{side.word}", "Maps of six methods", METHODS) for side in sides
     ]
-    small = [
-        drawn(mouths_figure(side, published), f"fig9_{side.scenes.word}", "Maps of two mouths", MOUTHS)
-        for side in sides
-    ]
+    small = [drawn(mouths_figure(side, published), f"fig9_{side.word}", "Maps of two mouths", MOUTHS) for side in sides]
     of_maps = [row for row in held if row.figure.startswith("Fig. 8")]
     of_mouths = [row for row in held if row.figure.startswith("Fig. 9")]
     return (

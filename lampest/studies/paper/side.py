@@ -1,8 +1,10 @@
 """One set of scenes that stands beside the paper: its recordings, and what the five methods make of them."""
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,30 +12,15 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.report.compare import Steps, compare, spread
 from lampest.report.plots.contours import percent_change
-from lampest.report.plots.plot import furthest, strongest_index
-from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
-from lampest.runs.executors import local
-from lampest.runs.results import CaseResult, Results, read_results
-from lampest.studies.paper.published import Published
+from lampest.report.plots.plot import furthest
+from lampest.runs.results import Results
+from lampest.studies.paper.as_published import LeftBySolver
 
 MEASURED = "measured"
-FASTEST = "formulation=reduced"  # finds the optima that the file's formulation finds, sooner
-
-
-@dataclass(frozen=True)
-class SceneSet:
-    """A set of scenes: name and sentence for the page, word for files, the run's file, and the recordings of figure 6.
-
-    The run's first two recordings are the large and the small mouth. prefix : of figure 6's recordings.
-    """
-
-    name: str
-    word: str
-    about: str
-    run: Path
-    prefix: str = ""
+EVALUATION_S = 16.45 / 10_100  # table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative
+NAN = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,77 +30,127 @@ class LoadSeen:
     panel: Panel
     change: Array
     felt: tuple[float, float]
-    frame: int
+
+    @classmethod
+    def of(cls, recording: Recording) -> "LoadSeen":
+        """The frame in which cells have moved furthest; of a simulated recording."""
+        frame = int(recording.measured_frames()[furthest_frame(recording)])
+        assert recording.truth_pressure is not None
+        felt = recording.truth_pressure[frame]
+        change = percent_change(recording.recorded[frame], unloaded(recording))
+        return cls(recording.scene.panel, change, (float(felt.min()), float(felt.max())))
+
+
+class StepsSeen(NamedTuple):
+    """Of some steps: mean and standard deviation of the data error in percent, mean time in s."""
+
+    error: float
+    error_sd: float
+    time: float
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
-    """What is drawn and held against the paper."""
+class Side(ABC):
+    """What is drawn and held against the paper.
 
-    scenes: SceneSet
-    results: Results
+    name, word, about : for the page, for files, a sentence. mouths : the large and the small one.
+    loads : letter of figure 6 → what was seen. first : whether the first frame is shown, else the strongest one.
+    """
+
+    name: str
+    word: str
+    about: str
+    mouths: tuple[Recording, Recording]
     loads: Mapping[str, LoadSeen]
+    first: bool
 
-    def mouth(self, number: int) -> tuple[CaseResult, ...]:
-        """The cases of the large (0) or the small (1) mouth."""
-        return self.results.of(self.results.recordings()[number])
+    @property
+    def panel(self) -> Panel:
+        """Of all its recordings."""
+        return self.mouths[0].scene.panel
 
-    def case(self, method: str, number: int = 0) -> CaseResult:
-        """One method's case. Raises InputError where the run has none."""
-        for case in self.mouth(number):
-            if case.estimator == method:
-                return case
-        raise InputError(f"{self.scenes.run}: has no estimator {method}")
-
-    def shown(self, number: int = 0) -> int:
-        """Which frame of a mouth is shown."""
-        return strongest_index(self.mouth(number))
+    def shown(self, number: int) -> int:
+        """Which measured frame of the large (0) or the small (1) mouth is shown."""
+        return 0 if self.first else furthest_frame(self.mouths[number])
 
     def change(self, method: str, number: int = 0) -> Array:
-        """Relative change in percent of the shown frame, (rows, columns): of a method, or as measured."""
-        place = self.shown(number)
-        if method == MEASURED:
-            case = self.mouth(number)[0]
-            return percent_change(recorded(case, case.measured[place]), recorded(case, case.measured_baseline))
-        return np.asarray(self.case(method, number).relative_change[place])
+        """Relative change in percent of the shown frame, (rows, columns): by a method, or as measured.
+
+        As the paper does, what is measured keeps its series resistance.
+        """
+        if method != MEASURED:
+            return np.asarray(self.estimated(method, number)[self.shown(number)])
+        recording = self.mouths[number]
+        frame = recording.recorded[recording.measured_frames()[self.shown(number)]]
+        return percent_change(frame, unloaded(recording))
+
+    @abstractmethod
+    def estimated(self, method: str, number: int) -> Array:
+        """Relative change in percent, (frames, rows, columns)."""
+
+    @abstractmethod
+    def steps(self, method: str, steps: Steps) -> StepsSeen:
+        """Of the large mouth; NaN where there are no such steps."""
 
 
-def recorded(case: CaseResult, network: Array) -> Array:
-    """Readings of the network as the divider gives them, series resistance included: the paper takes none off."""
-    return np.asarray(case.scene.circuit.to_recorded(network, case.scene))
+@dataclass(frozen=True, eq=False)
+class OptimalSide(Side):
+    """Verified optima, from a results file with a case of every method."""
+
+    results: Results
+
+    def estimated(self, method: str, number: int) -> Array:
+        """As the results have it. Raises InputError where they lack the method."""
+        for case in self.results.of(self.mouths[number].name):
+            if case.estimator == method:
+                return np.asarray(case.relative_change)
+        raise InputError(f"{self.name}: there are no results of {method}")
+
+    def steps(self, method: str, steps: Steps) -> StepsSeen:
+        """As `lampest compare` has them."""
+        for row in compare(self.results):
+            if (row.recording, row.estimator, row.steps) == (self.mouths[0].name, method, steps) and row.data_error:
+                time = NAN if row.solve_time is None else row.solve_time.mean
+                return StepsSeen(row.data_error.mean, row.data_error.sd or NAN, time)
+        return StepsSeen(NAN, NAN, NAN)
 
 
-def solved(
-    scenes: SceneSet,
-    published: Published,
-    folder: Path,
-    data: Path,
-    jobs: int | None,
-    on_case: Callable[[int, int], None],
-) -> Side:
-    """Run what is planned; results are kept in the folder, so that nothing is solved twice.
+@dataclass(frozen=True, eq=False)
+class SolverSide(Side):
+    """What the paper's solver leaves. solve : (method, recording) → that; asked once for each."""
 
-    Raises InputError where a file is wrong, a case fails, or the folder cannot be written.
-    """
-    run = read_run(scenes.run, (FASTEST,))
-    report = run_batch(run, folder / scenes.word, local(jobs, len(run.cases)), on_case=on_case)
-    if report.results is None or report.failed:
-        raise InputError(f"{scenes.run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
-    loads = {
-        load.letter: load_seen(Recording.load(data / f"{scenes.prefix}{load.recording}.h5"))
-        for load in published.loads.maps
-    }
-    return Side(scenes, read_results(report.results), loads)
+    solve: Callable[[str, Recording], LeftBySolver]
+    methods: Sequence[str]
+    mouth_method: str
+
+    @cached_property
+    def left(self) -> Mapping[tuple[str, int], LeftBySolver]:
+        """Every method on the large mouth, one on the small one."""
+        asked = [*((method, 0) for method in self.methods), (self.mouth_method, 1)]
+        return {(method, number): self.solve(method, self.mouths[number]) for method, number in asked}
+
+    def estimated(self, method: str, number: int) -> Array:
+        """As the solver left it."""
+        return self.left[method, number].change
+
+    def steps(self, method: str, steps: Steps) -> StepsSeen:
+        """Times are evaluations, at what one of them took the paper."""
+        left = self.left[method, 0]
+        parts = {"initial": slice(1), "following": slice(1, None)} if left.joint else {"all": slice(None)}
+        if steps not in parts:
+            return StepsSeen(NAN, NAN, NAN)
+        error = spread(left.data_error[parts[steps]])
+        time = EVALUATION_S * float(left.evaluations[parts[steps]].mean())
+        return StepsSeen(NAN, NAN, time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
 
 
-def load_seen(recording: Recording) -> LoadSeen:
-    """The frame in which cells have moved furthest, the last within a tenth of that."""
+def unloaded(recording: Recording) -> Array:
+    """The mean of the unloaded frames as recorded, (rows, columns) ohm."""
+    return np.asarray(recording.recorded[recording.role == UNLOADED].mean(axis=0))
+
+
+def furthest_frame(recording: Recording) -> int:
+    """Of the measured frames the one whose cells have moved furthest."""
     readings = Readings.of(recording.scene, recording.recorded, recording.sigma)
     resting = readings[recording.role == UNLOADED].mean().value
-    frames = recording.measured_frames()
-    frame = int(frames[furthest(readings.value[frames], resting)])
-    assert recording.truth_pressure is not None
-    felt = recording.truth_pressure[frame]
-    baseline = recording.recorded[recording.role == UNLOADED].mean(axis=0)
-    change = percent_change(recording.recorded[frame], baseline)
-    return LoadSeen(recording.scene.panel, change, (float(felt.min()), float(felt.max())), frame)
+    return furthest(readings.value[recording.measured_frames()], resting)

@@ -7,11 +7,10 @@ import numpy as np
 
 from lampest.loads.response import relative_change_from_pressure
 from lampest.panel.film import Film
-from lampest.report.compare import Row, compare
 from lampest.report.page.tables import Sheet
 from lampest.report.page.words import digits
 from lampest.studies.paper.figures import covered
-from lampest.studies.paper.published import ErrorRow, Published
+from lampest.studies.paper.published import Published
 from lampest.studies.paper.side import Side
 
 WITHIN = 0.25  # of the published number: what counts as reproduced
@@ -82,38 +81,23 @@ def covered_cells(sides: Sequence[Side], published: Published) -> list[Held]:
 
 def data_errors(sides: Sequence[Side], published: Published) -> list[Held]:
     """Table I: data errors, mean and standard deviation over the readings of all steps."""
-    found = [_compared(side) for side in sides]
     rows = []
     for row in published.errors.rows:
-        own = [_figures(rows_of, row) for rows_of in found]
+        seen = [side.steps(row.method, row.steps) for side in sides]
         name = f"{row.method}, {row.steps} steps"
-        means = tuple(NAN if one is None or one.data_error is None else one.data_error.mean for one in own)
-        spreads = tuple(NAN if one is None or one.data_error is None else one.data_error.sd or NAN for one in own)
+        means, deviations = tuple(one.error for one in seen), tuple(one.error_sd for one in seen)
         rows.append(Held("Table I", f"{name}: data error", "%", row.error_percent, means))
-        rows.append(Held("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, spreads))
+        rows.append(Held("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, deviations))
     return rows
 
 
 def step_times(sides: Sequence[Side], published: Published) -> list[Held]:
     """Table I: time of a step. Ours is another program on another machine."""
-    found = [_compared(side) for side in sides]
     rows = []
     for row in published.errors.rows:
-        own = [_figures(rows_of, row) for rows_of in found]
-        means = tuple(NAN if one is None or one.solve_time is None else one.solve_time.mean for one in own)
-        rows.append(Held("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, means))
+        ours = tuple(side.steps(row.method, row.steps).time for side in sides)
+        rows.append(Held("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, ours))
     return rows
-
-
-def _compared(side: Side) -> list[Row]:
-    return [row for row in compare(side.results) if row.recording == side.results.recordings()[0]]
-
-
-def _figures(rows: Sequence[Row], published: ErrorRow) -> Row | None:
-    for row in rows:
-        if row.estimator == published.method and row.steps == published.steps:
-            return row
-    return None
 
 
 def sheet(rows: Sequence[Held], names: Sequence[str]) -> Sheet:

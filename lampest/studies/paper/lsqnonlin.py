@@ -1,0 +1,147 @@
+"""MATLAB's `lsqnonlin` in kind: trust-region-reflective within bounds, and it stops where MATLAB's defaults do.
+
+The paper's solver. What it leaves is not always a minimum: where plain least squares has none, its answer is where it
+stopped. So this stands here, beside the paper's numbers, and is no way to estimate. Written from the published
+algorithm (Coleman and Li, SIAM J. Optim. 6, 1996; Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1999) and the
+documented defaults: subspace of two dimensions, tolerances 10⁻⁶, 100 evaluations for each unknown, derivatives by
+forward differences, which cost as many evaluations as there are unknowns. Derivatives are exact here; they are charged.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from lampest.panel.panel import Array
+
+TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
+RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length
+REACH = 100.0
+Function = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Stopped:
+    """Where the solver ended, after how many evaluations, and why: 'cost', 'step', 'gradient' or 'limit'."""
+
+    point: Array
+    evaluations: int
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """q(s) = ½‖Js‖² + ½ sᵀdiag(c)s + gᵀs in scaled unknowns."""
+
+    jacobian: Array
+    curvature: Array
+    gradient: Array
+
+    def along(self, direction: Array, origin: Array, low: float, high: float) -> tuple[float, Array]:
+        """(least value, its step) of origin + t·direction with t between low and high."""
+        image, shift = self.jacobian @ direction, self.jacobian @ origin
+        bend = image @ image + direction @ (self.curvature * direction)
+        slope = self.gradient @ direction + image @ shift + direction @ (self.curvature * origin)
+        ends = [low, high] + ([float(np.clip(-slope / bend, low, high))] if bend > 0 else [])
+        steps = [origin + t * direction for t in ends]
+        values = [self.at(step) for step in steps]
+        best = int(np.argmin(values))
+        return values[best], steps[best]
+
+    def at(self, step: Array) -> float:
+        """q(s)."""
+        image = self.jacobian @ step
+        return float(0.5 * (image @ image + step @ (self.curvature * step)) + self.gradient @ step)
+
+
+def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
+    """Σ residual² made less within point ≥ lower, from a start above it, until one of MATLAB's limits is met."""
+    point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
+    values, slopes = residual(point), jacobian(point)
+    cost, evaluations, radius = float(values @ values), 1 + len(point), RADIUS
+    largest, length, change, ratio = max(REACH * float(np.linalg.norm(point)), 1.0), np.inf, np.inf, 0.0
+    for number in range(ITERATIONS):
+        gradient = slopes.T @ values
+        room = np.where(gradient >= 0, point - lower, 1.0)
+        optimality = float(np.abs(room * gradient).max())
+        why = _why(number, optimality, length, radius, ratio, change, cost)
+        if why or evaluations >= EVALUATIONS * len(point):
+            return Stopped(point, evaluations, why or "limit")
+        scale = np.sqrt(room)
+        model = Quadratic(slopes * scale, np.maximum(gradient, 0.0), scale * gradient)
+        theta = max(0.95, 1 - optimality)
+        expected, step = _step(model, point, scale, lower, radius, theta)
+        trial = np.maximum(point + scale * step, np.nextafter(lower, np.inf))
+        fresh = residual(trial)
+        new, evaluations, length = float(fresh @ fresh), evaluations + 1, float(np.linalg.norm(step))
+        gained = 0.5 * (cost - new) - 0.5 * float(step @ (model.curvature * step))
+        ratio, change = (gained / -expected if expected < 0 else 0.0), abs(cost - new)
+        if ratio >= 0.75 and length >= 0.9 * radius:
+            radius = min(largest, 2 * radius)
+        elif ratio <= 0.25:
+            radius = min(length / 4, radius / 4)
+        if new < cost:
+            point, values, cost, slopes = trial, fresh, new, jacobian(trial)
+            evaluations += len(point)
+    return Stopped(point, evaluations, "limit")
+
+
+def _why(number: int, optimality: float, length: float, radius: float, ratio: float, change: float, cost: float) -> str:
+    """Which tolerance is met; empty where none is."""
+    if optimality < TOLERANCE:
+        return "gradient"
+    if number and length < 0.9 * radius and ratio > 0.25 and change < TOLERANCE * (1 + cost):
+        return "cost"
+    return "step" if number and length < TOLERANCE else ""
+
+
+def _step(
+    model: Quadratic, point: Array, scale: Array, lower: Array, radius: float, theta: float
+) -> tuple[float, Array]:
+    """(value, step) in scaled unknowns: the trust region's, cut at the bound, reflected there, or down the gradient."""
+    step = _subspace_step(model, radius)
+    if np.all(point + scale * step > lower):
+        return model.at(step), step
+    reach = _to_bound(point, scale * step, lower)
+    hit = point + reach * scale * step <= lower + 1e-12 * np.abs(lower)
+    cut, reflected = reach * step, np.where(hit, -step, step)
+    options = [(model.at(theta * cut), theta * cut)]
+    on_bound = np.maximum(point + scale * cut, lower)
+    far = min(theta * _to_bound(on_bound, scale * reflected, lower), _to_sphere(cut, reflected, radius))
+    near = (1 - theta) * reach
+    if far > near:
+        options.append(model.along(reflected, cut, near, far))
+    downhill = -model.gradient
+    far = min(theta * _to_bound(point, scale * downhill, lower), radius / float(np.linalg.norm(downhill)))
+    options.append(model.along(downhill, np.zeros_like(step), 0.0, far))
+    return min(options, key=lambda option: option[0])
+
+
+def _subspace_step(model: Quadratic, radius: float) -> Array:
+    """The least q within the radius in the plane of gradient and Gauss-Newton step."""
+    matrix = model.jacobian.T @ model.jacobian + np.diag(model.curvature)
+    floor = 1e-14 * np.trace(matrix) / len(matrix)
+    newton = -np.linalg.solve(matrix + floor * np.eye(len(matrix)), model.gradient)
+    basis = np.linalg.qr(np.stack([model.gradient, newton], axis=1))[0]
+    bends, turn = np.linalg.eigh(basis.T @ matrix @ basis)
+    slope = turn.T @ (basis.T @ model.gradient)
+    bends = np.maximum(bends, 1e-300)
+    if np.linalg.norm(slope / bends) <= radius:
+        return np.asarray(-basis @ (turn @ (slope / bends)))
+    most = float(np.linalg.norm(slope)) / radius
+    shift = brentq(lambda mu: float(np.linalg.norm(slope / (bends + mu))) - radius, 0.0, most)
+    return np.asarray(-basis @ (turn @ (slope / (bends + shift))))
+
+
+def _to_bound(point: Array, direction: Array, lower: Array) -> float:
+    """The largest t for which point + t·direction stays at or above the bound."""
+    falling = direction < 0
+    return float(np.min((lower - point)[falling] / direction[falling], initial=np.inf))
+
+
+def _to_sphere(origin: Array, direction: Array, radius: float) -> float:
+    """The t ≥ 0 at which origin + t·direction leaves a sphere about zero."""
+    square, mixed = float(direction @ direction), float(origin @ direction)
+    inside = max(mixed**2 - square * (float(origin @ origin) - radius**2), 0.0)
+    return (inside**0.5 - mixed) / square if square > 0 else 0.0
