@@ -1,7 +1,11 @@
 """The command line: parse, call, print. Libraries are imported by the command that needs them."""
 
+import inspect
 import os
 import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated, Any
 
 import typer
 
@@ -9,6 +13,7 @@ from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT
 from lampest.files.errors import InputError
 from lampest.files.interrupts import ending_signals
+from lampest.files.memory import allow_memory
 from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
@@ -18,6 +23,26 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+_MEMORY = typer.Option("--memory", metavar="SIZE", help="Memory it may take, such as 8GB; else most of what is free.")
+
+
+def _with_memory(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --memory."""
+
+    @wraps(command)
+    def called(memory: str | None = None, **options: Any) -> None:
+        if memory is not None:
+            allow_memory(memory)
+        command(**options)
+
+    signature = inspect.signature(command, eval_str=True)
+    kind = Annotated[str | None, _MEMORY]
+    memory = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+    signature = signature.replace(parameters=[*signature.parameters.values(), memory])
+    called.__signature__ = signature  # type: ignore[attr-defined]
+    return called
+
+
 for _command in (
     estimation.run,
     estimation.starts,
@@ -42,7 +67,8 @@ for _command in (
     studies.audit,
     studies.paper,
 ):
-    app.command(_command.__name__.rstrip("_"))(_command)
+    _small = _command in (results.terms, results.schema, board.ports)
+    app.command(_command.__name__.rstrip("_"))(_command if _small else _with_memory(_command))
 
 
 def main() -> None:
@@ -53,6 +79,10 @@ def main() -> None:
             app()
     except InputError as error:
         print(f"lampest: {error}", file=sys.stderr)
+        sys.exit(WRONG_INPUT)
+    except MemoryError as error:
+        said = " ".join(str(error).split()) or "no more is said"
+        print(f"lampest: more memory is needed than there is ({said})", file=sys.stderr)
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:

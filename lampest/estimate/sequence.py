@@ -25,6 +25,7 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
     """
     if not isinstance(recording, Recording):
         raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
+    recording.scene.panel.check_memory()
     noise = noise_seen(recording)
     readings = noise.readings
     stream = first_stream(recording, readings, estimator, noise)

@@ -15,6 +15,7 @@ from lampest.files.whole import whole_file
 
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
+MOST_LONG_TEXTS = 100_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
@@ -193,7 +194,23 @@ def read_texts(file: h5py.File, path: str, length: int | None = None) -> tuple[s
             raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
         if dataset.dtype.itemsize * len(dataset) > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(dataset)} bytes")
-        return tuple(_text(value) for value in dataset[()])
+        return tuple(_bounded_texts(file, path, dataset))
+
+
+def _bounded_texts(file: h5py.File, path: str, dataset: h5py.Dataset) -> Iterator[str]:
+    """The texts of a dataset; those without a fixed length one by one, for a short file may name a long one often."""
+    if dataset.dtype.kind == "S":
+        yield from map(_text, dataset[()])
+        return
+    if len(dataset) > MOST_LONG_TEXTS:
+        raise InputError(f"{file.filename}: {path} claims {len(dataset)} texts without a fixed length")
+    total = 0
+    for index in range(len(dataset)):
+        value = dataset[index]
+        total += len(value)
+        if total > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims texts of more than {MOST_TEXT_BYTES} bytes")
+        yield _text(value)
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
@@ -207,6 +224,8 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
             return None
         if held.get_storage_size() > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
+        if held.dtype.kind == "O" and held.shape:
+            raise InputError(f"{file.filename}: {path}@{name} is a list of texts without a fixed length")
         value = attributes[name]
         return _text(value) if isinstance(value, bytes | str) else value
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 
 
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
@@ -30,6 +30,7 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 def laplacian(conductance: Array) -> Array:
     """L with L·(u, v) = current_balance(g, u, v): (rows + columns)² siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape
+    Panel(rows, columns).check_memory()
     matrix = np.zeros((rows + columns, rows + columns), dtype=conductance.dtype)
     matrix[:rows, rows:], matrix[rows:, :rows] = -conductance, -conductance.T
     matrix.flat[:: rows + columns + 1] = line_sums(conductance)

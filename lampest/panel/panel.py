@@ -6,7 +6,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.memory import check_memory
+
 Array = NDArray[np.floating[Any]]
+MANY_LINES = 2000  # fewer fit into 100 MB
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,17 @@ class Panel:
     def cells(self) -> int:
         """rows · columns."""
         return self.rows * self.columns
+
+    def check_memory(self, matrices: int = 3) -> None:
+        """Raise InputError where there is no room for so many matrices (lines, lines) over the panel's lines.
+
+        matrices : the impedance, what it is solved from, and room to solve it.
+        """
+        if self.rows + self.columns > MANY_LINES:
+            check_memory(
+                8.0 * matrices * (self.rows + self.columns) ** 2,
+                f"a panel of {self.rows} × {self.columns} cells ({self.rows + self.columns} lines)",
+            )
 
     def centres_mm(self) -> tuple[Array, Array]:
         """x_k = k·pitch and y_j = j·pitch: the columns' and the rows' positions in millimetre."""

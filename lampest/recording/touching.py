@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.recording.readings import Readings
 
 BY_CHANCE = 4.0  # standard deviations of the mean of squares by which lines that touch may seem to differ
@@ -40,6 +40,7 @@ def _differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
     sigma = readings.sigma_of_values
     assert sigma is not None
     rows = readings.value.shape[-2]
+    Panel(rows, 1).check_memory()
     value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
     mean, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):

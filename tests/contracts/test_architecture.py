@@ -54,6 +54,7 @@ DOORS = {
     "pandas": ("runs.labelled", "recording.foreign"),
     "openpyxl": ("recording.foreign",),
     "h5py": ("files.hdf5", "files.extents", "recording", "runs.results"),
+    "psutil": ("files.memory",),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),
     "serial": ("recording.board",),

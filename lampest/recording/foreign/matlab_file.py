@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.recording.foreign.frames import check_count
 from lampest.recording.foreign.matlab_hdf5 import arrays_of_level_7
 
 HEADER = 128
@@ -22,6 +23,7 @@ MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 NUMERIC_CLASSES = range(6, 16)  # double, single, int8 ... uint64
 COMPLEX = 0x800
+BEGINNING = 4096  # of a matrix, which holds its dimensions
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -39,6 +41,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         for kind, body in _elements(memoryview(data)[HEADER:], order):
             if kind == COMPRESSED:
+                _check_claim(path, body, order, rest)
                 unpacked = _unpacked(body, rest)
                 rest -= len(unpacked)
                 kind, body = next(_elements(memoryview(unpacked), order), (0, body))
@@ -46,13 +49,18 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
                 name, array = _matrix(body, order)
                 if array is not None:
                     arrays[name] = array
+    except InputError:
+        raise
     except (ValueError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: no readable .mat file ({error})") from error
     return arrays
 
 
-def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of the data elements that follow one another; small ones hold both in eight bytes."""
+def _elements(view: memoryview, order: str, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
+    """Kind and content of the data elements that follow one another; small ones hold both in eight bytes.
+
+    cut : whether the last one may end early.
+    """
     at = 0
     while at + 8 <= len(view):
         kind, size = struct.unpack_from(order + "II", view, at)
@@ -61,7 +69,7 @@ def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
             kind, size, start, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
             if size > 4:
                 raise ValueError("a small element larger than four bytes")
-        if start + size > len(view):
+        if start + size > len(view) and not cut:
             raise ValueError("an element reaches beyond its end")
         yield kind, view[start : start + size]
         at = after
@@ -73,6 +81,25 @@ def _unpacked(body: memoryview, most: int) -> bytes:
     if not unpacker.eof:
         raise ValueError("a compressed element is cut, or too large")
     return unpacked
+
+
+def _check_claim(path: Path, body: memoryview, order: str, most: int) -> None:
+    """Raise InputError where a compressed matrix claims more than is imported: its beginning says so.
+
+    What a compressed element claims to hold costs nothing to read, and all the memory to unpack.
+    """
+    begin = zlib.decompressobj().decompress(body, BEGINNING)
+    if len(begin) < 8:
+        return
+    kind, size = struct.unpack_from(order + "II", begin)
+    if size > most:
+        raise InputError(f"{path}: unpacks to {size} bytes or more, and {most} are imported")
+    if kind != MATRIX:
+        return
+    parts = [part for _, part in _elements(memoryview(begin)[8:], order, cut=True)]
+    if len(parts) > 1:
+        claimed = prod(int(part) for part in np.frombuffer(parts[1][: len(parts[1]) // 4 * 4], dtype=order + "i4"))
+        check_count(path, claimed)
 
 
 def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:

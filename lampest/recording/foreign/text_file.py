@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,9 @@ from lampest.recording.foreign.table import Rows
 
 MOST_FIELDS = 10_000_000
 LONGEST_LINE = 1_000_000
+MOST_LINES = 10_000_000
+AT_ONCE = 2**20
+LINE_END = re.compile(r"\r\n|\r|\n")
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
 COMMENT = re.compile(r"\s*(?:#(?!N/A|NA|DIV/0!|NUM!|VALUE!|REF!)|%|//)", re.IGNORECASE)  # not where Excel has no number
@@ -77,6 +80,7 @@ def _cut(text: str, counts: NDArray[np.intp]) -> bool:
 
 def _text(path: Path) -> tuple[str, list[str]]:
     """UTF-8, UTF-16 by its mark or its zero bytes, and what older Windows programs write into headers."""
+    _check_lines(path)
     data = path.read_bytes()
     for mark, encoding in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
         halves = data[: 2 * (len(data) // 2)]
@@ -97,10 +101,32 @@ def _text(path: Path) -> tuple[str, list[str]]:
         raise InputError(f"{path}:{line}: no text table (byte {error.start} is not UTF-8)") from error
 
 
+def _check_lines(path: Path) -> None:
+    """Raise InputError where a file has more lines than are imported, before it is read as a whole."""
+    count = 0
+    with path.open("rb") as stream:
+        while block := stream.read(AT_ONCE):
+            count += max(block.count(b"\n"), block.count(b"\r"))
+    if count > MOST_LINES:
+        raise InputError(f"{path}: {count} lines, more than {MOST_LINES} are not imported")
+
+
+def _each_line(text: str) -> Iterator[str]:
+    """The lines of a text one by one: a list of all of them may take more than the text."""
+    begin = 0
+    for end in LINE_END.finditer(text):
+        yield text[begin : end.start()]
+        begin = end.end()
+    yield text[begin:]
+
+
 def _lines(path: Path, text: str) -> list[_Line]:
     """Lines that hold anything; their numbers as an editor shows them."""
     lines, blank = [], False
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+    for number, line in enumerate(_each_line(text), 1):
+        if not line:
+            blank = True
+            continue
         if len(line) > LONGEST_LINE:
             raise InputError(f"{path}:{number}: longer than {LONGEST_LINE} characters, which no table is")
         stamped = STAMPED.match(line)

@@ -1,0 +1,71 @@
+"""How much memory there is to take, and the sentence where something declares that it needs more."""
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+from lampest.files.errors import InputError
+
+TOLD = "LAMPEST_MEMORY"  # bytes; what a command is told by --memory, and the processes that it starts
+SHARE = 0.9  # of what is free: the rest is for what was not counted
+UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
+SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+GROUP = Path("/sys/fs/cgroup")
+
+
+def check_memory(needed: float, what: str) -> None:
+    """Raise InputError where `what` needs more bytes than there are, with both numbers.
+
+    what : such as 'the lines of a panel of 1 × 60001 cells'.
+    """
+    if needed > (there := memory_limit()):
+        raise InputError(
+            f"{what}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(there)}; --memory allows more"
+        )
+
+
+def memory_limit() -> float:
+    """Bytes that may be taken: what was told, else most of what the machine, a container and `ulimit -v` leave."""
+    told = os.environ.get(TOLD)
+    if told:
+        return float(told)
+    return SHARE * min(float(psutil.virtual_memory().available), _left_in_container(), _left_of_addresses())
+
+
+def allow_memory(text: str) -> None:
+    """Take '8GB' or '500 MB' for what there is, here and in processes that are started. Raises InputError."""
+    size = SIZE.fullmatch(text.strip())
+    if size is None or not float(size[1]):
+        raise InputError(f"--memory: {text!r} is no size such as 8GB")
+    os.environ[TOLD] = str(int(float(size[1]) * UNITS[size[2].upper()]))
+
+
+def in_bytes(size: float) -> str:
+    """'26.8 GiB'."""
+    for unit in ("bytes", "KiB", "MiB"):
+        if size < 1024:
+            return f"{size:.3g} {unit}"
+        size /= 1024
+    return f"{size:.1f} GiB"
+
+
+def _left_in_container() -> float:
+    """What Linux' control group still grants; endless where there is none."""
+    with suppress(OSError, ValueError):
+        most, taken = ((GROUP / name).read_text().strip() for name in ("memory.max", "memory.current"))
+        return float(most) - float(taken)  # 'max' is no number
+    return float("inf")
+
+
+def _left_of_addresses() -> float:
+    """What `ulimit -v` still grants; endless where it grants all, or on a system without it."""
+    with suppress(ImportError, OSError):
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if most != resource.RLIM_INFINITY:
+            return float(most - psutil.Process().memory_info().vms)
+    return float("inf")

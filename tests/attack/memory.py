@@ -1,0 +1,114 @@
+"""Small files that unfold, and scenes that ask for more than a machine has: one sentence, and little memory."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+from attack.attack import HELD, Attack, Ended, command
+from attack.targets import small_folder
+from fuzz.mutants import good_recordings
+
+MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
+WIDE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
+TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
+
+
+def _labels(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A list of texts without a fixed length of which all are the same long one."""
+    path = folder / "small.h5"
+    path.write_bytes(good_recordings(folder)[0])
+    with h5py.File(path, "a") as file:
+        group = file["entry/acquisition"]
+        del group["event_label"], group["event_time"]
+        texts = group.create_dataset("event_label", (20_000,), h5py.string_dtype())
+        texts[0] = "x" * 300_000
+        group["event_time"] = np.zeros(20_000)
+    whole = bytearray(path.read_bytes())
+    place = _place(whole, 300_000)
+    reference = bytes(whole[place : place + 16])
+    whole[place : place + 16 * 20_000] = reference * 20_000
+    path.write_bytes(whole)
+    yield _bounded(command("info", "small.h5", folder=folder, seconds=SECONDS), "small.h5")
+
+
+def _place(whole: bytearray, length: int) -> int:
+    """Where the first reference to a text of that length stands, 19 999 empty ones behind it."""
+    place = whole.find(struct.pack("<I", length))
+    while any(whole[place + 16 : place + 160]):
+        place = whole.find(struct.pack("<I", length), place + 1)
+        assert place > 0
+    return place
+
+
+def _packed_matrix(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A matrix of 390 MB in a .mat file of 400 kB: whole numbers of one byte, so that eight times as many come out."""
+    values = 390_000_000 // 12 * 12
+    head = struct.pack("<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0)
+    head += struct.pack("<II", 2, values)
+    packer = zlib.compressobj(9)
+    packed = packer.compress(struct.pack("<II", 14, len(head) + values) + head)
+    packed += b"".join(packer.compress(bytes(1_000_000)) for _ in range(values // 1_000_000 + 1)) + packer.flush()
+    start = b"MATLAB 5.0".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
+    (folder / "bomb.mat").write_bytes(start + struct.pack("<II", 15, len(packed)) + packed)
+    yield _bounded(command("import", "bomb.mat", *TABLE, folder=folder, seconds=SECONDS), "bomb.mat")
+
+
+def _packed_arrays(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """An array of 480 MB in an .npz file of 500 kB."""
+    np.savez_compressed(folder / "bomb.npz", a=np.zeros((40_000_000, 3, 4), dtype=np.uint8))
+    yield _bounded(command("import", "bomb.npz", *TABLE, folder=folder, seconds=SECONDS), "bomb.npz")
+
+
+def _newlines(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """200 MB of line ends."""
+    with (folder / "lines.csv").open("wb") as stream:
+        for _ in range(200):
+            stream.write(b"\n" * 1_000_000)
+    yield _bounded(command("import", "lines.csv", *TABLE, folder=folder, seconds=SECONDS), "lines.csv")
+
+
+def _wide_panels(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """1 × 60001 cells, whose lines' impedance has 29 GB, in commands that simulate, calibrate, solve and look."""
+    made = small_folder(folder / "work")
+    scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
+    (made / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
+    with h5py.File(made / "wide.h5", "w") as file:
+        file["entry/scene"] = np.bytes_(WIDE)
+        file["entry/two_point/resistance"] = np.full((2, 1, 60001), 1500.0)
+        file["entry/two_point/role"] = np.array([0, 1], dtype=np.uint8)
+    run = (made / "run.yaml").read_text()
+    (made / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
+    for arguments in (
+        ("simulate", "wide.yaml", "--memory", "4GB"),
+        ("calibrate", "wide.h5", "--known", "1000", "--memory", "4GB"),
+        ("info", "wide.h5", "--memory", "4GB"),
+    ):
+        ended = command(*arguments, folder=made, seconds=SECONDS)
+        yield _bounded(ended, "60001", "GiB of memory are needed", "there are 4.0 GiB")
+    ended = command("run", "run.yaml", "--out", "out", "--jobs", "1", "--memory", "4GB", folder=made, seconds=SECONDS)
+    sentence = ended.code == 3 and "there are 4.0 GiB" in ended.err and "Traceback" not in ended.err
+    yield ended.within(SECONDS, MEGABYTES) if sentence else ended.said("a run of a wide panel")
+
+
+def _told(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """What is no size is refused in a sentence."""
+    made = small_folder(folder / "work")
+    for word in ("", "-1GB", "0", "lots", "1e9", "nan"):
+        yield command("info", "small.h5", "--memory", word, folder=made).refused("--memory")
+
+
+def _bounded(ended: Ended, *words: str) -> str:
+    return ended.refused(*words) or ended.within(SECONDS, MEGABYTES) or HELD
+
+
+ATTACKS = (
+    Attack("memory", "texts that are one long text many times", _labels),
+    Attack("memory", "a compressed matrix of 390 MB in a .mat file", _packed_matrix),
+    Attack("memory", "a compressed array of 480 MB in an .npz file", _packed_arrays),
+    Attack("memory", "200 MB of line ends", _newlines, 0),
+    Attack("memory", "panels of 1 × 60001 cells", _wide_panels),
+    Attack("memory", "sizes that are none", _told, 0),
+)
