@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import Rod as Rod
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
+    from lampest.loads.tare import Tare as Tare
     from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
@@ -146,6 +147,7 @@ def reconstruct(
     bounds: Bounds | None = None,
     error_bars: Literal["auto"] | bool = "auto",
     auto_weight: AutoWeight | None = None,
+    tare: Tare | None = None,
 ) -> Reconstruction:
     """r̂ = argmin Σ weight·loss(residual) within the bounds, for every measured frame of a recording.
 
@@ -155,6 +157,7 @@ def reconstruct(
     terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a weight may be 'auto'.
     formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4).
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
+    tare : when the zero of pressures is taken anew; None: never.
     error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.
 
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
@@ -171,5 +174,6 @@ def reconstruct(
         Bounds() if bounds is None else bounds,
         error_bars,
         AutoWeight() if auto_weight is None else auto_weight,
+        tare,
     )
     return Reconstruction.of(recording, estimator)

@@ -208,6 +208,11 @@ class Estimates:
         return None if self._load is None else self._load.saturated.astype(bool)
 
     @property
+    def tared(self) -> tuple[str, ...] | None:
+        """(frames) why zero was taken anew after a frame, '' where it was not; None unless the estimator is to."""
+        return None if self._load is None or self.estimator.tare is None else self._load.tared
+
+    @property
     def model_check(self) -> ModelCheck:
         """Whether the scene's circuit can have made the recording's readings, in a sentence."""
         return recording_check(self.recording)
@@ -253,7 +258,7 @@ class Estimates:
         if self._bars is None:
             return None
         ratio, lower, upper = self._ratio, self._bars.ratio_lower, self._bars.ratio_upper
-        return pressure_of(ratio, lower, upper, self.recording.scene, self.time, self.film)
+        return pressure_of(ratio, lower, upper, self.recording.scene, self.time, self.film, self.estimator.tare)
 
     @property
     def _ratio(self) -> Array:

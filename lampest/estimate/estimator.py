@@ -15,6 +15,7 @@ from lampest.cost.terms import term_kind
 from lampest.cost.terms.term import Term
 from lampest.estimate.methods import Method, MethodName, named_method
 from lampest.files.errors import InputError, in_words
+from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
@@ -133,6 +134,7 @@ class Estimator:
     error_bars : whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only
     verified optima of readings whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
+    tare : when the zero of pressures is taken anew, because nothing touches the panel; None: never.
 
     Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a
     term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
@@ -144,12 +146,15 @@ class Estimator:
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
+    tare: Tare | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
         for name, kind in (("solver", Settings), ("bounds", Bounds), ("auto_weight", AutoWeight)):
             if not isinstance(getattr(self, name), kind):
                 raise InputError(f"{name} must be {kind.__name__}(...), not {in_words(getattr(self, name))}")
+        if not isinstance(self.tare, Tare | None):
+            raise InputError(f"tare must be Tare(...) or None, not {in_words(self.tare)}")
         if self.error_bars not in ("auto", True, False):
             raise InputError(f"error_bars must be 'auto', True or False, not {in_words(self.error_bars)}")
         self.method.check(self.terms)

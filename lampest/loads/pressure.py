@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from lampest.loads.film.known import FilmKnown
 from lampest.loads.film.track import FilmTrack
 from lampest.loads.response import RESPONSE_SD, TOLD_KPA, VACUUM_KPA, pressure_from_logarithm, ratio_from_pressure
+from lampest.loads.tare import Tare, TareWatch
+from lampest.panel.film import Film
 from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
@@ -31,6 +33,7 @@ class Pressure:
         flat, or below −10 kPa, where there is none (on the film, water included). The value is still the best one, but
         not to be trusted, and an end beyond even less. Without any error of the estimate this begins at 31 kPa; the
         paper calls the response "largely saturated" above 28.
+    tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
 
     pressure: Array
@@ -38,6 +41,7 @@ class Pressure:
     upper: Array
     errors: Array
     saturated: NDArray[np.uint8]
+    tared: tuple[str, ...] = ()
 
 
 def pressure_of(
@@ -47,6 +51,7 @@ def pressure_of(
     scene: Scene,
     time: Array | None = None,
     known: FilmKnown | None = None,
+    tare: Tare | None = None,
 ) -> Pressure:
     """p = f⁻¹(f(p_w)·e^x) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
@@ -62,38 +67,45 @@ def pressure_of(
     lower, upper : ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
     scene : panel, and water and temperature where it names them; the water stood there in the unloaded frames too.
     time : (frames) s; a second apart where it is None. known : of the film; None: what the scene says.
+    tare : when zero is taken anew; None: never.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
     """
     _check(ratio, lower, upper, scene.panel)
-    track = PressureTrack.begin(scene, known)
+    track = PressureTrack.begin(scene, known, tare)
     if track.film is None:
         return track.pressure(ratio, lower, upper, 0.0)
-    seconds, frames = np.arange(len(ratio)) if time is None else time, []
+    seconds, frames, tared = np.arange(len(ratio)) if time is None else time, [], []
     for frame in zip(ratio, lower, upper, map(float, seconds), strict=True):
         frames.append(track.pressure(*frame))
         track = track.after(frame[0], frame[3])
-    parts = [np.stack([getattr(frame, part.name) for frame in frames]) for part in fields(Pressure)]
-    return Pressure(*parts)
+        tared.append(track.tared)
+    maps = [part.name for part in fields(Pressure) if part.name != "tared"]
+    together = {name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}
+    return Pressure(**together, tared=tuple(tared))
 
 
 @dataclass(frozen=True, eq=False)
 class PressureTrack:
     """Pressures of frames as they come; with a film, where that stands after the last one.
 
-    scene : as `pressure_of` has it. film : its memory; None where the scene names no film.
+    scene : as `pressure_of` has it. film : its memory and its zero; None where there is neither. watch : whether
+    something touches the panel; None where zero stays. tared : why zero was taken anew after the last frame, or ''.
     """
 
     scene: Scene
     film: FilmTrack | None
+    watch: TareWatch | None = None
+    tared: str = ""
 
     @classmethod
-    def begin(cls, scene: Scene, known: FilmKnown | None = None) -> "PressureTrack":
-        """Before the first frame. known : of the film; None: what the scene says."""
-        if scene.film is None:
+    def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
+        """Before the first frame. known : of the film; None: what the scene says. tare : when zero is taken anew."""
+        if scene.film is None and tare is None:
             return cls(scene, None)
         water = water_pressure(scene.panel, scene.water)
-        return cls(scene, FilmTrack.begin(known or FilmKnown.told(scene.film), water))
+        known = known or FilmKnown.told(scene.film or Film())
+        return cls(scene, FilmTrack.begin(known, water), None if tare is None else TareWatch(tare))
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
         """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where there is no film.
@@ -114,7 +126,24 @@ class PressureTrack:
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Once a frame with r/r_baseline (rows, columns) has been seen at a time in s."""
-        return self if self.film is None else replace(self, film=self.film.told(self._change(ratio), time))
+        if self.film is None:
+            return self
+        change, fading = self._change(ratio), self.film.fading(time)
+        memory, film = self.film.memory(time), self.film.told(change, time)
+        if self.watch is None:
+            return replace(self, film=film)
+        watch, zero, tared = self.watch.after(change - fading, memory, time)
+        if zero is not None:
+            film = film.tared(zero + film.fading(time), time)
+        return replace(self, film=film, watch=watch, tared=tared)
+
+    def rebased(self, time: float) -> "PressureTrack":
+        """Against another baseline from a time in s on: the panel as it is then, with nothing on it."""
+        if self.film is None:
+            return self
+        watch = None if self.watch is None else TareWatch(self.watch.tare, time)
+        nothing = np.zeros(self.scene.panel.shape)
+        return replace(self, film=self.film.tared(nothing, time), watch=watch)
 
     def _change(self, ratio: Array) -> Array:
         """ln(r/r_baseline) without what warmth does."""

@@ -118,6 +118,7 @@ class CaseResult:
     pressure_lower: Array | None = None
     pressure_upper: Array | None = None
     saturated: NDArray[np.uint8] | None = None
+    tared: tuple[str, ...] | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

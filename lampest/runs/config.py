@@ -12,6 +12,7 @@ from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, parse_scalar, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
+from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
@@ -32,6 +33,7 @@ class EstimatorEntry:
     bounds: Bounds | None = None
     error_bars: Literal["auto"] | bool | None = None
     auto_weight: AutoWeight | None = None
+    tare: Tare | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class RunFile:
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
+    tare: Tare | None = None
     executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
@@ -220,7 +223,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         formulation = entry.formulation or run.formulation
         bars = run.error_bars if entry.error_bars is None else entry.error_bars
         choice = entry.auto_weight or run.auto_weight
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice)
+        tare = entry.tare or run.tare
+        return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice, tare)
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

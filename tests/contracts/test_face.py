@@ -72,7 +72,7 @@ def test_importing_the_package_loads_nothing() -> None:
 def test_a_function_says_what_it_takes() -> None:
     signature = inspect.signature(lampest.reconstruct)
     kinds = {name: parameter.kind.name for name, parameter in signature.parameters.items()}
-    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight")
+    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight", "tare")
     expected = dict.fromkeys(("recording", "terms"), "POSITIONAL_OR_KEYWORD") | dict.fromkeys(named, "KEYWORD_ONLY")
     assert kinds == expected
     assert "Any" not in str(signature)

@@ -60,7 +60,9 @@ def reconstruction() -> Estimates:
         truth_pressure=None,
         raw_sums=None,
     )
-    return reconstruct(few, Estimator((lampest.Misfit(weighting="noise"),), "reduced", bounds=Bounds()))
+    return reconstruct(
+        few, Estimator((lampest.Misfit(weighting="noise"),), "reduced", bounds=Bounds(), tare=lampest.Tare())
+    )
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)

@@ -38,6 +38,10 @@ class FilmTrack:
         """ln(r/r_rest) (rows, columns) of a panel that nothing has touched since the last frame, its zero included."""
         return np.asarray(self.films[0].fading(self.seconds(time)) + self.zeros[0])
 
+    def memory(self, time: float) -> Array:
+        """The same without the zero: what is remembered of loads."""
+        return self.films[0].fading(self.seconds(time))
+
     def told(self, change: Array, time: float) -> "FilmTrack":
         """After a frame with ln(r/r_rest) = `change` (rows, columns); where that is NaN, the film stands still."""
         if not np.isfinite(change).any():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lampest.runs.columns.checks import not_negative, told_if_solved
-from lampest.runs.columns.column import MAPS, Column
+from lampest.runs.columns.column import FRAMES, MAPS, Column
 
 PRESSURE = (
     Column(
@@ -45,5 +45,13 @@ PRESSURE = (
         "1: the response does not tell the pressure",
         lambda done: done.saturated,
         dtype=np.uint8,
+    ),
+    Column(
+        "tared",
+        FRAMES,
+        "1",
+        "why the zero of pressures was taken anew after the frame; empty: it was not",
+        lambda done: done.tared,
+        dtype=str,
     ),
 )

@@ -1,0 +1,110 @@
+"""Zero taken anew by itself, where nothing touches the panel: drift is taken off, a load never.
+
+In each of the last so many frames every cell must lie where noise, drift and the film's memory may have brought it;
+their mean no farther than MOST, that of four neighbours MOST_OF_FOUR. Then the mean of the first half of them is the
+new zero; the other half is a guard, so that a load that begins to come is not in it. Noise is what cells scatter by
+from frame to frame: a load that comes or goes counts as departure and not as noise. What grows more slowly than films
+drift cannot be told from drift by anybody, and is taken off.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lampest.panel.panel import Array
+
+SETTLED, OWN = 0.005, 0.4  # ln r/r0 of a cell at rest at once, and the part of its memory that may be wrong
+FAR, FAR_MEAN = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
+TOGETHER = 1.4  # mean square over the cells, in the same units
+# ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
+# suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
+MOST, MOST_OF_FOUR = 0.15, 0.06
+WORTH = 2.0  # standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it
+OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Take zero anew where nothing has touched the panel for so many frames in a row.
+
+    Parameters
+    ----------
+    frames : how many; from fewer than five, noise cannot be told from a load.
+    drift_per_minute : standard deviation of ln r of a cell at rest for each minute since the last zero.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    frames: int = 20
+    drift_per_minute: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.drift_per_minute <= 1:
+            raise ValueError("drift_per_minute must lie between 0 and 1")
+        if not 5 <= self.frames <= 100_000:
+            raise ValueError("frames must lie between 5 and 100000")
+
+
+@dataclass(frozen=True, eq=False)
+class TareWatch:
+    """What has been seen since the last frame that was not at rest.
+
+    tare : when. zeroed : s, of the last zero; None before the first frame. left : (frames, rows, columns) ln r/r_zero
+    without the film's memory. times : (frames) s.
+    """
+
+    tare: Tare
+    zeroed: float | None = None
+    left: tuple[Array, ...] = ()
+    times: tuple[float, ...] = ()
+
+    def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
+        """(the watch after a frame, mean that is the new zero or None, why in a sentence or '').
+
+        left : (rows, columns) ln r/r_zero without the memory, NaN where a cell is not known. memory : (rows, columns).
+        """
+        watch = replace(self, zeroed=time if self.zeroed is None else self.zeroed)
+        if not np.isfinite(left).any():
+            return replace(watch, left=(), times=()), None, ""
+        count = self.tare.frames
+        watch = replace(watch, left=(*self.left, left)[-count:], times=(*self.times, time)[-count:])
+        if len(watch.left) < count:
+            return watch, None, ""
+        mean = watch._zero(memory)
+        if mean is None:
+            return watch, None, ""
+        seconds, most = time - watch.times[0], 100 * np.expm1(np.nanmax(np.abs(mean)))
+        said = (
+            f"nothing touched the panel for {count} frames ({seconds:.3g} s): no cell was off by more than {most:.2g} %"
+            ", as drift and the film's memory allow"
+        )
+        return TareWatch(self.tare, time), mean, said
+
+    def _zero(self, memory: Array) -> Array | None:
+        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero."""
+        frames = np.stack(self.left)
+        known = np.isfinite(frames).all(axis=0)
+        noise = OF_DIFFERENCES * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
+        minutes = (self.times[-1] - (self.zeroed or 0.0)) / 60
+        moved = np.sqrt(SETTLED**2 + (self.tare.drift_per_minute * minutes) ** 2 + (OWN * memory[known]) ** 2)
+        half = len(frames) // 2
+        mean, error = frames[:half, known].mean(axis=0), noise / np.sqrt(half)
+        alone, together = frames[:, known] / np.hypot(noise, moved), mean / np.hypot(2 * error, moved)
+        quiet = (
+            np.abs(alone).max() < FAR
+            and (alone**2).mean(axis=1).max() < TOGETHER
+            and np.abs(together).max() < FAR_MEAN
+            and np.abs(frames[:, known].mean(axis=0)).max() < MOST
+        )
+        if not quiet or np.mean(mean**2) < WORTH**2 * np.mean(error**2):
+            return None
+        zero = np.where(known, frames[:half].mean(axis=0), np.nan)
+        return None if _of_four(frames.mean(axis=0)) > MOST_OF_FOUR else zero
+
+
+def _of_four(zero: Array) -> float:
+    """The largest mean of four neighbouring cells, of either sign; unknown cells count as none."""
+    cells = np.pad(np.nan_to_num(zero), 1)
+    return float(np.abs(cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]).max() / 4)
