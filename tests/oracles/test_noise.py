@@ -203,6 +203,15 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
     assert hidden is not None and hidden.sizes.reading_error == 0.02
 
 
+@pytest.mark.parametrize("seed", [7, 8, 13])
+def test_noisy_cells_are_not_taken_for_a_static_error(seed: int) -> None:
+    """So noisy that a large error of each reading would explain the cells that moved, too."""
+    rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
+    scene = Scene(Panel(8, 8), TwoPointReadout(readings=1, noise_lsb=2), 140.0)
+    hidden = noise_seen(lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))).hidden
+    assert hidden is not None and not hidden.sizes.reading_error
+
+
 def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     """Four times the usual one: what is left possible of it holds that, and not nothing."""
     wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))

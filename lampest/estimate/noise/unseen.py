@@ -32,7 +32,9 @@ UNEXPLAINED = 1e-4  # P(χ²), as in the check of the circuit
 GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel and nothing is told
-LARGER = 4.0  # −2 log likelihood that a larger size must gain among unloaded cells, once there is such an error
+SEEN = 6.6  # the same, of cells once chosen: χ² with one degree of freedom, once in a hundred
+LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
+AGAIN = 3  # times that cells are chosen by the size that they tell
 STRAIGHT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 ROUNDS = 15  # of choosing cells; the choice is settled after a handful
 
@@ -55,13 +57,8 @@ def unseen(
     moves = moves_of(scene, sizes, resting, frames, noise)
     if moves is None:
         return None
-    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in (0.0, *SIZES)}
-    best = min(costs, key=lambda size: costs[size][0])
-    if costs[best][0] > costs[0.0][0] - GAIN:
-        best = 0.0
-    still = costs[best][1]
+    size, still = own_error(moves, resting.value.shape)
     apart = apart_from_moved(still, resting.value.shape)
-    size = size_of(moves, apart) if best else 0.0
     if size:
         alike, straight = Alike.of(scene, resting), STRAIGHT / moves.reach
         if size > straight or alike.contradicts(size) > LARGER:
@@ -77,15 +74,38 @@ def with_reading_error(sizes: Systematic, size: float) -> Systematic:
     return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
 
 
-def size_of(moves: Moves, still: Chosen) -> float:
-    """√E[e²] of readings' own errors, from the marginal likelihood of the still cells: wider where it is uncertain."""
+def own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
+    """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with those of the last.
+
+    Chosen anew, a large error alone would explain cells that moved; one beyond the straight line is asked for by the
+    largest on it.
+    """
+    tried = (0.0, *(size for size in SIZES if size * moves.reach <= STRAIGHT))
+    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in tried}
+    size = min(costs, key=lambda size: costs[size][0])
+    if costs[size][0] <= costs[0.0][0] - GAIN:
+        for _ in range(AGAIN):
+            _, still = still_cells(moves.change, moves.covariance(min(size, STRAIGHT / moves.reach)))
+            size, gained = size_of(moves, apart_from_moved(still, shape))
+        if gained > SEEN:
+            return size, still
+    return 0.0, costs[0.0][1]
+
+
+def size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
+    """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains).
+
+    The root of the mean square is larger than the likeliest where the size is uncertain.
+    """
     part, change = np.ix_(still, still), moves.change[still]
-    costs = np.empty(len(FINE))
-    for number, size in enumerate(FINE):
+
+    def cost(size: float) -> float:
         covariance = moves.covariance(size)[part]
-        costs[number] = change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1]
+        return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
+
+    costs = np.array([cost(size) for size in FINE])
     odds = np.exp(-(costs - costs.min()) / 2)
-    return float(np.sqrt(odds @ np.square(FINE) / odds.sum()))
+    return float(np.sqrt(odds @ np.square(FINE) / odds.sum())), cost(0.0) - float(costs.min())
 
 
 def possible(moves: Moves, size: float, still: Chosen) -> Array:
