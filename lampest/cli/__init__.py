@@ -49,6 +49,7 @@ for _command in (
     estimation.tune,
     estimation.simulate,
     estimation.import_,
+    estimation.tare,
     results.compare,
     results.plot,
     results.detect,

@@ -128,3 +128,24 @@ def import_(
     for line in understood_lines(recording, notes):
         print(line)
     print(out)
+
+
+def tare(
+    file: Annotated[Path, typer.Argument(help="A recording.")],
+    frames: Annotated[str, typer.Option("--frames", help="FIRST:END of frames without a load: 40:50 is 40 to 49.")],
+    out: Annotated[Path, typer.Option("--out", help="The recording that is written.")],
+) -> None:
+    """Make other frames the unloaded ones; all others count as measured, and no reading changes."""
+    from lampest.recording.recording import Recording
+    from lampest.recording.tare import STILL, frames_named, tared
+
+    recording = Recording.load(file)
+    named = frames_named(frames, len(recording.role))
+    made, change = tared(recording, named)
+    made.save(out)
+    print(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
+    if change > STILL:
+        print(
+            f"lampest: readings change by up to {100 * change:.1f} % within these frames; did something come or go?",
+            file=sys.stderr,
+        )

@@ -87,10 +87,22 @@ class Stream:
                 if noise is None
                 else Track(Shared.of(scene, None, noise.hidden), noise=noise.frame)
             )
-        stream = cls(estimator, scene, period, resting, track=track)
-        if not resting.enough(scene):
-            return replace(stream, baseline=stream.unsolved(Status.UNRESTED))
-        return stream if estimator.joint_start else estimator.method.begin(stream)
+        return cls(estimator, scene, period, resting, track=track)._rested()
+
+    def tared(self, resting: Readings) -> "Stream":
+        """The stream against another unloaded panel from here on; the frames before are forgotten.
+
+        resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
+        """
+        _check_frame(resting, self.scene)
+        track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
+        return Stream(self.estimator, self.scene, self.period, resting, track=track)._rested()
+
+    def _rested(self) -> "Stream":
+        """With its baseline, where that is solved alone."""
+        if not self.resting.enough(self.scene):
+            return replace(self, baseline=self.unsolved(Status.UNRESTED))
+        return self if self.estimator.joint_start else self.estimator.method.begin(self)
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.cost.terms import Misfit
+from lampest.cost.terms import Misfit, RelativeChange
+from lampest.cost.terms.term import Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of
 from lampest.loads.shapes import OralDisc, Shape, SuctionCup
@@ -117,3 +119,21 @@ def test_tares_that_cannot_be_are_refused(numbers: dict[str, float]) -> None:
         Tare(**numbers)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="tare must be"):
         Estimator((Misfit(),), tare=10)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(), RelativeChange(weight=10))], ids=["absolute", "relative"])
+def test_a_tared_stream_is_one_begun_anew(terms: tuple[Term, ...]) -> None:
+    recording = made(LAMPREY)
+    readings, estimator = recording.readings(), Estimator(terms, "reduced")
+    stream = Stream.begin(estimator, recording.scene, 1.0, readings[:3].mean())
+    stream, _ = stream.push(readings[60])
+    steps = []
+    resting = readings[10:13].mean()
+    for begun in (stream.tared(resting), Stream.begin(estimator, recording.scene, 1.0, resting)):
+        _, step = begun.push(readings[20])
+        steps.append(step)
+    np.testing.assert_array_equal(steps[0].cell_resistance, steps[1].cell_resistance)
+    assert steps[0].bars is not None and steps[1].bars is not None
+    np.testing.assert_array_equal(steps[0].bars.frame.deviation, steps[1].bars.frame.deviation)
+    with pytest.raises(InputError, match="one frame of 6 × 6"):
+        stream.tared(readings[10:13])

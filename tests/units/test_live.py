@@ -21,15 +21,20 @@ from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.pressure import water_pressure
+from lampest.loads.pressure import PressureTrack, water_pressure
 from lampest.loads.response import ratio_from_pressure
+from lampest.loads.shapes import Rod
+from lampest.loads.tare import Tare
+from lampest.panel.film import Film
 from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.recording import MEASURED, Recording
-from lampest.recording.simulation import read_simulations, simulate
+from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.engine import Engine, FrameSource, Scan, total_pressure, with_picture
+from lampest.report.live.carried import ASKED, total_pressure
+from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
 from lampest.report.live.feed import from_recording
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
@@ -113,7 +118,7 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) 
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved_picture
+    begun, go, shown, truly = threading.Semaphore(0), threading.Semaphore(0), [], engine_module.solved_scan
 
     def slowly(*arguments: Any) -> Any:
         begun.release()
@@ -122,7 +127,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
         shown.append(picture)
         return stream, picture
 
-    monkeypatch.setattr(engine_module, "solved_picture", slowly)
+    monkeypatch.setattr(engine_module, "solved_scan", slowly)
     source = FrameSource(lamprey.scene, 1.0, "receiving")
     scan = Scan(lamprey.recorded[5], None, 1.0, time.time())
     with Engine("test", "test", LSM, 1) as engine:
@@ -190,10 +195,10 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 
 def test_total_pressure_is_a_force() -> None:
     """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
-    scene = Scene(Panel(10, 10))
-    assert total_pressure(ratio_from_pressure(np.full((10, 10), 10.0)), scene) == pytest.approx(100.0)
+    load = PressureTrack.begin(Scene(Panel(10, 10)))
+    assert total_pressure(load, ratio_from_pressure(np.full((10, 10), 10.0))) == pytest.approx(100.0)
     half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert total_pressure(ratio_from_pressure(half), scene) == pytest.approx(0.0, abs=1e-9)
+    assert total_pressure(load, ratio_from_pressure(half)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_total_pressure_is_that_of_the_scene() -> None:
@@ -201,10 +206,10 @@ def test_total_pressure_is_that_of_the_scene() -> None:
     wet = Scene(Panel(10, 10), water=Water(500.0))
     depth = water_pressure(wet.panel, wet.water)
     ratio = ratio_from_pressure(depth + 10.0) / ratio_from_pressure(depth)
-    assert total_pressure(ratio, wet) == pytest.approx(100.0)
+    assert total_pressure(PressureTrack.begin(wet), ratio) == pytest.approx(100.0)
     broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
     ratio = ratio_from_pressure(np.where(broken.faults.blind(broken.panel), -9.0, 10.0))  # type: ignore[union-attr]
-    assert total_pressure(ratio, broken) == pytest.approx(89.0)
+    assert total_pressure(PressureTrack.begin(broken), ratio) == pytest.approx(89.0)
 
 
 def test_history_ends_somewhere() -> None:
@@ -368,3 +373,68 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
     assert (name, found.formulation, found.relative) == ("LSR-dCR", "nodal", True)
     with pytest.raises(InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"):
         chosen("LSR", disk.run())
+
+
+ROD = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
+
+
+def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
+    """30 frames of nothing, 20 of a rod, 50 of nothing; 6 × 6 cells."""
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film)
+    course = Course(start_s=30, release_at_s=50)
+    unmodelled = Unmodelled(drift_per_minute=drift)
+    return simulate(Simulation(1, 3, scene, frames=100, loads=(ROD,), course=course, film=film, unmodelled=unmodelled))
+
+
+def test_live_pressure_forgets_what_the_film_remembers() -> None:
+    film = Film(0.2, 0.08)
+    told, silent = drifting(film, 0.0), dataclasses.replace(drifting(film, 0.0), scene=drifting(None, 0.0).scene)
+    left = [pictures(LSM, recording)[-40].total for recording in (told, silent)]
+    assert abs(left[0]) < 0.1 * abs(left[1])
+
+
+def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
+    recording = drifting()
+    said: list[str] = []
+    with Engine("test", "test", dataclasses.replace(LSM, tare=Tare(10)), 3) as engine:
+
+        def look(seconds: float) -> None:
+            settle(engine)
+            said.append(engine.shown.thing.zero)
+
+        from_recording(engine, recording, 1e9, None, look)
+        engine.finish()
+        view = engine.shown.thing
+    whens = [int(text.split("frame ")[1].split(":")[0]) for text in said if text]
+    assert whens and "nothing touched the panel for 10 frames" in view.zero
+    assert not any(31 <= when <= 50 for when in whens)
+    (plain,) = pictures(LSM, recording)[-1:]
+    assert view.picture is not None
+    change = np.abs(view.picture.relative_change).max()
+    assert change < 0.6 * np.abs(plain.relative_change).max()
+    assert json.loads(view_text(view, 0.0))["zero"] == view.zero
+
+
+def settle(engine: Engine) -> None:
+    """Wait until every frame that was taken has been solved."""
+    for _ in range(2000):
+        view = engine.shown.thing
+        if view.frames == 0 or (view.picture is not None and view.picture.number >= view.frames):
+            return
+        time.sleep(0.005)
+
+
+def test_zero_is_taken_anew_when_it_is_asked_for() -> None:
+    recording = drifting()
+    with Engine("test", "test", LSM, 3) as engine:
+
+        def ask(seconds: float) -> None:
+            settle(engine)
+            if engine.shown.thing.frames == 35:  # the rod lies there: it is taken for the unloaded panel
+                engine.tare()
+
+        from_recording(engine, recording, 1e9, 45, ask)
+        engine.finish()
+        view = engine.shown.thing
+    assert view.zero == f"taken anew after frame 38: {ASKED}"
+    assert view.picture is not None and np.abs(view.picture.relative_change).max() < 5

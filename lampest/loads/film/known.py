@@ -80,10 +80,10 @@ class FilmKnown:
     def _said(self, creep_from: str) -> str:
         parts = []
         if self.film.hysteresis == "auto":
-            parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} ± {100 * self.hysteresis.sd:.0f} %, assumed")
+            parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
         if self.film.creep_per_decade == "auto":
             mean, sd = (100 * number for number in self.creep)
-            parts.append(f"creep {mean:.1f} ± {sd:.1f} % for each decade, {creep_from}")
+            parts.append(f"creep {mean:.1f} +- {sd:.1f} % for each decade, {creep_from}")
         return "; ".join(parts)
 
 

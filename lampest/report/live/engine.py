@@ -4,19 +4,18 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from threading import Event
 
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check.check import model_check
 from lampest.estimate.noise.seen import without_leaps
-from lampest.estimate.step import Step
-from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.pressure import pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.report.live.carried import Carried, solved_picture
 from lampest.report.live.newest import Newest
 from lampest.report.live.view import POINTS, Picture, Point, View
 
@@ -69,6 +68,7 @@ class Engine:
         self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
+        self._zero_asked = Event()
 
     def __enter__(self) -> "Engine":
         return self
@@ -87,6 +87,13 @@ class Engine:
     def say(self, sentence: str) -> None:
         """Show a state of the port or the recording."""
         self.shown.change(lambda view: replace(view, state=sentence))
+
+    def tare(self) -> None:
+        """Nothing is on the panel: the mean of the next frames, as many as the first baseline had, is the new one.
+
+        From any thread; it takes effect with the next frame that is solved.
+        """
+        self._zero_asked.set()
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Start solving against the mean of unloaded frames, without readings that leap.
@@ -124,14 +131,17 @@ class Engine:
         """
         # Nobody sees error bars here, but terms may need them.
         estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)
-        stream = Stream.begin(estimator, source.scene, source.period, resting)
+        carried = Carried.begin(estimator, source.scene, source.period, resting)
         self._check(source.scene, unloaded)
         seen, checked = 0, False
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
-            stream, picture = solved_picture(stream, source.scene, news.thing, len(self._unloaded) + seen, skipped)
-            self.shown.change(partial(with_picture, picture=picture))
+            if self._zero_asked.is_set():
+                self._zero_asked.clear()
+                carried = carried.asked(self._baseline)
+            carried, picture = solved_scan(carried, news.thing, len(self._unloaded) + seen, skipped)
+            self.shown.change(partial(with_picture, picture=picture, zeroed=carried.zeroed))
             if not checked and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
                 checked = True
                 self._check(source.scene, unloaded, news.thing)
@@ -152,50 +162,22 @@ class Engine:
         self.shown.change(lambda view: replace(view, model=said))
 
 
-def solved_picture(stream: Stream, scene: Scene, scan: Scan, number: int, skipped: int) -> tuple[Stream, Picture]:
-    """Solve one frame; where that cannot be, the picture holds NaN and says why, and the stream stays as it was."""
-    nothing = np.full(scene.panel.shape, np.nan)
-    flags = np.zeros(scene.panel.shape, dtype=bool)
+def solved_scan(carried: Carried, scan: Scan, number: int, skipped: int) -> tuple[Carried, Picture]:
+    """Solve one frame; where that cannot be, the picture holds NaN and says why."""
+    scene = carried.stream.scene
+    nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
     try:
         readings = scan.readings(scene)
-        picture = replace(picture, measured_change=100 * (readings.shown / stream.resting.shown - 1))
-        stream, step = stream.push(readings)
     except InputError as error:
-        return stream, replace(picture, status=str(error))
-    return stream, with_step(picture, stream, scene, step)
+        return carried, replace(picture, status=str(error))
+    change = 100 * (readings.shown / carried.stream.resting.shown - 1)
+    return solved_picture(carried, readings, replace(picture, measured_change=change))
 
 
-def with_step(picture: Picture, stream: Stream, scene: Scene, step: Step) -> Picture:
-    """The picture with what the solver found."""
-    solution, baseline = step.solution, stream.baseline_resistance
-    picture = replace(picture, status=solution.status.value, seconds=step.seconds)
-    if not solution.solved:
-        return picture
-    if np.isnan(baseline).any():
-        assert stream.baseline is not None
-        return replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
-    ratio = solution.cell_resistance[-1] / baseline
-    return replace(
-        picture,
-        relative_change=100 * (ratio - 1),
-        open_cell=solution.open_cell[-1],
-        total=total_pressure(ratio, scene),
-    )
-
-
-def total_pressure(ratio: Array, scene: Scene) -> float:
-    """F = Σ p(r/r0)·pitch² over the cells that are not known to be broken, newton; suction counts as negative."""
-    frame, panel = ratio[None], scene.panel
-    pressure = pressure_of(frame, frame, frame, scene).pressure[0]
-    if scene.faults is not None:
-        pressure = np.where(scene.faults.open_cells(panel) | scene.faults.shorted_cells(panel), 0.0, pressure)
-    return float(np.sum(pressure) * panel.pitch_mm**2 * 1e-3)  # kPa · mm² = mN
-
-
-def with_picture(view: View, picture: Picture) -> View:
-    """The view with a new picture, its total added to the history."""
+def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
+    """The view with a new picture, its total added to the history; zeroed : why zero was taken anew after it, or ''."""
     point = Point(picture.number, picture.time, picture.total)
-    return replace(
-        view, picture=picture, skipped=view.skipped + picture.skipped, history=(*view.history, point)[-POINTS:]
-    )
+    zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
+    skipped, history = view.skipped + picture.skipped, (*view.history, point)[-POINTS:]
+    return replace(view, picture=picture, skipped=skipped, history=history, zero=zero)

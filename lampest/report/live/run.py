@@ -13,6 +13,7 @@ from lampest.cost.terms.relative_change import RelativeChange
 from lampest.estimate.estimator import Estimator
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
+from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
 from lampest.recording.board.record import Recorded
@@ -23,11 +24,11 @@ from lampest.report.live.server import address, serving
 from lampest.runs.config import RunFile, resolve
 
 METHODS = {
-    "LSR-gCR": Estimator((Misfit(), Gradient(weight=1e-3)), "reduced"),
-    "LSM": Estimator((Misfit(),), "reduced"),
-    "LSR-CR": Estimator((Misfit(), CellResistance(weight=1e-3)), "reduced"),
-    "LSR-dCR": Estimator((Misfit(), RelativeChange(weight=10)), "reduced"),
-    "LSR-gdCR": Estimator((Misfit(), GradientOfRelativeChange(weight=10)), "reduced"),
+    "LSR-gCR": Estimator((Misfit(), Gradient(weight=1e-3)), "reduced", tare=Tare()),
+    "LSM": Estimator((Misfit(),), "reduced", tare=Tare()),
+    "LSR-CR": Estimator((Misfit(), CellResistance(weight=1e-3)), "reduced", tare=Tare()),
+    "LSR-dCR": Estimator((Misfit(), RelativeChange(weight=10)), "reduced", tare=Tare()),
+    "LSR-gdCR": Estimator((Misfit(), GradientOfRelativeChange(weight=10)), "reduced", tare=Tare()),
 }
 
 

@@ -50,6 +50,7 @@ class View:
 
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
     model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
+    zero : when zero was taken anew last and why, a sentence; empty: it never was.
     frames, lost, skipped : frames that arrived, were lost on the way here, and were not reconstructed.
     """
 
@@ -63,6 +64,7 @@ class View:
     picture: Picture | None = None
     history: tuple[Point, ...] = ()
     model: str = ""
+    zero: str = ""
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
@@ -78,6 +80,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         "method": view.method,
         "state": view.state,
         "model": view.model,
+        "zero": view.zero,
         "sent": sent_at,
         "panel": panel and {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm},
         "frames": view.frames,

@@ -1,0 +1,107 @@
+"""Where a live panel stands: its stream, what its film remembers, and its zero, which may be taken anew."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
+from lampest.files.errors import InputError
+from lampest.loads.pressure import PressureTrack
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.report.live.view import Picture
+
+ASKED = "it was asked for"
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """What is carried from frame to frame.
+
+    stream, load : cells, and pressures from them. recent : the newest readings. missing : frames that still have to
+    come for a zero that was asked for; None where none was. zeroed : why the last frame led to a new zero, or ''.
+    """
+
+    stream: Stream
+    load: PressureTrack
+    recent: tuple[Readings, ...] = ()
+    missing: int | None = None
+    zeroed: str = ""
+
+    @classmethod
+    def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Carried":
+        """Against the unloaded readings. Raises InputError as `Stream.begin`."""
+        return cls(Stream.begin(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
+
+    def asked(self, frames: int) -> "Carried":
+        """Once somebody has said that nothing touches the panel, and that so many frames shall be its zero."""
+        return replace(self, recent=(), missing=frames)
+
+    def after(self, readings: Readings, step: Step, time: float) -> "Carried":
+        """Once a frame was solved: its zero is new where enough frames have come, or nothing touches the panel."""
+        here = replace(self, zeroed="", recent=self._kept(readings))
+        ratio = self.ratio(step)
+        if ratio is not None:
+            here = replace(here, load=self.load.after(ratio, time))
+        if self.missing is not None:
+            here = replace(here, missing=self.missing - 1)
+            return here if here.missing else here._zeroed(here.recent, time, ASKED)
+        tared, tare = here.load.tared, self.stream.estimator.tare
+        if ratio is None or not tared or tare is None:
+            return here
+        return here._zeroed(here.recent[: tare.frames // 2], time, tared)
+
+    def ratio(self, step: Step) -> Array | None:
+        """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
+        baseline = self.stream.baseline_resistance
+        if not step.solution.solved or np.isnan(baseline).any():
+            return None
+        return np.asarray(step.solution.cell_resistance[-1] / baseline)
+
+    def _kept(self, readings: Readings) -> tuple[Readings, ...]:
+        tare = self.stream.estimator.tare
+        most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
+        return (*self.recent, readings)[-most:] if most else ()
+
+    def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "Carried":
+        """Against the mean of some frames from now on; as it was where too little of them was read."""
+        first, *others = frames
+        try:
+            stream = self.stream.tared(first.together(*others).mean())
+        except InputError:
+            return replace(self, missing=None, recent=())
+        return Carried(stream, self.load.rebased(time), zeroed=why)
+
+
+def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tuple[Carried, Picture]:
+    """Solve one frame: (where the panel stands then, the picture with what the solver found).
+
+    Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
+    """
+    try:
+        stream, step = carried.stream.push(readings)
+    except InputError as error:
+        return carried, replace(picture, status=str(error))
+    here, solution = replace(carried, stream=stream), step.solution
+    picture = replace(picture, status=solution.status.value, seconds=step.seconds)
+    ratio = here.ratio(step)
+    if ratio is not None:
+        total = total_pressure(here.load, ratio, picture.time)
+        change, cells = 100 * (ratio - 1), solution.open_cell[-1]
+        picture = replace(picture, relative_change=change, open_cell=cells, total=total)
+    elif solution.solved:
+        assert stream.baseline is not None
+        picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
+    return here.after(readings, step, picture.time), picture
+
+
+def total_pressure(load: PressureTrack, ratio: Array, time: float = 0.0) -> float:
+    """F = Σ p(r/r0)·pitch² over the cells that are not known to be broken, newton; suction counts as negative."""
+    scene, pressure = load.scene, load.pressure(ratio, ratio, ratio, time).pressure
+    if scene.faults is not None:
+        broken = scene.faults.open_cells(scene.panel) | scene.faults.shorted_cells(scene.panel)
+        pressure = np.where(broken, 0.0, pressure)
+    return float(np.sum(pressure) * scene.panel.pitch_mm**2 * 1e-3)  # kPa · mm² = mN
