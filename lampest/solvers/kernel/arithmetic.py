@@ -219,6 +219,8 @@ def _add_responses(
 ) -> None:
     """matrix += Jᵀ·diag(stiffness)·J over the free cells, the upper triangle."""
     rows, cells, count = where[9], len(stiffness), len(conductance)
+    if count == 0:
+        return
     columns, slopes = cells // rows, where[4] + cells
     response, least = np.empty((cells, count)), 0.0
     for number in range(cells):

@@ -1,7 +1,7 @@
 """Newton directions: (∇²φ + μ·diag) s = −∇φ on the free cells, by Cholesky or by conjugate gradients."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +44,9 @@ class Factor:
         """Whether no pivot U_ii² is so small a part of ∂²φ/∂u_i² = Σ_k U_ki² that rounding may have made it."""
         if self.triangle is None:
             return False
-        upper = np.triu(self.triangle)
-        return bool(np.all(np.diag(upper) ** 2 > FLAT * np.einsum("ki,ki->i", upper, upper)))
+        upper = self.triangle
+        whole = np.einsum("ki,ki,ki->i", upper, upper, _above(len(upper)))
+        return bool(np.all(np.diag(upper) ** 2 > FLAT * whole))
 
     @cached_property
     def softest(self) -> Array | None:
@@ -73,6 +74,12 @@ class Factor:
             return part
 
         return solve
+
+
+@lru_cache(maxsize=8)
+def _above(size: int) -> Array:
+    """Ones on the diagonal and above; what a factor leaves below is anything."""
+    return np.triu(np.ones((size, size)))
 
 
 @dataclass(frozen=True, eq=False)
