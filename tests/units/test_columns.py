@@ -84,6 +84,7 @@ def test_every_array_of_a_case_is_a_column() -> None:
         "model_mark",
         "model_sentence",
         "noise_sentence",
+        "noise_learned",
         "film_sentence",
     } | {folder.name for folder in FIGURES}
     assert {field.name for field in dataclasses.fields(CaseResult)} == rest | set(TYPED)
