@@ -1,4 +1,4 @@
-"""What earlier versions found is found again: cells to nine digits, statuses and flags as they were."""
+"""What earlier versions found is found again: cells to eight digits, statuses and flags as they were."""
 
 from pathlib import Path
 
@@ -7,8 +7,8 @@ import pytest
 from golden.make import HERE, RECORDING, reconstructed, simulated
 from studies.equal import compare, equal, relative_difference, show
 
-# Another BLAS adds in another order; the estimates of these scenes move by less than a tenth of this.
-CELLS = 1e-9
+# Another processor adds in another order: between two of them the same commit's cells of these scenes differed by up to 1.4e-9.
+CELLS = 1e-8
 EXPECTED = {path.stem: path for path in sorted(HERE.glob("*.h5")) if path.name != RECORDING}
 
 
