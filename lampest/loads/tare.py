@@ -93,18 +93,16 @@ class TareWatch:
         mean, error = frames[:half, known].mean(axis=0), noise / np.sqrt(half)
         alone, together = frames[:, known] / np.hypot(noise, moved), mean / np.hypot(2 * error, moved)
         quiet = (
-            np.abs(alone).max() < FAR
-            and (alone**2).mean(axis=1).max() < TOGETHER
-            and np.abs(together).max() < FAR_MEAN
-            and np.abs(frames[:, known].mean(axis=0)).max() < MOST
+            np.abs(alone).max() < FAR and (alone**2).mean(axis=1).max() < TOGETHER and np.abs(together).max() < FAR_MEAN
         )
         if not quiet or np.mean(mean**2) < WORTH**2 * np.mean(error**2):
             return None
         zero = np.where(known, frames[:half].mean(axis=0), np.nan)
-        return None if _of_four(frames.mean(axis=0)) > MOST_OF_FOUR else zero
+        return None if stands_out(frames.mean(axis=0)) else zero
 
 
-def _of_four(zero: Array) -> float:
-    """The largest mean of four neighbouring cells, of either sign; unknown cells count as none."""
-    cells = np.pad(np.nan_to_num(zero), 1)
-    return float(np.abs(cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]).max() / 4)
+def stands_out(change: Array) -> bool:
+    """Whether ln r/r0 (rows, columns) may be under a load, in a cell or in four neighbours; unknown cells are not."""
+    cells = np.pad(np.nan_to_num(change), 1)
+    four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
+    return bool(np.abs(cells).max() > MOST or np.abs(four).max() > MOST_OF_FOUR)

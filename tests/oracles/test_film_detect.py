@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import OR
 from lampest.loads.shapes import OralDisc
 from lampest.panel.film import Film
@@ -19,6 +23,10 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.detect.events import events
+from lampest.report.detect.run import GivenRecording, detected
+from lampest.runs.filling import named_result
 
 MOUTH = OralDisc(kind="oral_disc", centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
 SCENE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
@@ -83,3 +91,30 @@ def test_memory_follows_from_the_answer_and_fades() -> None:
         widened = np.sqrt(np.diag(rest.covariance - baseline.covariance)[:64].reshape(8, 8)[3, 3])
         assert widened == pytest.approx(left[3, 3] * np.hypot(0.4, 0.3 * np.hypot(1, 0.4)), rel=1e-6)
     assert film.rest(baseline, 1e6) is baseline
+
+
+def test_a_weak_lamprey_is_recognised_after_hours_because_the_unloaded_panel_is_taken_anew() -> None:
+    """Cells drift by a quarter until it comes; against the first baseline it may be a ring as well."""
+    weak = replace(MOUTH, pressure_kpa=-4, rim_kpa=20)
+    course, drift = Course(start_s=1350), Unmodelled(drift_per_minute=0.01)
+    late = Simulation(1, 1, SCENE, frames=96, frame_period_s=15, loads=(weak,), course=course, unmodelled=drift)
+    case = named_result(reconstruct(simulate(late), Estimator((Misfit(),), "naive")), "naive")
+    found = [detected(GivenRecording.of(case, RecognitionSettings(zero_after=count)), None) for count in (0, 15)]
+    assert ["attached" in [event.kind for event in events(one)] for one in found] == [False, True]
+    stays, anew = (np.flatnonzero([bool(why) for why in one.tared]) for one in found)
+    assert len(stays) == 0 and len(anew) > 2 and anew.max() < 90
+    assert found[1].tared[anew[0]].startswith("nothing was there for 15 frames (210 s)")
+    assert all("nothing" in label.split(OR) for label in found[1].labels[:90])
+
+
+def test_memory_is_that_since_the_panel_was_taken_anew() -> None:
+    resting = recorded(None).readings()[[0, 1, 2]].mean()
+    assert resting.sigma is not None
+    baseline = Baseline.of(resting.value, resting.sigma, SCENE, ModelErrors(creep=0.05, creep_sd=0.02))
+    change = np.zeros(SCENE.panel.shape)
+    change[3, 3] = 2.0
+    film = Remembered.nothing(change.shape).after(change, 100.0)
+    anew = film.against(film, 110.0)
+    assert anew.rest(baseline, 0.0) is baseline
+    whole = [film.rest(baseline, seconds).logarithm[3, 3] for seconds in (110.0, 160.0)]
+    assert anew.rest(baseline, 50.0).logarithm[3, 3] - baseline.logarithm[3, 3] == pytest.approx(whole[1] - whole[0])

@@ -20,10 +20,14 @@ MOST = 3.0  # of ln r/r0 in a fit: beyond are open cells and dead shorts
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """creep : of (rows, columns), with a strength of 1. seconds : since the baseline, of the last frame."""
+    """creep : of (rows, columns), with a strength of 1. seconds : since the baseline, of the last frame.
+
+    before : (rows, columns) S when the baseline was taken; 0 where nothing had been there.
+    """
 
     creep: Creep
     seconds: float = 0.0
+    before: Array | float = 0.0
 
     @classmethod
     def nothing(cls, shape: tuple[int, ...]) -> "Remembered":
@@ -35,10 +39,19 @@ class Remembered:
         answer = -np.clip(change, -MOST, MOST)
         return replace(self, creep=self.creep.after(answer, max(seconds - self.seconds, 0.0)), seconds=seconds)
 
+    def against(self, then: "Remembered", seconds: float) -> "Remembered":
+        """The same against a baseline that was taken so many seconds after this one, when the film was as `then`."""
+        return replace(self, seconds=self.seconds - seconds, before=then._sum(seconds))
+
+    def _sum(self, seconds: float) -> Array:
+        """S (rows, columns) at a time since the baseline, if nothing comes until then."""
+        nothing = np.zeros(self.creep.strength.shape)
+        return self.creep.answer(nothing, max(seconds - self.seconds, 0.0))
+
     def rest(self, baseline: Baseline, seconds: float) -> Baseline:
         """The panel at rest so many seconds after the baseline; the baseline itself while nothing is remembered."""
         errors = baseline.model_errors
-        crept = self.creep.answer(np.zeros(baseline.logarithm.shape), max(seconds - self.seconds, 0.0)).ravel()
+        crept = (self._sum(seconds) - self.before).ravel()
         if np.abs(crept).max() * np.hypot(errors.creep, errors.creep_sd) < FAINT:
             return baseline
         covariance, cells = baseline.covariance.copy(), crept.size

@@ -21,6 +21,7 @@ class RecognitionSettings:
         say, or in air.
     noise_percent : standard deviation of every reading in percent, where the results do not hold it; None: refuse.
     model_errors : the errors beside the readings' noise.
+    zero_after : frames in a row without a load from which the unloaded panel is taken anew; 0: never.
 
     Raises ValueError where a number is out of range.
     """
@@ -30,8 +31,11 @@ class RecognitionSettings:
     top_row_depth_mm: float | None = None
     noise_percent: float | None = None
     model_errors: ModelErrors = field(default_factory=ModelErrors)
+    zero_after: int = 20
 
     def __post_init__(self) -> None:
+        if self.zero_after != 0 and self.zero_after < 5:
+            raise ValueError("zero_after must be 0, or at least 5 frames")
         for name in ("patch_mm", "noise_percent"):
             value = getattr(self, name)
             if value is not None and not (isfinite(value) and value > 0):

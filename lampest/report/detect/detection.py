@@ -31,6 +31,7 @@ class Detection:
     values, errors : (frames, quantities) and their standard deviations; NaN where there is no such load or number.
     further : the same for the second load and the third, where several are there at once. count : (frames) of loads.
     goodness : (frames) χ² per reading of the most probable candidate; NaN where the frame was not solved.
+    tared : (frames) why the unloaded panel was taken anew after a frame; '' where it was not.
     """
 
     recording: str
@@ -44,10 +45,17 @@ class Detection:
     further: tuple[tuple[Array, Array], ...]
     count: NDArray[np.int64]
     goodness: Array
+    tared: tuple[str, ...] = ()
 
     @classmethod
     def of(
-        cls, recording: str, source: str, frame: NDArray[np.int64], time: Array, verdicts: tuple[Verdict | None, ...]
+        cls,
+        recording: str,
+        source: str,
+        frame: NDArray[np.int64],
+        time: Array,
+        verdicts: tuple[Verdict | None, ...],
+        tared: tuple[str, ...] = (),
     ) -> "Detection":
         """From the verdicts on all frames; None where a frame was not solved."""
         numbers = [_numbers(verdict) for verdict in verdicts]
@@ -64,6 +72,7 @@ class Detection:
             tuple(_further(verdicts, number) for number in range(1, MOST_AT_ONCE)),
             np.array([_count(verdict) for verdict in verdicts]),
             np.array([np.nan if verdict is None else verdict.goodness for verdict in verdicts]),
+            tared or ("",) * len(verdicts),
         )
 
 

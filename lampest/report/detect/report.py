@@ -87,6 +87,8 @@ def _write(group: Any, detection: Detection) -> None:
         hdf5.set_attributes(group[ordinal], NX_class="NXcollection")
     hdf5.write_dataset(group, "count", detection.count, "1", "number of loads at once", axes)
     hdf5.write_dataset(group, "goodness", detection.goodness, "1", "chi-square per reading of the best load", axes)
+    why = "why the unloaded panel was taken anew after the frame; empty: it was not"
+    hdf5.write_dataset(group, "tared", hdf5.ascii_array(detection.tared), "1", why, axes)
     _write_events(group.create_group("events"), events(detection))
 
 

@@ -15,6 +15,7 @@ from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counti
 from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.recognition.zero import Zero
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.recording.readings import AT_LEAST, VALUE, Readings
@@ -80,6 +81,7 @@ class GivenRecording:
     case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa.
     measured, sigma : (frames, rows, columns) ohm; what stands in for a missing reading has so large a σ that it does
     not count. enough : (frames) whether there is something to look at. baseline : the unloaded panel.
+    zero_after : frames without a load from which that is taken anew.
     """
 
     case: CaseResult
@@ -89,6 +91,7 @@ class GivenRecording:
     sigma: Array
     enough: NDArray[np.bool_]
     baseline: Baseline
+    zero_after: int
 
     @classmethod
     def of(cls, case: CaseResult, settings: RecognitionSettings) -> "GivenRecording":
@@ -105,7 +108,7 @@ class GivenRecording:
             raise InputError(f"{case.recording}: {error}") from error
         side = np.where(case.valued, VALUE, AT_LEAST)  # what is no value is not asked on which side it bounds
         enough = Readings(measured, None, side, np.ones(side.shape)).enough(scene)
-        return cls(case, settings.patch_of(scene.panel), water, measured, sigma, enough, baseline)
+        return cls(case, settings.patch_of(scene.panel), water, measured, sigma, enough, baseline, settings.zero_after)
 
     def frames(self) -> Iterator[Direct]:
         """All frames; the baseline ended one period before the first."""
@@ -118,18 +121,22 @@ class GivenRecording:
 
 def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
     """What an estimate shows, or the readings themselves for None; frames that failed are left out."""
-    detector: Detector | None = None
+    zero, detector = Zero(given.case.scene, given.zero_after, given.baseline), None
     verdicts: list[Verdict | None] = []
-    for place, frame in enumerate(given.frames()):
-        if detector is None:
-            detector = Detector.of(given.case.scene.panel, given.patch_mm, frame)
+    tared: list[str] = []
+    for place, taken in enumerate(given.frames()):
+        frame = zero.seen(taken)
+        detector = detector or Detector.of(given.case.scene.panel, given.patch_mm, frame)
         if not (given.enough[place] and (source is None or source.solved[place])):
-            verdicts.append(None)
-            continue
-        detector, verdict = detector.push(frame if source is None else _compared(frame, source.cell_resistance[place]))
+            verdict, zero = None, zero.broken()
+        else:
+            shown = frame if source is None else _compared(frame, source.cell_resistance[place])
+            detector, verdict = detector.push(shown)
+            zero, detector = zero.after(frame, verdict, detector)
         verdicts.append(verdict)
+        tared.append(zero.said)
     name = SHARED if source is None else source.estimator
-    return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts))
+    return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts), tuple(tared))
 
 
 def _compared(frame: Direct, estimate: Array) -> Observation:

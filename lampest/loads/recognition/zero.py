@@ -1,0 +1,95 @@
+"""The panel at rest, taken anew where nothing touches it: what films drift by does not pile up over hours.
+
+Where so many frames in a row are called nothing (a flat load at most, and less likely), the median of the first half of
+them is the unloaded panel from then on; the other half is a guard, so that a load that begins to come is not in it. It
+is not, where cells on the way there stand out as a load might: drift that has grown for long could hide a weak one.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.candidates import NOTHING, UNIFORM
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.frame import Direct
+from lampest.loads.recognition.memory import Remembered
+from lampest.loads.recognition.search import cell_map
+from lampest.loads.recognition.verdict import OR, Verdict
+from lampest.loads.tare import stands_out
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+CALM = frozenset(candidate.label for candidate in UNIFORM)
+OF_MEDIAN = 1.2533  # standard deviation of a median over that of a mean
+
+
+class _Calm(NamedTuple):
+    """A frame in which nothing was there; seconds : since the baseline. remembered : after it."""
+
+    frame: Direct
+    remembered: Remembered
+
+
+@dataclass(frozen=True, eq=False)
+class Zero:
+    """What frames are compared with.
+
+    scene : they were taken in. count : frames that are needed in a row; 0: zero stays. baseline : the panel at rest.
+    since : s of it, on the axis of the frames' seconds. calm : frames since something was there. said : why zero was
+    taken anew after the last frame, or ''.
+    """
+
+    scene: Scene
+    count: int
+    baseline: Baseline
+    since: float = 0.0
+    calm: tuple[_Calm, ...] = ()
+    said: str = ""
+
+    def seen(self, frame: Direct) -> Direct:
+        """The frame against this baseline."""
+        return frame if self.since == 0 else replace(frame, baseline=self.baseline, seconds=frame.seconds - self.since)
+
+    def broken(self) -> "Zero":
+        """After a frame of which nothing is known."""
+        return replace(self, calm=(), said="")
+
+    def after(self, frame: Direct, verdict: Verdict, detector: Detector) -> tuple["Zero", Detector]:
+        """(zero after a frame that `seen` has given, the detector for the next one)."""
+        quiet = frozenset(verdict.label.split(OR)) <= CALM and verdict.best.candidate is NOTHING
+        if not (self.count and quiet and detector.remembered is not None):
+            return self.broken(), detector
+        here = replace(self, calm=(*self.calm, _Calm(frame, detector.remembered)), said="")
+        if len(here.calm) < self.count:
+            return here, detector
+        return here._anew(detector)
+
+    def _anew(self, detector: Detector) -> tuple["Zero", Detector]:
+        """With the baseline that the first half of the calm frames makes; as it was where that might be a load."""
+        first = self.calm[: max(len(self.calm) // 2, 1)]
+        middle, remembered = first[len(first) // 2].frame, first[len(first) // 2].remembered
+        measured = np.median([one.frame.measured for one in first], axis=0)
+        sigma = OF_MEDIAN * _mean_error([one.frame.sigma for one in first])
+        rest = remembered.rest(self.baseline, middle.seconds)
+        change = cell_map(replace(middle, measured=measured, sigma=sigma, baseline=rest))
+        if stands_out(change):
+            return self.broken(), detector
+        baseline = Baseline.of(measured, sigma, self.scene, self.baseline.model_errors)
+        seconds = self.calm[-1].frame.seconds - self.calm[0].frame.seconds
+        said = (
+            f"nothing was there for {len(self.calm)} frames ({seconds:.3g} s): no cell was off by more than "
+            f"{100 * np.expm1(np.abs(change).max()):.2g} %, as drift and the film's memory allow"
+        )
+        here = Zero(self.scene, self.count, baseline, self.since + middle.seconds, said=said)
+        fresh = Detector.of(
+            detector.panel, detector.patch_mm, here.seen(replace(middle, seconds=here.since)), detector.loads
+        )
+        kept = None if detector.remembered is None else detector.remembered.against(remembered, middle.seconds)
+        return here, replace(fresh, remembered=kept)
+
+
+def _mean_error(sigmas: list[Array]) -> Array:
+    """σ of a mean, of readings whose σ differ."""
+    return np.asarray(1 / np.sqrt(np.sum(1 / np.square(sigmas), axis=0)))
