@@ -10,15 +10,22 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation.files import read_simulations
+from lampest.recording.simulation.simulation import simulate
 from lampest.report.plots.plot import likely_change, strongest_index
 
-DATA = Path(__file__).parents[2] / "data"
+ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
-def test_a_cup_is_shown_while_it_sucks(name: str) -> None:
-    """Before it does, its rim alone moves the readings further: by up to 1.9 times in the mean."""
-    recording = Recording.load(DATA / f"cup_{name}.h5")
+def test_a_cup_is_shown_while_it_sucks(name: str, panel: str) -> None:
+    """Before it does, its rim alone moves readings further; also where cells differ by factors and readings are off."""
+    if panel == "clean":
+        recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")
+    else:
+        ((_, simulation),) = read_simulations(ROOT / "configs" / f"real_cup_{name}.yaml")
+        recording = simulate(simulation)
     assert recording.truth_pressure is not None
     readings = Readings.of(recording.scene, recording.recorded)
     measured, loaded = readings.value[recording.role == MEASURED], recording.truth_pressure[recording.role == MEASURED]
@@ -26,8 +33,9 @@ def test_a_cup_is_shown_while_it_sucks(name: str) -> None:
     case = invented_case(shape=measured.shape, measured=measured, measured_baseline=resting)
     shown = strongest_index([case])
     assert loaded[shown].min() < 0.99 * loaded.min() < 0
-    by_readings = np.argmax(np.abs(np.log(measured / resting)).mean(axis=(1, 2)))
-    assert loaded[by_readings].min() > 0.1 * loaded.min(), "readings alone would show another frame"
+    if panel == "clean":
+        by_readings = np.argmax(np.abs(np.log(measured / resting)).mean(axis=(1, 2)))
+        assert loaded[by_readings].min() > 0.1 * loaded.min(), "readings alone would show another frame"
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (8, 5), (1, 6), (6, 1), (2, 2)])

@@ -277,7 +277,7 @@ def main() -> None:
     parser.add_argument("--first", type=json.loads, default=[], help="scenes to begin with, as printed, in a list")
     parser.add_argument("--check", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--start", type=float, default=1.1)
+    parser.add_argument("--start", type=float, default=1.66)
     asked = parser.parse_args()
     if asked.check:
         check(asked.check, asked.seeds, asked.start)

@@ -47,14 +47,14 @@ def strongest_index(cases: Sequence[CaseResult]) -> int:
 
 
 def furthest(value: Array, resting: Array) -> int:
-    """The last of some frames (frames, rows, columns) whose mean |`likely_change`| reaches 90 % of the largest.
+    """The last of some frames (frames, rows, columns) whose rms `likely_change` reaches 90 % of the largest.
 
     The last one, because a load settles after it has set in.
     """
-    change = np.abs(likely_change(value, resting))
+    change = likely_change(value, resting)
     known = np.isfinite(change)
-    mean = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
-    return int(np.flatnonzero(mean >= STRONG * mean.max())[-1])
+    square = np.where(known, change**2, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
+    return int(np.flatnonzero(square >= STRONG**2 * square.max())[-1])
 
 
 def likely_change(value: Array, resting: Array) -> Array:
