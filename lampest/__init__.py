@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
     from lampest.panel.series import SeriesPerLine as SeriesPerLine
+    from lampest.recording import datasets as datasets
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene
     from lampest.recording.readings import Readings as Readings
@@ -130,6 +131,8 @@ else:
     def __getattr__(name: str) -> object:
         if name == "__version__":
             return import_module("importlib.metadata").version("lampest")
+        if name == "datasets":  # a module, and not yet an attribute of its room
+            return import_module(f"{_HOMES[name]}.{name}")
         if name in _HOMES:
             return getattr(import_module(_HOMES[name]), name)
         raise AttributeError(f"module 'lampest' has no attribute '{name}'")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lampest.cli import board, estimation, results, studies
+from lampest.cli import board, estimation, results, start, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT
 from lampest.files.errors import InputError
 from lampest.files.interrupts import ending_signals
@@ -44,6 +44,7 @@ def _with_memory(command: Callable[..., None]) -> Callable[..., None]:
 
 
 for _command in (
+    start.init,
     estimation.run,
     estimation.starts,
     estimation.tune,

@@ -13,7 +13,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.kernel.following import load, serves
+from lampest.solvers.kernel.following import load_machine_code, serves
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solution, Solver
@@ -58,7 +58,7 @@ class OptimalMethod(Method):
         """The compiled cost, and machine code where a frame follows another one."""
         solver.prepare()
         if isinstance(solver, Newton) and previous is not None and serves(solver.cost, data):
-            load()
+            load_machine_code()
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""

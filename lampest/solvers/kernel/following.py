@@ -134,7 +134,7 @@ def serves(cost: Cost, data: Data) -> bool:
 
 
 @cache
-def load() -> None:
+def load_machine_code() -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
     from lampest.solvers.kernel.arithmetic import appraised, descend
 

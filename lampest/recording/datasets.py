@@ -1,0 +1,35 @@
+"""Recordings and files that travel with lampest: examples to try it on, the runs and scenes that made them.
+
+In a checkout they are the folders `configs/` and `data/`; a wheel carries the same two in `lampest/shipped/`.
+"""
+
+from pathlib import Path
+
+from lampest.files.errors import InputError
+from lampest.recording.recording import Recording
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def folder() -> Path:
+    """Where `configs/` and `data/` stand: `lampest run` takes a file of the first as it takes one of your own."""
+    inside = PACKAGE / "shipped"
+    return inside if inside.is_dir() else PACKAGE.parent
+
+
+def names() -> tuple[str, ...]:
+    """The recordings that `load` knows, in alphabetical order."""
+    return tuple(sorted(file.stem for file in (folder() / "data").glob("*.h5")))
+
+
+def load(name: str) -> Recording:
+    """A shipped recording: simulated, with its scene and its truth.
+
+    >>> lampest.datasets.load("lamprey_35mm").resistance.shape  # frames, rows, columns; ohm
+    (24, 10, 10)
+
+    Raises InputError where there is none of that name.
+    """
+    if name not in names():
+        raise InputError(f"there is no recording {name!r} in lampest; there are {', '.join(names())}")
+    return Recording.load(folder() / "data" / f"{name}.h5")
