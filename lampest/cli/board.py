@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import INTERRUPTED, check_positive, written
+from lampest.cli.screen import INTERRUPTED, check_positive, progress, written
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -102,7 +102,8 @@ def calibrate(
         known_resistors(word, recording.scene.panel)
         for recording, word in zip(recordings, words * (len(files) // len(words)), strict=True)
     ]
-    found = calibrate_recordings(recordings, tables, tolerance)
+    with progress("calibrating"):
+        found = calibrate_recordings(recordings, tables, tolerance)
     text = calibrated_scene_text(found)
     if out is None:
         print(text, end="")

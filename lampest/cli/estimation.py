@@ -89,7 +89,9 @@ def simulate(
     """Make recordings with their truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
 
-    for path in run_simulation(config, out):
+    with progress("frames") as on_frame:
+        written_files = run_simulation(config, out, on_frame)
+    for path in written_files:
         print(path)
 
 
@@ -121,10 +123,11 @@ def import_(
 
     check_positive("--period", period)
     told = read_scene(scene) if scene else None
-    recording, notes = import_file(
-        file, rows, columns, told, unit, baseline, transpose, variable, period=period, missing=missing
-    )
-    recording.save(out)
+    with progress("reading"):
+        recording, notes = import_file(
+            file, rows, columns, told, unit, baseline, transpose, variable, period=period, missing=missing
+        )
+        recording.save(out)
     for line in understood_lines(recording, notes):
         print(line)
     print(out)

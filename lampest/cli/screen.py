@@ -90,13 +90,14 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, silent where that is no terminal."""
+    """A progress bar on stderr, silent where that is no terminal; it moves on its own while nothing is told."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
-        from rich.progress import Progress
+        from rich.progress import Progress, TimeElapsedColumn
 
-        self._bar = Progress(console=Console(stderr=True), disable=not sys.stderr.isatty())
+        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+        self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
 
     def __enter__(self) -> Any:

@@ -6,6 +6,7 @@ other drawn numbers do not change it. A recording keeps what was drawn, in /entr
 
 import dataclasses
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,20 +20,29 @@ MOST_VALUES = 50_000_000
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
 
 
-def run(path: Path, out: Path | None) -> list[Path]:
+def run(path: Path, out: Path | None, on_frame: Callable[[int, int], None] = lambda done, frames: None) -> list[Path]:
     """Simulate all that a file describes and write the recordings; returns their paths.
 
     Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
-    into several. All are computed before the first is written. Raises InputError.
+    into several. All are computed before the first is written.
+
+    on_frame : told of how many frames how many are done. Raises InputError.
     """
     planned = read_simulations(path)
     targets = _targets(path, out, planned)
     if sum(simulation.values for _, simulation in planned) > MOST_VALUES:
         raise InputError(f"{path}: all recordings together hold more than {MOST_VALUES} values; split the sweep")
-    recordings = []
+    recordings, done = [], 0
+    frames = sum(simulation.all_frames for _, simulation in planned)
+
+    def next_frame() -> None:
+        nonlocal done
+        done += 1
+        on_frame(done, frames)
+
     for (name, simulation), target in zip(planned, targets, strict=True):
         try:
-            recordings.append(simulate(simulation, target.stem))
+            recordings.append(simulate(simulation, target.stem, next_frame))
         except ValueError as error:
             raise InputError(f"{path}: {name}: {error}") from error
     for target, recording in zip(targets, recordings, strict=True):

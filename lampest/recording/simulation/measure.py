@@ -1,6 +1,6 @@
 """What the electronics make of cells: their circuit, multiplexers, converter → recorded readings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,7 @@ def measured(
     seed: int,
     period_s: float = 1.0,
     scanned: Sequence[Array] = (),
+    on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[Array, NDArray[np.int64] | None]:
     """(recorded readings, Σ code): what the readout's equation gives, and the sums of the converter's codes.
 
@@ -34,6 +35,7 @@ def measured(
 
     cells : (frames, rows, columns) ohm. period_s : between frames.
     scanned : for loads that travel, the cells while each line is read, in order.
+    on_frame : called after each frame was converted.
     Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
@@ -56,7 +58,7 @@ def measured(
     if unmodelled.disturbs:
         volt = disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
         total = actual.recorded_from_volt(volt)
-    sums = sums_of_codes(actual, total, unmodelled, seed)
+    sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
 
@@ -88,7 +90,9 @@ def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Arr
     return row_ohm, column_ohm
 
 
-def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: int) -> NDArray[np.int64]:
+def sums_of_codes(
+    readout: Readout, total: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
+) -> NDArray[np.int64]:
     """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
     sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
@@ -102,6 +106,7 @@ def sums_of_codes(readout: Readout, total: Array, unmodelled: Unmodelled, seed: 
                 hit = outliers.random(shape) < unmodelled.outlier_probability
                 codes = np.where(hit, outliers.integers(0, 2**readout.adc_bits, shape), codes)
             sums[frame] += codes.sum(axis=0)
+        on_frame()
     return sums
 
 

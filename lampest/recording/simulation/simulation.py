@@ -1,5 +1,6 @@
 """A simulation: what is on the panel and how it is measured → a recording with its truth."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, ClassVar, Literal
@@ -7,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lampest.files.document import to_yaml
+from lampest.files.memory import check_memory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import AnyShape
@@ -23,6 +25,7 @@ from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 MOST_VALUES = 20_000_000
 LEAST_OHM, MOST_OHM = 1e-3, 1e12
 MOST_CELLS = 100_000
+COPIES = 10  # of all values, at the worst: pressures, cells, their factors, readings, sums
 
 
 @dataclass(frozen=True)
@@ -114,22 +117,30 @@ class Simulation:
     @property
     def values(self) -> int:
         """frames · rows · columns, unloaded frames included."""
-        return (self.baseline_frames + self.frames) * self.scene.panel.cells
+        return self.all_frames * self.scene.panel.cells
+
+    @property
+    def all_frames(self) -> int:
+        """Frames, unloaded ones included."""
+        return self.baseline_frames + self.frames
 
 
-def simulate(simulation: Simulation, name: str = "simulated") -> Recording:
+def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None) -> Recording:
     """r = r0·e^drift·f(p)·e^(α(T − T_b)), y = network(r), measured: the recording with its truth, all from the seed.
 
+    on_frame : called after each frame was converted.
     Raises ValueError where a cell's or a measured resistance leaves its range.
     """
-    frames = simulation.baseline_frames + simulation.frames
+    frames, passes = simulation.all_frames, simulation.scene.panel.rows + simulation.scene.panel.columns
+    copies = COPIES + (passes if simulation.unmodelled.load_speed_mm_s else 0)
+    check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.cells} cells")
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
     pressure = pressure_at(simulation, loaded_time)
     cells = cells_under(simulation, time)
     scanned = scanned_cells(simulation, time) if simulation.unmodelled.load_speed_mm_s else ()
     recorded, sums = measured(
-        simulation.scene, cells, simulation.unmodelled, simulation.seed, simulation.frame_period_s, scanned
+        simulation.scene, cells, simulation.unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame
     )
     raw = raw_sums(simulation.scene.readout, sums)
     return Recording(
