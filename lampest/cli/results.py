@@ -22,13 +22,14 @@ def compare(
     from lampest.report.compare import compare_files, model_notes, write_csv
     from lampest.report.on_screen import legend, screen_blocks
 
-    rows = compare_files(results)
-    if csv:
-        write_csv(csv, rows)
-    if report:
-        from lampest.report.page.page import write_report
+    with progress("recordings") as on_recording:
+        rows = compare_files(results)
+        if csv:
+            write_csv(csv, rows)
+        if report:
+            from lampest.report.page.page import write_report
 
-        write_report(results, report)
+            write_report(results, report, on_recording)
     blocks = screen_blocks(rows, each)
     for block in blocks:
         print(block.title)
@@ -49,7 +50,9 @@ def plot(
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
     from lampest.report.plots.results import plot_results
 
-    for path in plot_results(results, out, show):
+    with progress("pictures") as on_picture:
+        files = plot_results(results, out, show, on_picture=on_picture)
+    for path in files:
         print(path)
 
 
@@ -78,7 +81,8 @@ def detect(
     with progress("sources") as on_case:
         read, found = detect_file(results, settings, on_case, refused.append)
     folder = results.parent if out is None else out
-    files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder))
+    with progress("pictures") as on_picture:
+        files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
     print_table(event_table(found))
     for file in files:
         print(file)
@@ -119,7 +123,9 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
     """Say what a file holds and draw the first frame as a small map."""
     from lampest.report.info import describe
 
-    for line in describe(file):
+    with progress("reading"):
+        lines = describe(file)
+    for line in lines:
         print(line)
 
 

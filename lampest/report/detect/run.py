@@ -22,6 +22,7 @@ from lampest.recording.readings import AT_LEAST, VALUE, Readings
 from lampest.recording.stand_in import StandIn
 from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
+from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results, read_results
 
 AS_PUBLISHED = RecognitionSettings()
@@ -54,7 +55,6 @@ def detect(
     A recording of another readout, or of unknown noise, is left out, and `on_refused` is told why. Raises InputError
     where none is left.
     """
-    found: list[Detection] = []
     given: dict[str, GivenRecording] = {}
     refused: list[InputError] = []
     for name in results.recordings():
@@ -66,12 +66,12 @@ def detect(
         raise refused[0]
     for sentence in refused:
         on_refused(str(sentence))
-    total = sum(1 + len(results.of(name)) for name in given)
-    for name, recording in given.items():
-        for source in (None, *results.of(name)):
-            found.append(detected(recording, source))
-            on_case(len(found), total)
-    return tuple(found)
+    tasks = [(recording, source) for name, recording in given.items() for source in (None, *results.of(name))]
+    return tuple(each_of(_detected, tasks, on_case))
+
+
+def _detected(task: "tuple[GivenRecording, CaseResult | None]") -> Detection:
+    return detected(*task)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,16 +8,17 @@ import numpy as np
 
 from lampest.files.whole import write_whole
 from lampest.report.page.advice import Advice, advise, doubts
-from lampest.report.page.batch import Batch, read_batch
+from lampest.report.page.batch import Batch, Subject, read_batch
 from lampest.report.page.compared import Comparison, compared
-from lampest.report.page.measures import measures
-from lampest.report.page.section import section
+from lampest.report.page.measures import Measures, measures
+from lampest.report.page.section import Section, section
 from lampest.report.page.standing import standing_section
 from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
 from lampest.report.page.template import SHARED, filled
 from lampest.report.page.words import counted, listed
 from lampest.report.plots.style import verbatim
+from lampest.runs.executors import each_of
 
 SEED = 20190604
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
@@ -38,16 +39,19 @@ class Origin:
     versions: str
 
 
-def write_report(paths: Sequence[Path], out: Path) -> None:
+def write_report(
+    paths: Sequence[Path], out: Path, on_recording: Callable[[int, int], None] = lambda done, total: None
+) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
+    on_recording : told of how many recordings how many are drawn.
     Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
     """
-    write_whole(out, report(read_batch(paths)))
+    write_whole(out, report(read_batch(paths), on_recording))
 
 
-def report(batch: Batch) -> str:
-    """The page as HTML."""
+def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
+    """The page as HTML; on_recording as `write_report` has it."""
     generator = np.random.default_rng(SEED)
     over_all, each = generator.spawn(2)
     comparison = compared(batch, over_all)
@@ -61,10 +65,11 @@ def report(batch: Batch) -> str:
     whole, drawn = shown_whole(batch, comparison, advice), shown_estimators(batch, comparison)
     with verbatim():
         standing = None if comparison is None else standing_section(comparison)
-        sections = [
-            section(subject, number, found[subject.name], drawn, subject.name in whole)
-            for number, subject in enumerate(batch.subjects, 1)
-        ]
+    tasks = [
+        (subject, number, found[subject.name], drawn, subject.name in whole)
+        for number, subject in enumerate(batch.subjects, 1)
+    ]
+    sections = each_of(_section, tasks, on_recording)
     return filled(
         SHARED,
         size=f"{counted(len(batch.subjects), 'recording')}, {counted(batch.frames, 'frame')}, "
@@ -80,6 +85,11 @@ def report(batch: Batch) -> str:
         origins=origins(batch),
         draws=f"{DRAWS:,}",
     )
+
+
+def _section(task: tuple[Subject, int, dict[str, Measures], tuple[str, ...], bool]) -> Section:
+    with verbatim():
+        return section(*task)
 
 
 def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> frozenset[str]:

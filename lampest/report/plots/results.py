@@ -1,6 +1,6 @@
 """Pictures of a results file, one file each."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,18 +9,27 @@ from matplotlib.figure import Figure
 from lampest.files.errors import InputError, in_words
 from lampest.report.plots import plot_of
 from lampest.report.plots.plot import Plot
-from lampest.report.plots.style import SUFFIXES, save, verbatim
+from lampest.report.plots.style import SUFFIXES, image_of, verbatim, write_image
 from lampest.runs.columns import Column
+from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results, read_results
+
+MOST_TOGETHER = 20  # estimators that one picture shows
 
 
 def plot_results(
-    path: str | Path, out: str | Path | None = None, show: str | Plot = "contours", columns: Sequence[Column] = ()
+    path: str | Path,
+    out: str | Path | None = None,
+    show: str | Plot = "contours",
+    columns: Sequence[Column] = (),
+    on_picture: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
+    More than MOST_TOGETHER estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on.
     What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png or .pdf
-    file where there is one picture. columns : as `read_results` takes them. Returns the files that were written.
+    file where there is one picture. columns : as `read_results` takes them.
+    on_picture : told of how many pictures how many are drawn. Returns the files that were written.
     Raises InputError where there is no such plot, the results cannot be read or hold nothing to draw, or the place
     cannot be written.
     """
@@ -28,18 +37,22 @@ def plot_results(
     path = Path(path)
     results = read_results(path, columns)
     target = path.parent if out is None else Path(out)
+    pictures = list(_pictures(results, plot))
+    if not pictures:
+        raise InputError(f"{path}: {_lacks(plot)}")
+    if target.suffix in SUFFIXES and len(pictures) > 1:
+        raise InputError(f"{target}: one picture cannot hold {len(pictures)}; name a folder instead")
+    files = [target if target.suffix in SUFFIXES else target / f"{plot.kind}_{name}.png" for name, _ in pictures]
+    tasks = [(plot, cases, file) for (_, cases), file in zip(pictures, files, strict=True)]
+    for file, image in zip(files, each_of(_image, tasks, on_picture, here=not isinstance(show, str)), strict=True):
+        write_image(image, file)
+    return files
+
+
+def _image(task: tuple[Plot, tuple[CaseResult, ...], Path]) -> bytes:
+    plot, cases, file = task
     with verbatim():
-        pictures = list(_pictures(results, plot))
-        if not pictures:
-            raise InputError(f"{path}: {_lacks(plot)}")
-        if target.suffix in SUFFIXES and len(pictures) > 1:
-            raise InputError(f"{target}: one picture cannot hold {len(pictures)}; name a folder instead")
-        written = []
-        for name, figure in pictures:
-            file = target if target.suffix in SUFFIXES else target / f"{plot.kind}_{name}.png"
-            save(figure, file)
-            written.append(file)
-    return written
+        return image_of(plot.draw(cases), file)
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
@@ -68,11 +81,14 @@ def _lacks(plot: Plot) -> str:
     return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
 
 
-def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, Figure]]:
+def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseResult, ...]]]:
+    """(name, cases) of every picture; more estimators than one picture holds go on several, of that many each."""
     for recording in results.recordings():
         cases = plot.drawable(results.of(recording))
         if plot.apart:
-            for case in cases:
-                yield f"{recording}_{case.estimator}", plot.draw((case,))
-        elif cases:
-            yield recording, plot.draw(cases)
+            yield from ((f"{recording}_{case.estimator}", (case,)) for case in cases)
+        elif len(cases) <= MOST_TOGETHER:
+            yield from [(recording, cases)] if cases else ()
+        else:
+            for page, first in enumerate(range(0, len(cases), MOST_TOGETHER), 1):
+                yield f"{recording}_{page}", cases[first : first + MOST_TOGETHER]

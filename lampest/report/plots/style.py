@@ -39,12 +39,23 @@ def save(figure: Figure, path: str | Path) -> None:
 
     Raises InputError for another suffix or where the place cannot be written.
     """
-    path = Path(path)
+    write_image(image_of(figure, Path(path)), Path(path))
+
+
+def image_of(figure: Figure, path: Path) -> bytes:
+    """The bytes of a figure as a file of that name has them. Raises InputError for another suffix than SUFFIXES."""
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: pictures are written as {' or '.join(SUFFIXES)}")
+    stream = BytesIO()
     metadata = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
+    figure.savefig(stream, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=metadata)
+    return stream.getvalue()
+
+
+def write_image(image: bytes, path: Path) -> None:
+    """Write an image, whole or not at all. Raises InputError where the place cannot be written."""
     with whole_file(path) as unfinished:
-        figure.savefig(unfinished, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=metadata)
+        unfinished.write_bytes(image)
 
 
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:

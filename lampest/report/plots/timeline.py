@@ -1,6 +1,6 @@
 """What was attached, over time: probabilities, diameter, pressures and place; and the strongest frame with circles."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,9 @@ from lampest.report.plots.contours import percent_change
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
 from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.scales import stepped_scale
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save, verbatim
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, image_of, new_figure, verbatim, write_image
 from lampest.runs.case import SHARED
+from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results
 
 HEIGHT_INCH = 4.6
@@ -34,19 +35,28 @@ X, Y, DIAMETER, WIDTH, INSIDE, RIM = range(6)
 STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60, 100)
 
 
-def plot_timelines(results: Results, detections: Sequence[Detection], folder: str | Path) -> list[Path]:
+def plot_timelines(
+    results: Results,
+    detections: Sequence[Detection],
+    folder: str | Path,
+    on_picture: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
     """Draw every recording into timeline_<recording>.png in a folder; returns the files.
 
-    Raises InputError where the folder cannot be written.
+    on_picture : told of how many pictures how many are drawn. Raises InputError where the folder cannot be written.
     """
-    written = []
-    for detection in detections:
-        if detection.source == SHARED:
-            file = Path(folder) / f"timeline_{detection.recording}.png"
-            with verbatim():
-                save(timeline(detection, results.of(detection.recording)), file)
-            written.append(file)
-    return written
+    shown = [detection for detection in detections if detection.source == SHARED]
+    files = [Path(folder) / f"timeline_{detection.recording}.png" for detection in shown]
+    tasks = [(one, results.of(one.recording), file) for one, file in zip(shown, files, strict=True)]
+    for file, image in zip(files, each_of(_image, tasks, on_picture), strict=True):
+        write_image(image, file)
+    return files
+
+
+def _image(task: tuple[Detection, tuple[CaseResult, ...], Path]) -> bytes:
+    detection, cases, file = task
+    with verbatim():
+        return image_of(timeline(detection, cases), file)
 
 
 def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:

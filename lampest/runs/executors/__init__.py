@@ -7,8 +7,9 @@ from lampest.runs.executors.dask import Dask, Slurm
 from lampest.runs.executors.executor import ONE_THREAD, Executor, cores
 from lampest.runs.executors.processes import Processes
 from lampest.runs.executors.serial import Serial
+from lampest.runs.executors.together import each_of
 
-__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "local"]
+__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "each_of", "local"]
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 
 
