@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from lampest.cli import board, estimation, results, start, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, say
 from lampest.files.errors import InputError
 from lampest.files.interrupts import ending_signals
 from lampest.files.memory import allow_memory
@@ -80,13 +80,13 @@ def main() -> None:
         with ending_signals():
             app()
     except InputError as error:
-        print(f"lampest: {error}", file=sys.stderr)
+        say(f"lampest: {error}", to=sys.stderr)
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
         said = " ".join(str(error).split()) or "no more is said"
-        print(f"lampest: more memory is needed than there is ({said})", file=sys.stderr)
+        say(f"lampest: more memory is needed than there is ({said})", to=sys.stderr)
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            print("lampest: interrupted; what was finished is kept", file=sys.stderr)
+            say("lampest: interrupted; what was finished is kept", to=sys.stderr)
         raise

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import INTERRUPTED, check_positive, progress, written
+from lampest.cli.screen import INTERRUPTED, check_positive, markless, progress, say, say_text, written
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ def ports() -> None:
 
     found = all_ports()
     for port in found:
-        print(f"{port.url}  {port.description}{'  (looks like an Arduino)' if port.likely else ''}")
+        say(f"{port.url}  {port.description}{'  (looks like an Arduino)' if port.likely else ''}")
     if not found:
-        print("there is no serial port", file=sys.stderr)
+        say("there is no serial port", to=sys.stderr)
 
 
 def record(
@@ -69,7 +69,7 @@ def repair(file: Annotated[Path, typer.Argument(help="A recording that was not c
     """Turn what a crash left into a clean recording; one that is clean stays as it is."""
     from lampest.recording.board.record import repair as repair_recording
 
-    print(f"{repair_recording(file)} frames: {file}")
+    say(f"{repair_recording(file)} frames: {file}")
 
 
 def calibrate(
@@ -106,12 +106,12 @@ def calibrate(
         found = calibrate_recordings(recordings, tables, tolerance)
     text = calibrated_scene_text(found)
     if out is None:
-        print(text, end="")
+        say_text(text.removesuffix("\n"))
         return
     write_whole(out, text)
-    print(f"{summary(found)}: {out}")
+    say(f"{summary(found)}: {out}")
     if any(one.differ for one in found.found):
-        print("lampest: the lines differ by more than their noise; the scene's comments say how much", file=sys.stderr)
+        say("lampest: the lines differ by more than their noise; the scene's comments say how much", to=sys.stderr)
 
 
 def live(
@@ -157,9 +157,7 @@ def live(
         source = Replay(recording, speed, baseline)
     # A board is told to stop, however live ends.
     with ending_signals():
-        done = run_live(
-            source, estimator, config, http, frames, token, lambda url: print(f"{url}  (Ctrl-C ends)", flush=True)
-        )
+        done = run_live(source, estimator, config, http, frames, token, lambda url: say(f"{url}  (Ctrl-C ends)"))
     if done is not None:
         report_recorded(done)
 
@@ -167,16 +165,16 @@ def live(
 def report_recorded(done: "Recorded") -> None:
     """Say what was recorded, and what no scene told; a recording that was interrupted ends with 130."""
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
-    print(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
-        print(
+        say(
             "lampest: no series resistance is assumed, because the scene names none; two multiplexer channels have "
             "some 140 ohm, which lampest calibrate measures",
-            file=sys.stderr,
+            to=sys.stderr,
         )
     if done.ended_by:
         behind = f"{done.behind} of the {done.frames} frames were" if done.behind else "no frame was"
-        print(f"lampest: {done.ended_by} ended the recording; {behind} still in the port then", file=sys.stderr)
+        say(f"lampest: {done.ended_by} ended the recording; {behind} still in the port then", to=sys.stderr)
         raise typer.Exit(INTERRUPTED)
 
 
@@ -192,6 +190,7 @@ def recording_line() -> Iterator[Callable[["Progress"], None]]:
 
         def update(progress: "Progress") -> None:
             at = "" if progress.sample is None else f" at {progress.sample.time:.1f} s"
-            line.update(f"{progress.frames} frames{at}, {progress.lost} lost{progress.state and '; ' + progress.state}")
+            state = progress.state and f"; {progress.state}"
+            line.update(markless(f"{progress.frames} frames{at}, {progress.lost} lost{state}"))
 
         yield update

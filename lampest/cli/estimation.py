@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress, written
+from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress, say, written
 
 
 def run(
@@ -28,9 +28,9 @@ def run(
     with progress("cases") as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
     counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"
-    print(f"{counts}: {report.results or 'no results'}")
+    say(f"{counts}: {report.results or 'no results'}")
     for name, sentence in report.failed:
-        print(f"lampest: {name} failed: {sentence}", file=sys.stderr)
+        say(f"lampest: {name} failed: {sentence}", to=sys.stderr)
     if report.failed:
         raise typer.Exit(SOME_FAILED)
 
@@ -53,9 +53,9 @@ def tune(
     files = (*write_study(folder, study), *plot_study(study, folder))
     print_table(tune_table(study))
     for file in files:
-        print(file)
+        say(file)
     for name, reason in study.left_out:
-        print(f"lampest: {name} left out: {reason}", file=sys.stderr)
+        say(f"lampest: {name} left out: {reason}", to=sys.stderr)
 
 
 def starts(
@@ -92,7 +92,7 @@ def simulate(
     with progress("frames") as on_frame:
         written_files = run_simulation(config, out, on_frame)
     for path in written_files:
-        print(path)
+        say(path)
 
 
 def import_(
@@ -129,8 +129,8 @@ def import_(
         )
         recording.save(out)
     for line in understood_lines(recording, notes):
-        print(line)
-    print(out)
+        say(line)
+    say(out)
 
 
 def tare(
@@ -146,9 +146,9 @@ def tare(
     named = frames_named(frames, len(recording.role))
     made, change = tared(recording, named)
     made.save(out)
-    print(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
+    say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
     if change > STILL:
-        print(
+        say(
             f"lampest: readings change by up to {100 * change:.1f} % within these frames; did something come or go?",
-            file=sys.stderr,
+            to=sys.stderr,
         )

@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, WRONG_INPUT, Out, print_figures, print_notes, print_table, progress, written
+from lampest.cli.screen import (
+    SOME_FAILED,
+    WRONG_INPUT,
+    Out,
+    print_figures,
+    print_notes,
+    print_table,
+    progress,
+    say,
+    say_text,
+    written,
+)
 from lampest.files.errors import InputError
 
 
@@ -32,7 +43,7 @@ def compare(
             write_report(results, report, on_recording)
     blocks = screen_blocks(rows, each)
     for block in blocks:
-        print(block.title)
+        say(block.title)
         print_figures(block.table)
     print_notes((*legend(rows, blocks), *model_notes(rows)))
 
@@ -53,7 +64,7 @@ def plot(
     with progress("pictures") as on_picture:
         files = plot_results(results, out, show, on_picture=on_picture)
     for path in files:
-        print(path)
+        say(path)
 
 
 def detect(
@@ -85,9 +96,9 @@ def detect(
         files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
     print_table(event_table(found))
     for file in files:
-        print(file)
+        say(file)
     for sentence in refused:
-        print(f"not looked at: {sentence}", file=sys.stderr)
+        say(f"not looked at: {sentence}", to=sys.stderr)
     if refused:
         raise typer.Exit(SOME_FAILED)
 
@@ -116,7 +127,7 @@ def schema() -> None:
 
     from lampest.runs.config import json_schema
 
-    print(json.dumps(json_schema(), indent=2))
+    say_text(json.dumps(json_schema(), indent=2))
 
 
 def info(file: Annotated[Path, typer.Argument(help="A recording or a results file.")]) -> None:
@@ -126,7 +137,7 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
     with progress("reading"):
         lines = describe(file)
     for line in lines:
-        print(line)
+        say(line)
 
 
 def check(files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings or results.")]) -> None:
@@ -137,9 +148,9 @@ def check(files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="R
     with progress("files") as on_file:
         for number, file in enumerate(files, 1):
             try:
-                print(checked_sentence(file))
+                say(checked_sentence(file))
             except InputError as error:
-                print(f"lampest: {error}", file=sys.stderr)
+                say(f"lampest: {error}", to=sys.stderr)
                 damaged += 1
             on_file(number, len(files))
     if damaged:

@@ -2,11 +2,11 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -44,15 +44,38 @@ def check_positive(name: str, value: float | None) -> None:
         raise InputError(f"{name} must be positive and finite")
 
 
+def say(thing: object, to: TextIO | None = None) -> None:
+    """Print one line; signs that would do anything to a terminal are written as escapes, whatever names hold."""
+    print(printable(str(thing)), file=to, flush=True)
+
+
+def say_text(text: str) -> None:
+    """Print a text line by line."""
+    for line in text.split("\n"):
+        say(line)
+
+
+def _escaped(text: str) -> str:
+    """What stands in a table, line by line as `say` has it."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def markless(text: str) -> str:
+    """A text in which rich finds no marks, and a terminal no signs."""
+    from rich.markup import escape
+
+    return escape(printable(text))
+
+
 def print_table(table: "Table") -> None:
     """Draw a table; as wide as the terminal, or as it needs where the output is no terminal."""
     from rich import box
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    drawn = RichTable(*table.headers, box=box.SIMPLE)
+    drawn = RichTable(*map(_escaped, table.headers), box=box.SIMPLE)
     for cells in table.cells:
-        drawn.add_row(*cells)
+        drawn.add_row(*map(_escaped, cells))
     Console(width=None if sys.stdout.isatty() else 200, highlight=False, markup=False).print(drawn)
 
 
@@ -70,12 +93,12 @@ def print_figures(table: "Table") -> None:
     drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for number, header in enumerate(table.headers):
         room = max((len(cells[number]) for cells in table.cells), default=0)
-        words = fill(header, max(room, *map(len, header.split())), break_long_words=False)
+        words = fill(_escaped(header), max(room, *map(len, header.split())), break_long_words=False)
         drawn.add_column(
             words, no_wrap=number > 0, overflow="fold", min_width=None if number else min(room, NAME_WIDTH)
         )
     for cells in table.cells:
-        drawn.add_row(*cells)
+        drawn.add_row(*map(_escaped, cells))
     screen = Console(highlight=False, markup=False)
     screen.width = max(screen.width if sys.stdout.isatty() else 0, FIGURES_WIDTH)
     screen.print(drawn)
@@ -86,7 +109,11 @@ def print_notes(notes: "Iterable[str]") -> None:
     from textwrap import fill
 
     for note in notes:
-        print(fill(note, FIGURES_WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+        print(
+            fill(
+                printable(note), FIGURES_WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+            )
+        )
 
 
 class progress:  # noqa: N801
@@ -106,7 +133,7 @@ class progress:  # noqa: N801
 
     def _told(self, done: int, total: int, what: str | None = None) -> None:
         """How many of how many are done, and what is next where that takes long."""
-        self._bar.update(self._task, completed=done, total=total, description=what)
+        self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)

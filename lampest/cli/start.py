@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from lampest.cli.screen import say, say_text
+
 
 def init(
     folder: Annotated[
@@ -15,6 +17,6 @@ def init(
     from lampest.runs.starter import RUN, write_starter
 
     for path in write_starter(folder):
-        print(path)
+        say(path)
     run = folder / RUN
-    print(f"\nnow: lampest run {run}\n     lampest plot results/{run.stem}/results.h5")
+    say_text(f"\nnow: lampest run {run}\n     lampest plot results/{run.stem}/results.h5")

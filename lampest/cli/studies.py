@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import Folder, print_table, progress
+from lampest.cli.screen import Folder, print_table, progress, say
 
 
 def bench(
@@ -27,10 +27,10 @@ def bench(
         found = run_bench(settings, on_step)
     files = write_bench(out or Path("results") / config.stem, found, settings)
     for title, table in tables(found):
-        print(title)
+        say(title)
         print_table(table)
     for line in (*bench_remarks(found, settings), *files):
-        print(line)
+        say(line)
 
 
 def tradeoff(
@@ -50,7 +50,7 @@ def tradeoff(
     files = (*write_tradeoff(folder, found), plot_tradeoff(found, folder / "tradeoff.png"))
     print_table(tradeoff_table(found))
     for file in files:
-        print(file)
+        say(file)
 
 
 def extremes(
@@ -70,7 +70,7 @@ def extremes(
     files = (*write_atlas(folder, found), plot_extremes(found, folder / "extremes.png"))
     print_table(atlas_table(found))
     for line in (*atlas_remarks(found), *files):
-        print(line)
+        say(line)
 
 
 def audit(
@@ -88,7 +88,7 @@ def audit(
     files = write_audit(out or Path("results") / config.stem, found)
     print_table(audit_table(found))
     for line in (*audit_remarks(found), *files):
-        print(line)
+        say(line)
 
 
 def paper(
@@ -104,4 +104,4 @@ def paper(
     with progress("cases") as on_case:
         files = write_paper(out, jobs, on_case)
     for file in files:
-        print(file)
+        say(file)

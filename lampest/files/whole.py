@@ -42,9 +42,12 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text in UTF-8 with the line ends it has. Raises InputError where the place cannot be written."""
+    """Write a text in UTF-8 with the line ends it has; half signs, of files' names, as escapes.
+
+    Raises InputError where the place cannot be written.
+    """
     with whole_file(path) as unfinished:
-        unfinished.write_bytes(text.encode("utf-8"))
+        unfinished.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
 def check_output(path: Path) -> None:

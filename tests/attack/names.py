@@ -1,0 +1,83 @@
+"""Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal is plain."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+from attack.attack import HELD, HOUSE, Attack, called, printable
+from attack.targets import small_folder
+
+SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
+
+
+def _files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Files of such names, read, written and refused."""
+    for number in rng.permutation(len(SIGNS))[:count]:
+        sign = SIGNS[number]
+        made = small_folder(folder / f"work{number}")
+        for suffix in (".h5", ".csv"):
+            (made / f"{'small' if suffix == '.h5' else 'table'}{suffix}").rename(made / f"a{sign}b{suffix}")
+        (made / "results.h5").rename(made / f"r{sign}s.h5")
+        for arguments in (
+            ("info", f"a{sign}b.h5"),
+            ("check", f"a{sign}b.h5", f"r{sign}s.h5", f"no{sign}.h5"),
+            ("import", f"a{sign}b.csv", "--rows", "3", "--columns", "4", "--out", f"o{sign}.h5"),
+            ("compare", f"r{sign}s.h5", "--csv", f"t{sign}.csv"),
+            ("plot", f"r{sign}s.h5", "--out", f"p{sign}"),
+            ("run", f"no{sign}.yaml"),
+            ("run", "run.yaml", "--set", f"recordings=[{sign}.h5]"),
+        ):
+            ended = called(*arguments, folder=made)
+            plain = printable(ended.out) and printable(ended.err) and "Traceback" not in ended.err
+            lines = sum((ended.out + ended.err).count(f"\n{rest}") for rest in ("b.h5", "b.csv", "s.h5", ".h5", ".csv"))
+            yield HELD if plain and not lines else ended.said(f"{arguments[0]} with {sign!r}")
+
+
+def _attributes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Texts within results and recordings: sentences, versions, names of groups, labels, scenes."""
+    for number in rng.permutation(len(SIGNS))[:count]:
+        sign = SIGNS[number].encode("utf-8", "replace").decode()
+        made = small_folder(folder / f"work{number}")
+        with h5py.File(made / "results.h5", "a") as file:
+            case = file["entry/small/LSM"]
+            for name, value in case.attrs.items():
+                if isinstance(value, bytes):
+                    case.attrs[name] = np.bytes_(value + sign.encode())
+            case.attrs["model_explains"], case.attrs["model_check"] = "no", f"no{sign}"
+            case.attrs["noise_check"], case.attrs["numpy_version"] = f"noise{sign}", sign
+            case.copy(case, file["entry/small"], f"L{sign.replace('/', '')}M")
+        with h5py.File(made / "small.h5", "a") as file:
+            file["entry/start_time"] = np.bytes_(f"2026{sign}".encode())
+            text = file["entry/scene"][()]
+            del file["entry/scene"]
+            file["entry/scene"] = np.bytes_(text + f"# {sign}\n".encode())
+        with h5py.File(made / "only.h5", "w") as file:
+            file.attrs["lampest_format"] = sign
+            file[f"entry/two_point/resistance{sign}"] = np.ones(3)
+        for arguments in (
+            ("info", "results.h5"),
+            ("info", "small.h5"),
+            ("info", "only.h5"),
+            ("compare", "results.h5", "--report", "r.html"),
+            ("detect", "results.h5", "--noise", "1"),
+        ):
+            ended = called(*arguments, folder=made)
+            plain = printable(ended.out) and printable(ended.err) and "Traceback" not in ended.err
+            yield HELD if plain else ended.said(f"{arguments[0]} with {sign!r} inside")
+
+
+def _one_way_out(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Nobody in the package prints but the functions of cli/screen.py that escape."""
+    for path in sorted((HOUSE / "lampest").rglob("*.py")):
+        calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        prints = any(isinstance(call, ast.Name) and call.id == "print" for call in calls)
+        yield HELD if not prints or path.name == "screen.py" else f"{path} prints by itself"
+
+
+ATTACKS = (
+    Attack("names", "files with signs for a terminal", _files, 2, len(SIGNS)),
+    Attack("names", "texts in files with signs for a terminal", _attributes, 2, len(SIGNS)),
+    Attack("names", "ways around the one function that shows names", _one_way_out),
+)
