@@ -3,8 +3,10 @@
 What every solver shares: the data of a solve, the cost at a point with its derivatives, and the test of optimality.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
+from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ class Data:
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
     readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
-    whether σ is.
+    whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up.
     """
 
     given: Given
@@ -34,6 +36,16 @@ class Data:
     readout: Readout = TwoPointReadout()
     wiring: Wiring | None = None
     noise_known: bool = False
+    until: float = math.inf
+
+    def limited(self, seconds: float | None) -> "Data":
+        """The same with so many s from now on to solve it, or without end."""
+        return self if seconds is None else replace(self, until=monotonic() + seconds)
+
+    @property
+    def overdue(self) -> bool:
+        """Whether it is time to give up."""
+        return self.until < math.inf and monotonic() > self.until
 
     @property
     def measured(self) -> Array:

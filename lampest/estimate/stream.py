@@ -212,14 +212,15 @@ class Stream:
         with delayed_interrupt():
             begin = perf_counter()
             estimator = self.estimator
+            limit = estimator.solver.time_limit_s
             if estimator.automatic:
                 noisy = self.resting.sigma is not None
-                estimator = with_chosen_weights(estimator, self.scene, data, previous, noisy)
+                estimator = with_chosen_weights(estimator, self.scene, data.limited(limit), previous, noisy)
             choice = perf_counter() - begin
             solver = estimator.problem(self.scene, len(data.measured), self.period, data.partial)
             estimator.method.prepare(solver, data, previous)
             begin = perf_counter()
-            solution = estimator.method.solution(solver, data, previous, self.prepared)
+            solution = estimator.method.solution(solver, data.limited(limit), previous, self.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights)
 

@@ -5,6 +5,7 @@ With NUMBA_DISABLE_JIT=1 in the environment the same functions run as plain Pyth
 """
 
 import ctypes
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -49,6 +50,12 @@ def _called(typing: Any, address: Any, pointers: Any) -> Any:
 @overload(call, strict=False)  # annotations alone make two signatures differ
 def _call_in_machine_code(address: Any, pointers: Any) -> Any:
     return lambda address, pointers: _called(address, pointers)  # type: ignore[call-arg]
+
+
+def clock_address() -> int:
+    """Of `clock_gettime`, of which the first argument is a number and no pointer; 0 where there is none."""
+    function = getattr(ctypes.CDLL(None), "clock_gettime", None) if os.name == "posix" else None
+    return 0 if function is None else int(ctypes.cast(function, ctypes.c_void_p).value or 0)
 
 
 def blas_address(name: str) -> int:

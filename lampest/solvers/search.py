@@ -92,7 +92,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     one_minimum = _one_minimum(solver.cost, data)
     hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
     more = [] if one_minimum else _beside(solver, found)
-    if found.solved and not hard and not more:
+    if (found.solved and not hard and not more) or data.overdue:
         return found
     if hard or not found.solved:
         more += [] if previous is None else [uniform, convex(data, None)]
@@ -107,7 +107,7 @@ def _others(solver: Solver, points: Iterable[Evaluation]) -> list[Solution]:
     """Solutions from more starts, as many as one solve's iterations begin."""
     solutions: list[Solution] = []
     for point in points:
-        if sum(one.iterations for one in solutions) >= solver.settings.max_iterations:
+        if sum(one.iterations for one in solutions) >= solver.settings.max_iterations or point.data.overdue:
             break
         solutions.append(solved_from(solver, point))
     return solutions

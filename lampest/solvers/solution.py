@@ -1,5 +1,6 @@
 """How a solve ended, and what it found."""
 
+import math
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Protocol
@@ -37,6 +38,7 @@ class Status(Enum):
         "double precision cannot tell: one term outweighs the others by more than its sixteen digits; lower its weight"
     )
     ITERATIONS = "the iteration limit was reached before an optimum"
+    TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
     BREAKDOWN = "the solver broke down numerically"
     UNAVAILABLE = "the solver or its linear solver is not available"
@@ -49,18 +51,24 @@ OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.FAINT)
 class Settings:
     """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
 
+    time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so. None
+    for no limit: then no result depends on how fast the computer is.
+
     Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     tolerance: float = 1e-8
     max_iterations: int = 300
+    time_limit_s: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
             raise ValueError("tolerance must lie between 0 and 1")
         if not 1 <= self.max_iterations <= 1_000_000:
             raise ValueError("max_iterations must lie between 1 and 1000000")
+        if self.time_limit_s is not None and not 0 < self.time_limit_s < math.inf:
+            raise ValueError("time_limit_s must be positive and finite")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +151,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
-    if not worse and (residual <= VERIFIED or _rounded(evaluation, gradient, outcome)):
+    late = outcome.status is Status.TIME
+    if not worse and (residual <= VERIFIED or (not late and _rounded(evaluation, gradient, outcome))):
         certified = _certified(evaluation, gradient, outcome)
         if certified is Status.SADDLE:
             return failure(cost, data, certified, residual, outcome)

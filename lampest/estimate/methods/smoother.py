@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import isfinite
-from time import perf_counter
+from math import inf, isfinite
+from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -124,8 +124,11 @@ class SmootherMethod(Method):
         told = stream.scene if stream.scene.told_systematic else replace(stream.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(told), start)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
-            joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), stream.estimator.solver)
-            solutions = _checked(joint, rounds)[len(resting) - 1 :]
+            settings = stream.estimator.solver
+            until = monotonic() + len(data) * (settings.time_limit_s or inf)
+            joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), settings, until)
+            fault = Status.TIME if monotonic() > until else Status.UNVERIFIED
+            solutions = _checked(joint, rounds, fault)[len(resting) - 1 :]
             steps = [Step(solution, (perf_counter() - begin) / len(data), (1.0,)) for solution in solutions]
             if stream.track is not None and steps[0].solution.solved:
                 stream, steps = _barred(stream, stream.track, joint, steps)
@@ -161,15 +164,15 @@ def _begun(
     return data, np.log(np.stack(found)).reshape(len(data), -1)
 
 
-def _checked(joint: Joint, rounds: int) -> list[Solution]:
-    """Every frame where the joint cost's optimality conditions hold for it; NaN elsewhere."""
+def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
+    """Every frame where the joint cost's optimality conditions hold for it; NaN and the fault elsewhere."""
     step, _ = joint.chain.solve(-np.where(joint.pressed, 0.0, joint.gradient), -joint.shift_gradient)
     faint = np.any(np.abs(step) > STILL * np.sqrt(joint.chain.variance), axis=1)
     solutions = []
     for at, residual, weak in zip(joint.at, joint.kkt_residual, faint, strict=True):
         cells, data = at.cell_resistance, at.data
         if not residual <= VERIFIED:
-            failed = blank(cells.shape, 1, Status.UNVERIFIED)
+            failed = blank(cells.shape, 1, fault)
             solutions.append(replace(failed, kkt_residual=float(residual), iterations=rounds))
             continue
         low, high = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION

@@ -10,7 +10,9 @@ jumps are seen after large ones. At the end the stiffness is kept and u, z, c ar
 Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction, 1987 (q drawn down).
 """
 
+import math
 from dataclasses import dataclass, replace
+from time import monotonic
 
 import numpy as np
 
@@ -27,16 +29,19 @@ FROZEN = 12  # rounds after which U stays, so that Φ is one function
 UNKNOWN = 1.0  # variance of log r that no reading tells
 
 
-def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings) -> tuple[Joint, int]:
+def smoothed(
+    frames: JointData, alone: Array, walk: Walk, settings: Settings, until: float = math.inf
+) -> tuple[Joint, int]:
     """(where Φ is least, rounds). alone : log r of every frame alone, (frames, cells).
 
-    walk : its deviation is over the noise of frames alone. Raises numpy.linalg.LinAlgError where arithmetic breaks
+    walk : its deviation is over the noise of frames alone. until : s on the clock of `time.monotonic`, when rounds end.
+    Raises numpy.linalg.LinAlgError where arithmetic breaks
     down.
     """
     found = _Round.first(frames, lasting(alone), walk)
-    while found.number < MOST_ROUNDS and not found.done:
+    while found.number < MOST_ROUNDS and not found.done and monotonic() < until:
         found = found.next()
-    return _settled(found.joint, settings), found.number
+    return _settled(found.joint, settings, until), found.number
 
 
 def lasting(alone: Array) -> Array:
@@ -92,10 +97,10 @@ class _Round:
         return self.walk.deviation == self.least and self.moved <= SETTLED * self.noise
 
 
-def _settled(joint: Joint, settings: Settings) -> Joint:
+def _settled(joint: Joint, settings: Settings, until: float) -> Joint:
     """Where Φ is least for the stiffness that it has."""
     for _ in range(MOST_LAST):
-        if joint.kkt_residual.max() <= settings.tolerance:
+        if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
         after = joint.stepped(MOST_HALVINGS)
         if after is joint:

@@ -22,6 +22,7 @@ STATUS = {
     "Solved_To_Acceptable_Level": Status.OPTIMUM,
     "Search_Direction_Becomes_Too_Small": Status.OPTIMUM,
     "Maximum_Iterations_Exceeded": Status.ITERATIONS,
+    "Maximum_WallTime_Exceeded": Status.TIME,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
@@ -72,6 +73,8 @@ class Ipopt:
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
+        if data.overdue:
+            return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
         solver = self._built.solver
         scale, split = data.resistance_scale, start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
@@ -155,6 +158,7 @@ class Built:
 def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Settings) -> Built:
     program = Program.build(cost, readout, formulation)
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
+    limits |= {} if settings.time_limit_s is None else {"max_wall_time": settings.time_limit_s}
     several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
     begin = WARM if program.split.is_empty() else NEAR if several_minima else FAR
     options: dict[str, Any] = {

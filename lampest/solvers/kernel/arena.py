@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost, CostFunctions
 from lampest.cost.problem import Data
 from lampest.panel.compiled import Compiled, evaluation_address
-from lampest.panel.machine import blas_address, capsule_address
+from lampest.panel.machine import blas_address, capsule_address, clock_address
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.equation import PARTS, compiled_equation
@@ -97,10 +97,10 @@ class Arena:
 
     @cached_property
     def addresses(self) -> NDArray[np.int64]:
-        """Of what evaluates, of the three functions, and of BLAS."""
+        """Of what evaluates, of the three functions, of BLAS, and of the clock."""
         buffers = [capsule_address(buffer._self()) for buffer in self._buffers]
         subroutines = [blas_address(name) for name in ("dsyrk", "dpotrf", "dpotrs", "dgemm")]
-        return np.array([evaluation_address(), *buffers, *subroutines], dtype=np.int64)
+        return np.array([evaluation_address(), *buffers, *subroutines, clock_address()], dtype=np.int64)
 
     def told(self, cost: Cost, data: Data) -> Array:
         """What the terms are given, as the memory's end holds it."""

@@ -1,5 +1,6 @@
 """A frame that follows another one, solved in one call of machine code where nothing is unusual."""
 
+import time
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 NOTHING = np.zeros(0)
 NO_FACTOR = (np.zeros((0, 0)), np.zeros(0, dtype=np.int64), NOTHING)
 CONTRACTED = 1e-7  # of its first step by the last one: a direction that bends down would still hold its share of that
+CLOCK = getattr(time, "CLOCK_MONOTONIC", 0)  # that of `time.monotonic`
 SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
 LIMITS = (
@@ -138,11 +140,12 @@ def load_machine_code() -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
     from lampest.solvers.kernel.arithmetic import appraised, descend
 
-    addresses, where, arena = np.zeros(8, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
+    addresses, where, arena = np.zeros(9, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
     entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
     where[9], bounds[0], bounds[1], open_cell[0] = 1, -np.inf, np.inf, np.inf
     appraised(addresses, where, arena, NOTHING, ties, open_cell)
-    limits = np.zeros(2 + len(LIMITS))
+    limits = np.zeros(4 + len(LIMITS))
+    limits[-1] = np.inf
     descend(addresses, where, arena, NOTHING, entries, ties, bounds, open_cell, *NO_FACTOR, limits, NOTHING)
 
 
@@ -162,7 +165,7 @@ def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Ou
         np.concatenate(data.log_bounds).reshape(2, -1),
         start.position.ravel(),
         *(NO_FACTOR if kept is None else (kept.triangle, kept.cells, kept.position)),
-        np.array([tolerance, *LIMITS, most_factors]),
+        np.array([tolerance, *LIMITS, most_factors, CLOCK, data.until]),
         data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
     )
     if ending != SETTLED:

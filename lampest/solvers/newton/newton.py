@@ -49,6 +49,8 @@ class Newton:
         iteration = unsettled = 0
         stands = False
         while iteration < self.settings.max_iterations:
+            if data.overdue:
+                return outcome(point, Status.TIME, iteration)
             residual, gap = point.residual(), point.gap()
             near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.converged)
             if near and not point.sharp(self.settings.tolerance):
