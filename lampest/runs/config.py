@@ -16,7 +16,7 @@ from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
-from lampest.runs.executors import AnyExecutor, Executor
+from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures, check_name
 from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
@@ -106,7 +106,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     for point in sweep.combinations(document, lambda varied: validated(varied, RunFile)):
         run: RunFile = point.value
         published |= run.published or {}
-        executor = run.executor
+        executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
         _refuse_swept_executor(document, point.assignments)
         methods = [_Method.read(point, name) for name in _affected(run, point.assignments)]
         for file in recording_paths(path, run.recordings):

@@ -51,8 +51,8 @@ OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.FAINT)
 class Settings:
     """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
 
-    time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so. None
-    for no limit: then no result depends on how fast the computer is.
+    time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so.
+    None for no limit: then no result depends on how fast the computer is.
 
     Raises ValueError where a number is out of range.
     """

@@ -3,13 +3,14 @@
 from typing import Annotated
 
 from lampest.files.tagged import ByKind
-from lampest.runs.executors.dask import Dask, Slurm
+from lampest.runs.executors.cluster import Slurm, Tls
+from lampest.runs.executors.dask import Dask
 from lampest.runs.executors.executor import ONE_THREAD, Executor, cores
 from lampest.runs.executors.processes import Processes
 from lampest.runs.executors.serial import Serial
 from lampest.runs.executors.together import each_of
 
-__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "each_of", "local"]
+__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "Tls", "each_of", "local"]
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 
 

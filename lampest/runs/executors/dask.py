@@ -3,11 +3,12 @@
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from importlib import import_module
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.files.errors import InputError
+from lampest.runs.executors.cluster import Slurm, Tls, cluster_module
 from lampest.runs.executors.executor import (
     DIED,
     MOST_TRIES,
@@ -29,52 +30,6 @@ SCHEDULING = {
 
 
 @dataclass(frozen=True)
-class Slurm:
-    """What a SLURM job asks for.
-
-    Parameters
-    ----------
-    queue, account : partition and account, or the site's defaults.
-    walltime : longest time of one job, HH:MM:SS; a job that ends is replaced while tasks are left.
-    workers_per_job : processes of one core each in one job.
-    memory : of one job, such as 4GB.
-    interface : network interface of workers and scheduler, such as ib0.
-    directives : further #SBATCH lines, such as --constraint=avx2. prologue : shell lines before the workers start.
-
-    Raises ValueError where a number is out of range.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    queue: str | None = None
-    account: str | None = None
-    walltime: str = "01:00:00"
-    workers_per_job: int = 1
-    memory: str = "2GB"
-    interface: str | None = None
-    directives: tuple[str, ...] = ()
-    prologue: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_workers(self.workers_per_job)
-
-    def cluster(self) -> Any:
-        """A cluster of jobs without any job yet. Raises InputError without dask-jobqueue."""
-        exports = [f"export {name}={value}" for name, value in ONE_THREAD.items()]
-        return _module("dask_jobqueue").SLURMCluster(
-            queue=self.queue,
-            account=self.account,
-            walltime=self.walltime,
-            cores=self.workers_per_job,
-            processes=self.workers_per_job,
-            memory=self.memory,
-            interface=self.interface,
-            job_extra_directives=list(self.directives),
-            job_script_prologue=[*self.prologue, *exports],
-            scheduler_options={"dashboard": False, "dashboard_address": ":0"},
-        )
-
-
-@dataclass(frozen=True)
 class Dask:
     """Workers of Dask distributed with one thread each; files must have the same paths everywhere.
 
@@ -83,6 +38,7 @@ class Dask:
     workers : how many there are at most; as many as this machine has cores by default. Not with an address.
     address : of a scheduler that runs, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
     slurm : what a SLURM job asks for; the scheduler runs here.
+    tls : files by which scheduler, workers and this computer know each other; with an address it begins with tls://.
 
     Without address and slurm the workers are processes of this machine. A worker that dies costs the task it was at one
     more try (as many as the scheduler grants at an address). Results are those of `Serial` bit for bit where the
@@ -94,23 +50,32 @@ class Dask:
     workers: int | None = None
     address: str | None = None
     slurm: Slurm | None = None
+    tls: Tls | None = None
 
     def __post_init__(self) -> None:
         check_workers(self.workers)
         if self.address is not None and (self.slurm is not None or self.workers is not None):
             raise ValueError("address names a cluster that runs; it goes with neither workers nor slurm")
+        if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
+            raise ValueError("tls goes with an address that begins with tls://, and such an address with tls")
+        if self.tls is not None and self.address is None and self.slurm is None:
+            raise ValueError("workers of this machine listen on its loopback address alone; tls is for others")
+
+    def beside(self, folder: Path) -> "Dask":
+        """The same with its files taken from that folder. Raises InputError where one cannot be read."""
+        return self if self.tls is None else replace(self, tls=self.tls.beside(folder))
 
     def ready(self) -> None:
         """Raise InputError where the extra is not installed."""
-        _module("distributed")
+        cluster_module("distributed")
         if self.slurm is not None:
-            _module("dask_jobqueue")
+            cluster_module("dask_jobqueue")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """In the order in which they are finished. Raises InputError where no fit worker answers."""
         if not arguments:
             return
-        distributed = _module("distributed")
+        distributed = cluster_module("distributed")
         with self._client(distributed, len(arguments)) as client:
             suspects = []
             for number, outcome in _outcomes(distributed, client, function, dict(enumerate(arguments))):
@@ -128,13 +93,16 @@ class Dask:
     def _client(self, distributed: Any, tasks: int) -> Iterator[Any]:
         """A client whose cluster is closed with it unless it ran before."""
         with ExitStack() as stack:
-            stack.enter_context(_module("dask").config.set(SCHEDULING))
+            stack.enter_context(cluster_module("dask").config.set(SCHEDULING))
             stack.enter_context(one_thread())
             place: Any = self.address
             if place is None:
                 place = stack.enter_context(self._cluster(distributed, min(self.workers or cores(), tasks)))
             try:
-                client = stack.enter_context(distributed.Client(place, timeout=PATIENCE_S, set_as_default=False))
+                security = None if self.tls is None else self.tls.security()
+                client = stack.enter_context(
+                    distributed.Client(place, timeout=PATIENCE_S, set_as_default=False, security=security)
+                )
                 client.wait_for_workers(1, timeout=None if self.slurm else PATIENCE_S)
             except (OSError, TimeoutError) as error:
                 raise InputError(f"executor: no Dask scheduler with workers answers at {self.address}") from error
@@ -153,7 +121,7 @@ class Dask:
                 env=ONE_THREAD,
                 preload=["lampest.runs.executors.worker"],
             )
-        cluster = self.slurm.cluster()
+        cluster = self.slurm.cluster(self.tls)
         cluster.adapt(minimum_jobs=1, maximum_jobs=-(-workers // self.slurm.workers_per_job))
         return cluster
 
@@ -175,14 +143,3 @@ def _check_threads(client: Any) -> None:
     for worker, threads in client.nthreads().items():
         if threads != 1:
             raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
-
-
-def _module(name: str) -> Any:
-    """A library of the extra, imported where it is used. Raises InputError where it is missing."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise InputError(
-            f"executor: dask needs {name.replace('_', '-')}, which is not installed; it comes with the extra: "
-            "pip install 'lampest[cluster]'"
-        ) from error
