@@ -6,12 +6,16 @@
 #   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, about 40 s; Python alone
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
+#   make lock      after a change of dependencies: the locks with hashes, from pyproject.toml and constraints.txt
+#   make licences  what the dependencies' licences are, as docs/reference/licences.md
+#   make audit     known vulnerabilities of everything in the locks
 #   make clean     remove .venv, builds and caches; results/ stays
 
 PYTHON ?= python3
 VENV = .venv
 BIN = $(VENV)/bin
-PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input --constraint constraints.txt
+QUIETLY = --quiet --disable-pip-version-check --no-input
+LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes --no-deps --requirement
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
 QUICK = tests/laws tests/golden tests/oracles tests/contracts/test_architecture.py
@@ -39,19 +43,33 @@ docs: $(VENV)/.installed-dev
 	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
 
-$(VENV)/.installed: pyproject.toml constraints.txt
+# Everything that is installed is what the locks say, byte for byte; pyproject.toml and constraints.txt say what they may hold.
+lock: $(VENV)/.installed-supply
+	@$(BIN)/python -m tests.supply lock
+
+licences: $(VENV)/.installed-supply
+	@$(BIN)/python -m tests.supply licences
+
+audit: $(VENV)/.installed-supply
+	@$(BIN)/python -m tests.supply audit
+
+$(VENV)/.installed: pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	{ echo "lampest needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	{ test "$$(id -u)" = 0 && command -v apt-get >/dev/null && { $(APT) python3-venv; } >/dev/null; } || \
 	{ echo "Python cannot make environments here; install the package python3-venv first" >&2; exit 1; }
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --editable .
+	@$(LOCKED) requirements.lock
+	@$(BIN)/python -m pip install $(QUIETLY) --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.installed
-	@$(PIP) --editable '.[dev,docs,cluster]'
-	@$(PIP) --no-deps badcrossbar # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
+$(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
+	@$(LOCKED) requirements-dev.lock
+	@touch $@
+
+$(VENV)/.installed-supply: $(VENV)/.installed pyproject.toml constraints.txt
+	@$(BIN)/python -m pip install $(QUIETLY) --constraint constraints.txt --editable '.[supply]'
 	@touch $@
 
 # What the tests of the board need besides Python: a cross compiler, a simulated microcontroller and a browser.
@@ -68,4 +86,4 @@ clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test quick lint docs board-packages clean
+.PHONY: install run test quick lint docs lock licences audit board-packages clean

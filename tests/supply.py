@@ -1,0 +1,113 @@
+"""What lampest is built from: locks with hashes, licences, and known vulnerabilities. No test stands here.
+
+python -m tests.supply lock           # write requirements.lock and requirements-dev.lock from pyproject.toml
+python -m tests.supply licences       # write docs/reference/licences.md from what is installed
+python -m tests.supply audit          # ask the database of known vulnerabilities for everything in the locks
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+LOCKS = {
+    "requirements.lock": [],
+    "requirements-dev.lock": ["--extra", "dev", "--extra", "docs", "--extra", "cluster"],
+}
+BUILD = "setuptools>=77"  # what the package itself is installed with
+ALONE = "badcrossbar"  # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
+OLDEST = "3.11"
+LICENCES = ROOT / "docs" / "reference" / "licences.md"
+HEAD = """# Licences
+
+What `pip install lampest` brings, with the licence that each package states. `make licences` writes it from the packages
+that `requirements.lock` names. lampest itself is under the MIT licence and contains none of their code; the simulated
+board in `firmware/`, whose host program links simavr (GPL-3), is source, is built where it is used and is in no wheel.
+
+"""
+
+
+def locked(path: Path) -> dict[str, str]:
+    """Name → newest version of everything that a lock pins."""
+    found = re.findall(r"^([A-Za-z0-9_.-]+)==([^\s;\\]+)", path.read_text(), re.MULTILINE)
+    return {plain(name): version for name, version in found}
+
+
+def plain(name: str) -> str:
+    """A package's name as indexes compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def lock() -> int:
+    """Resolve for every Python from 3.11 on and every platform, with the versions of constraints.txt."""
+    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate"]
+    command += ["--universal", "--python-version", OLDEST, "--generate-hashes", "--constraint", "constraints.txt"]
+    for name, extras in LOCKS.items():
+        text = compiled([*command, "pyproject.toml", *extras, "-"], BUILD)
+        text += compiled([*command, "--no-deps", "-"], ALONE) if extras else ""
+        (ROOT / name).write_text(text)
+    return 0
+
+
+def compiled(command: list[str], wanted: str) -> str:
+    """What uv resolves; its own sentence where it cannot."""
+    done = subprocess.run(command, cwd=ROOT, input=wanted + "\n", capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"lock: {done.stderr.strip()}")
+    return done.stdout
+
+
+def licences() -> int:
+    """Write the list of licences of everything that lampest needs at run time."""
+    here = {plain(found.name) for found in metadata.distributions()}
+    wanted = sorted(set(locked(ROOT / "requirements.lock")) & here)
+    command = [sys.executable, "-m", "piplicenses", "--from=mixed", "--format=markdown", "--with-urls", "--order=name"]
+    done = subprocess.run([*command, "--packages", *wanted], capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"licences: {done.stderr.strip()}")
+    LICENCES.write_text(HEAD + re.sub(r"[ \t]{2,}", " ", done.stdout))
+    return 0
+
+
+def audit() -> int:
+    """0 where every package was looked up and none has a known vulnerability; else 1 and what is wrong."""
+    with tempfile.TemporaryDirectory() as folder:
+        wanted, found = Path(folder) / "wanted.txt", Path(folder) / "found.json"
+        pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
+        wanted.write_text("".join(f"{name}=={version}\n" for name, version in sorted(pins.items())))
+        command = [sys.executable, "-m", "pip_audit", "--requirement", str(wanted), "--no-deps", "--disable-pip"]
+        command += ["--progress-spinner", "off", "--format", "json", "--output", str(found)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        answer: Any = json.loads(found.read_text()) if found.is_file() and found.read_text() else None
+    reason = done.stderr.strip().splitlines()[-1:] or ["no answer"]
+    return told(answer, reason[0].partition(":")[0])
+
+
+def told(answer: Any, reason: str) -> int:
+    """Say what the database answered; None where it was not reached. What it does not know was not checked."""
+    packages = [] if answer is None else answer["dependencies"]
+    known = [package for package in packages if "skip_reason" not in package]
+    if not known:
+        print(f"audit: the database of vulnerabilities could not be reached; nothing was checked ({reason})")
+        return 1
+    unknown = sorted(package["name"] for package in packages if package not in known)
+    faults = [(package, fault) for package in known for fault in package["vulns"]]
+    for package, fault in faults:
+        mended = ", ".join(fault["fix_versions"]) or "no version yet"
+        print(f"audit: {package['name']} {package['version']}: {fault['id']}, mended in {mended}")
+    if unknown:
+        print(f"audit: not in the database, so not checked: {', '.join(unknown)}")
+    print(f"audit: {len(known)} packages checked, {len(faults)} known vulnerabilities")
+    return 1 if faults or unknown else 0
+
+
+if __name__ == "__main__":
+    commands = {"lock": lock, "licences": licences, "audit": audit}
+    if sys.argv[1:] not in [[name] for name in commands]:
+        sys.exit(f"usage: python -m tests.supply {'|'.join(commands)}")
+    sys.exit(commands[sys.argv[1]]())
