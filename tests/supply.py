@@ -25,7 +25,7 @@ OLDEST = "3.11"
 LICENCES = ROOT / "docs" / "reference" / "licences.md"
 HEAD = """# Licences
 
-What `pip install lampest` brings, with the licence that each package states. `make licences` writes it from the packages
+What `pip install lampest` brings, with the licence that each package states. `make licences` writes it of the packages
 that `requirements.lock` names. lampest itself is under the MIT licence and contains none of their code; the simulated
 board in `firmware/`, whose host program links simavr (GPL-3), is source, is built where it is used and is in no wheel.
 
