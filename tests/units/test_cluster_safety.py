@@ -97,6 +97,7 @@ def test_words_of_a_job_are_words(name: str, word: str) -> None:
 
 def test_job_scripts_quote_every_path(keys: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import dask
+    import dask_jobqueue  # noqa: F401  (its defaults come with it, and would go with what is set here)
 
     python = tmp_path / "my venv; touch x" / "python"
     scratch = tmp_path / "scratch of 'mine'"
