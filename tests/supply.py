@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import tomllib
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,17 @@ LOCKS = {
     "requirements.lock": [],
     "requirements-dev.lock": ["--extra", "dev", "--extra", "docs", "--extra", "cluster"],
 }
-BUILD = "setuptools>=77"  # what the package itself is installed with
+BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
+EDITABLE = "editables>=0.5"  # what hatchling asks for besides where the package stays in its folder
 ALONE = "badcrossbar"  # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
 OLDEST = "3.11"
 LICENCES = ROOT / "docs" / "reference" / "licences.md"
 HEAD = """# Licences
 
-What `pip install lampest` brings, with the licence that each package states. `make licences` writes it of the packages
-that `requirements.lock` names. lampest itself is under the MIT licence and contains none of their code; the simulated
-board in `firmware/`, whose host program links simavr (GPL-3), is source, is built where it is used and is in no wheel.
+What `pip install lampest` brings and what builds it, with the licence that each package states. `make licences` writes
+it of the packages that `requirements.lock` names. lampest itself is under the MIT licence and contains none of their
+code; the simulated board in `firmware/`, whose host program links simavr (GPL-3), is source, is built where it is used
+and is in no wheel.
 
 """
 
@@ -48,7 +51,7 @@ def lock() -> int:
     command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate"]
     command += ["--universal", "--python-version", OLDEST, "--generate-hashes", "--constraint", "constraints.txt"]
     for name, extras in LOCKS.items():
-        text = compiled([*command, "pyproject.toml", *extras, "-"], BUILD)
+        text = compiled([*command, "pyproject.toml", *extras, "-"], "\n".join([*BUILD, EDITABLE]))
         text += compiled([*command, "--no-deps", "-"], ALONE) if extras else ""
         (ROOT / name).write_text(text)
     return 0

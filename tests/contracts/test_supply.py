@@ -12,7 +12,8 @@ from packaging.requirements import Requirement
 from supply import LICENCES, locked, plain, told
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+FILE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT, BACKEND = FILE["project"], FILE["build-system"]["build-backend"]
 EXTRAS = {"requirements.lock": [], "requirements-dev.lock": ["dev", "docs", "cluster"]}
 
 
@@ -73,7 +74,7 @@ def test_licences_are_listed_and_none_is_copyleft_for_users() -> None:
 
 @pytest.mark.slow
 def test_the_wheel_holds_ours_alone_and_no_gpl(tmp_path: Path) -> None:
-    build = "from setuptools.build_meta import build_wheel; import sys; build_wheel(sys.argv[1])"
+    build = f"from {BACKEND} import build_wheel; import sys; build_wheel(sys.argv[1])"
     copied = tmp_path / "source"
     subprocess.run(["git", "checkout-index", "-a", f"--prefix={copied}/"], cwd=ROOT, check=True)
     subprocess.run([sys.executable, "-c", build, str(tmp_path)], cwd=copied, check=True, capture_output=True)

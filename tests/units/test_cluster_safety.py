@@ -84,8 +84,8 @@ def test_files_are_taken_from_beside_the_run(disk: SimpleNamespace, keys: Path) 
     ],
 )
 def test_what_does_not_go_together(given: Any, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Dask(**given)
+    with pytest.raises(InputError, match=sentence):
+        Dask(**given).ready()
 
 
 @pytest.mark.parametrize("name", ["queue", "account", "walltime", "memory", "interface"])

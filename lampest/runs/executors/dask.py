@@ -56,17 +56,19 @@ class Dask:
         check_workers(self.workers)
         if self.address is not None and (self.slurm is not None or self.workers is not None):
             raise ValueError("address names a cluster that runs; it goes with neither workers nor slurm")
-        if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
-            raise ValueError("tls goes with an address that begins with tls://, and such an address with tls")
-        if self.tls is not None and self.address is None and self.slurm is None:
-            raise ValueError("workers of this machine listen on its loopback address alone; tls is for others")
 
     def beside(self, folder: Path) -> "Dask":
         """The same with its files taken from that folder. Raises InputError where one cannot be read."""
         return self if self.tls is None else replace(self, tls=self.tls.beside(folder))
 
     def ready(self) -> None:
-        """Raise InputError where the extra is not installed."""
+        """Raise InputError where the extra is not installed, or files for encryption stand without a use for them."""
+        if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
+            raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
+        if self.tls is not None and self.address is None and self.slurm is None:
+            raise InputError(
+                "executor: workers of this machine listen on its loopback address alone; tls is for others"
+            )
         cluster_module("distributed")
         if self.slurm is not None:
             cluster_module("dask_jobqueue")
