@@ -80,7 +80,7 @@ def test_files_are_taken_from_beside_the_run(disk: SimpleNamespace, keys: Path) 
     [
         ({"address": "tls://a:1"}, "tls goes with an address that begins with tls://"),
         ({"address": "tcp://a:1", "tls": Tls("a", "b", "c")}, "tls goes with an address that begins with tls://"),
-        ({"tls": Tls("a", "b", "c")}, "listen on its loopback address alone"),
+        ({"tls": Tls("a", "b", "c")}, "listen on its loopback address alone, without tls"),
     ],
 )
 def test_what_does_not_go_together(given: Any, sentence: str) -> None:
