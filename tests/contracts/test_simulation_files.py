@@ -159,3 +159,26 @@ def test_cohort_is_thirty_different_lampreys() -> None:
 def test_every_configuration_for_a_shipped_recording_reads() -> None:
     for path in sorted((ROOT / "data").glob("*.h5")):
         assert len(read_simulations(ROOT / "configs" / f"{path.stem}.yaml")) == 1
+
+
+def test_a_real_scene_is_the_clean_one_on_another_panel() -> None:
+    """The same loads, times and water; one panel for all eight, which the scene does not tell of."""
+    panels = set()
+    for path in sorted((ROOT / "data").glob("*.h5")):
+        ((_, clean),) = read_simulations(ROOT / "configs" / f"{path.stem}.yaml")
+        ((name, real),) = read_simulations(ROOT / "configs" / f"real_{path.stem}.yaml")
+        assert name == f"../results/real/real_{path.stem}.h5"
+        assert (real.loads, real.course, real.frames, real.baseline_frames) == (
+            clean.loads,
+            clean.course,
+            clean.frames,
+            clean.baseline_frames,
+        )
+        assert (real.scene.panel, real.scene.readout, real.scene.water) == (
+            clean.scene.panel,
+            clean.scene.readout,
+            clean.scene.water,
+        )
+        assert real.scene.systematic is None and (real.unmodelled.reading_error or 0) > 0.03
+        panels.add((real.seed, real.cells, real.unmodelled))
+    assert len(panels) == 1

@@ -29,6 +29,7 @@ from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.studies.paper.as_published import METHODS, Weights, left_by_solver
 from lampest.studies.paper.published import published_numbers
+from lampest.studies.paper.sides import WEIGHTS
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {
@@ -46,9 +47,9 @@ BOX: Mapping[str, tuple[float, float, bool]] = {
     "channels": (0.0, 10.0, False),  # ohm, standard deviation between channels
     "start": (1.0, 5.0, True),  # over R_m
     "breathing": (0.0, 0.4, False),
+    "relative": (1e-5, 30.0, True),  # λ on changes in percent; 10 on fractions is 1e-3
 }
-# λ = 10 on changes as fractions is 1e-3 on percent.
-RELATIVE, SEEDS, PARENTS = 1e-3, (1, 2, 3), 30
+SEEDS, PARENTS = (1, 2, 3), 30
 FITTED = ("measured", "LSM", "LSR-CR", "LSR-dCR")
 PREDICTED = (("LSM", "low"), ("LSM", "high"))
 
@@ -183,9 +184,10 @@ def place_of(numbers: Mapping[str, float]) -> Array:
 def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
     """Mean distance over the seeds, in quarters; given up where it is far above `bound`."""
     numbers, means = numbers_at(place), []
+    weights = Weights(relative=numbers["relative"], start=numbers["start"])
     for seed in SEEDS:
         try:
-            ours = figures_of(simulation_of(numbers, seed), Weights(relative=RELATIVE, start=numbers["start"]), fitted)
+            ours = figures_of(simulation_of(numbers, seed), weights, fitted)
             means.append(float(np.mean(np.minimum(off(ours, fitted), 12.0))))
         except (ValueError, np.linalg.LinAlgError):
             means.append(12.0)
@@ -222,11 +224,10 @@ def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Map
             print(tried, f"{time.monotonic() - started:.0f} s", f"{pool[0][0]:.3f}", json.dumps(numbers), flush=True)
 
 
-def check(file: Path, seeds: int, start: float) -> None:
+def check(file: Path, seeds: int, weights: Weights) -> None:
     """Every number of a shipped scene with its own seed, median and range over others; and what each effect does."""
     ((_, told),) = read_simulations(file)
     told = dataclasses.replace(told, frames=min(told.frames, 3))
-    weights = Weights(relative=RELATIVE, start=start)
     runs = _seeds(told, weights, seeds)
     for (method, what), target in published().items():
         own, *others = (run[method, what] for run in runs)
@@ -277,10 +278,9 @@ def main() -> None:
     parser.add_argument("--first", type=json.loads, default=[], help="scenes to begin with, as printed, in a list")
     parser.add_argument("--check", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--start", type=float, default=1.66)
     asked = parser.parse_args()
     if asked.check:
-        check(asked.check, asked.seeds, asked.start)
+        check(asked.check, asked.seeds, WEIGHTS)
     else:
         search(asked.seconds, asked.seed, ("measured", *METHODS) if asked.all else FITTED, asked.first)
 
