@@ -53,6 +53,7 @@ for _command in (
     estimation.tare,
     results.compare,
     results.plot,
+    results.export,
     results.detect,
     results.terms,
     results.schema,

@@ -67,6 +67,25 @@ def plot(
         say(path)
 
 
+def export(
+    results: Annotated[Path, typer.Argument(help="A results file.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet, mat, zarr or nwb.")],
+    out: Annotated[Path | None, written("--out", "The file that is written; else beside the results.")] = None,
+    recording: Annotated[
+        str | None, typer.Option("--recording", help="This recording alone; nwb holds no more than one.")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--start", help="When it began, where it does not say: 2026-05-04T09:30:00+02:00; nwb asks."),
+    ] = None,
+) -> None:
+    """Write results for other programs: pandas and R, MATLAB and Octave, xarray, NWB; units and meanings included."""
+    from lampest.report.export.results import export_results
+
+    for file in export_results(results, to, out, recording, start):
+        print(file)
+
+
 def detect(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Annotated[Path | None, written("--out", "Folder of the output; else beside the results.")] = None,

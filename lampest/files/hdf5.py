@@ -88,13 +88,16 @@ def set_attributes(node: Any, **attributes: Any) -> None:
 
 
 def write_dataset(
-    group: h5py.Group, name: str, data: Any, units: str, long_name: str, scales: tuple[str, ...] = ()
+    group: h5py.Group, name: str, data: Any, units: str, long_name: str, scales: tuple[str, ...] = (), **further: Any
 ) -> None:
-    """One dataset with its units, its name in words, and dimension scales from the same group ('' for none)."""
+    """One dataset with its units, its name in words, and dimension scales from the same group ('' for none).
+
+    further : attributes, such as what flags mean.
+    """
     data = np.asarray(data)
     packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if data.size > 64 else {}
     dataset = group.create_dataset(name, data=data, **packed)
-    set_attributes(dataset, units=units, long_name=long_name)
+    set_attributes(dataset, units=units, long_name=long_name, **further)
     for axis, scale in enumerate(scales):
         if scale:
             dataset.dims[axis].attach_scale(group[scale])

@@ -55,6 +55,7 @@ class CaseResult:
     noise_sentence : what the recording's own frames say against the noise that its scene tells; ''.
     noise_learned : what they told of it, contradiction or not; ''.
     film_sentence : what the scene leaves open of the film, and what pressures take it for; ''.
+    start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
@@ -98,6 +99,7 @@ class CaseResult:
     noise_sentence: str = ""
     noise_learned: str = ""
     film_sentence: str = ""
+    start_time: str = ""
     sigma: Array | None = None
     sigma_baseline: Array | None = None
     reading_side: NDArray[np.int8] | None = None

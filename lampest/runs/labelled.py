@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.extras import extra
+from lampest.panel.scene import scene_text
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, TIME, Column
 
 if TYPE_CHECKING:
@@ -24,23 +25,21 @@ def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
     Coordinates: time (s) and frame, row and column with y and x (mm). A cost, a weight or a number of a disc goes by
     its folder and its name: cost_misfit. Raises InputError where xarray is not installed.
     """
-    try:
+    with extra("xarray"):
         from xarray import Dataset
-    except ImportError as error:
-        raise InputError("xarray is not installed; pip install lampest[xarray] brings it") from error
     variables: dict[str, Any] = {
-        column.name: (column.axes, np.asarray(values), _said(column.units, column.long_name))
+        column.name: (column.axes, np.asarray(values), column.attributes)
         for column, values in _held(case, columns)
         if column not in (TIME, FRAME)
     }
     for folder in FIGURES:
         for name, values in getattr(case, folder.name).items():
             variables[f"{folder.folder}_{name}"] = FRAMES, values, _said(folder.units(name), folder.long_name(name))
-    return Dataset(variables, _coordinates(case), _about(case))
+    return Dataset(variables, _coordinates(case), about(case))
 
 
 def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
-    """One line for every cell of every frame: time, frame, row, column, then all columns of the case.
+    """One line for every cell of every frame: time, frame, row, column, y and x in mm, then all columns of the case.
 
     What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column.
     """
@@ -49,9 +48,15 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
     held = dict(_held(case, columns))
     sizes = dict(zip(MAPS, case.measured.shape, strict=True))
     lines = {axis: _lines(np.arange(sizes[axis]), (axis,), sizes) for axis in CELLS}
+    x, y = case.scene.panel.centres_mm()
+    lines |= {"y": _lines(y, CELLS[:1], sizes), "x": _lines(x, CELLS[1:], sizes)}
     first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
     table = DataFrame(first | {column.name: _lines(values, column.axes, sizes) for column, values in held.items()})
-    table.attrs = _about(case) | {"units": {column.name: column.units for column in (TIME, FRAME, *held)}}
+    table.attrs = about(case) | {
+        "units": {column.name: column.units for column in (TIME, FRAME)}
+        | {"y": "mm", "x": "mm"}
+        | {column.name: column.units for column in held}
+    }
     return table
 
 
@@ -83,5 +88,17 @@ def _said(units: str, long_name: str) -> dict[str, str]:
     return {"units": units, "long_name": long_name}
 
 
-def _about(case: CaseResult) -> dict[str, Any]:
-    return {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id, "case": case.case_yaml}
+def about(case: CaseResult) -> dict[str, Any]:
+    """What is no column: names, the resolved case and the scene as YAML, sentences; texts all."""
+    told = {
+        "start_time": case.start_time,
+        "baseline_status": case.baseline_status,
+        "model_check": case.model_sentence,
+        "noise_check": case.noise_sentence,
+        "noise_learned": case.noise_learned,
+        "film": case.film_sentence,
+    }
+    names = {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id}
+    texts = {"case": case.case_yaml, "scene": scene_text(case.scene)}
+    versions = {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    return names | texts | {name: text for name, text in told.items() if text} | versions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,10 @@ MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
 RESERVED = (
     *CELLS,
+    "x",
+    "y",
     "scene",
+    "start_time",
     "cost",
     "weight",
     "disc",
@@ -44,8 +47,9 @@ class Column:
     dtype : float, bool, an integer kind, or str.
     shared : True for what was measured: every estimate of a recording was given the same.
     as_volt : (dataset, long name) where the readout gives volt; none for what does not follow the readout's unit.
+    flags : what each value means where values are no amounts: (value, a word of ASCII letters and _).
 
-    Raises InputError where the name or the axes are unfit.
+    Raises InputError where the name, the axes or a flag's word are unfit.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Column:
     dataset: str = ""
     shared: bool = False
     as_volt: tuple[str, str] = ("", "")
+    flags: tuple[tuple[int, str], ...] = ()
 
     def __post_init__(self) -> None:
         if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
@@ -66,11 +71,19 @@ class Column:
             )
         if self.axes not in (MAPS, CELLS, FRAMES):
             raise InputError(f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or {FRAMES}")
+        for _, word in self.flags:
+            if not (word.isidentifier() and word.isascii()):
+                raise InputError(f"the column {self.name} says {word!r} of a value; a word of ASCII letters is needed")
 
     @property
     def path(self) -> str:
         """The name of the dataset."""
         return self.dataset or self.name
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What files and labelled arrays say of the values; flags as the CF conventions have them."""
+        return {"units": self.units, "long_name": self.long_name} | flag_attributes(self.flags, self.dtype)
 
     def of(self, readout: Readout) -> Column:
         """The same column as a readout's unit, 'ohm' or 'volt', asks for it."""
@@ -124,6 +137,14 @@ class Figures:
     value: Callable[[Estimates], Mapping[str, Array]]
     units: Callable[[str], str]
     long_name: Callable[[str], str]
+
+
+def flag_attributes(flags: Sequence[tuple[int, str]], dtype: type[Any]) -> dict[str, Any]:
+    """flag_values and flag_meanings of the CF conventions (section 3.5); none where there are no flags."""
+    if not flags:
+        return {}
+    values = np.array([value for value, _ in flags], dtype=np.uint8 if dtype is bool else dtype)
+    return {"flag_values": values, "flag_meanings": " ".join(word for _, word in flags)}
 
 
 def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:

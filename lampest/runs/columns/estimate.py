@@ -52,6 +52,7 @@ ESTIMATE = (
         "1: cannot be told from an open cell",
         lambda done: done.open_cell,
         dtype=np.uint8,
+        flags=((0, "conducts"), (1, "cannot_be_told_from_open")),
     ),
     Column(
         "at_lower_bound",
@@ -60,6 +61,7 @@ ESTIMATE = (
         "1: cell resistance stands at its lower bound",
         lambda done: done.at_lower_bound,
         dtype=np.uint8,
+        flags=((0, "above_lower_bound"), (1, "at_lower_bound")),
     ),
     Column(
         "baseline_resistance",
@@ -86,7 +88,15 @@ ESTIMATE = (
         "violation of the optimality conditions",
         of_steps(lambda step: step.solution.kkt_residual),
     ),
-    Column("solved", FRAMES, "1", "1: solved, 0: failed", lambda done: done.solved, dtype=bool),
+    Column(
+        "solved",
+        FRAMES,
+        "1",
+        "1: solved, 0: failed",
+        lambda done: done.solved,
+        dtype=bool,
+        flags=((0, "failed"), (1, "solved")),
+    ),
 )
 
 

@@ -98,6 +98,7 @@ GIVEN = (
         lambda done: done.readings.side,
         dtype=np.int8,
         shared=True,
+        flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
     ),
     Column(
         "missing_readings",

@@ -45,6 +45,7 @@ PRESSURE = (
         "1: the response does not tell the pressure",
         lambda done: done.saturated,
         dtype=np.uint8,
+        flags=((0, "response_tells_pressure"), (1, "response_does_not_tell_pressure")),
     ),
     Column(
         "tared",

@@ -105,6 +105,7 @@ def _read_case(
             noise_sentence=str(texts.get("noise_check", "")),
             noise_learned=str(texts.get("noise_learned", "")),
             film_sentence=str(texts.get("film", "")),
+            start_time=_start_time(file, recording),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
             **{folder.name: _read_figures(file, f"{base}/{folder.folder}", sizes["time"]) for folder in FIGURES},
         )
@@ -112,6 +113,11 @@ def _read_case(
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(file.filename) else f"{file.filename}: {error}") from error
     return case
+
+
+def _start_time(file: h5py.File, recording: str) -> str:
+    path = f"/entry/{recording}/{SHARED}/start_time"
+    return hdf5.read_text(file, path) if hdf5.has(file, path) else ""
 
 
 def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: dict[str, int]) -> dict[str, Any]:

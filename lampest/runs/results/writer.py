@@ -16,6 +16,7 @@ from lampest.runs.published import PublishedFigures, published_text
 from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
 
 FORMAT = "results/1"
+POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
 
 
 def write_results(
@@ -57,6 +58,7 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
         for name, ours, theirs in (
             *((name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()),
             *((each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared),
+            ("start_time", case.start_time or first.start_time, first.start_time or case.start_time),
             ("scene", fullest((case.scene, scene)), scene),
         ):
             if (ours is None) != (theirs is None) or (ours is not None and not _same(ours, theirs)):
@@ -75,9 +77,14 @@ def _same(ours: Any, theirs: Any) -> bool:
 def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:
     hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
     scene = fullest(case.scene for case in cases)
+    start_time = next((case.start_time for case in cases if case.start_time), "")
     table = [column.of(scene.circuit) for column in table]
     given = _frames_group(group, SHARED, MEASURED.of(scene.circuit).path, cases[0])
     write_scene(given, scene)
+    if start_time:
+        hdf5.write_dataset(
+            given, "start_time", hdf5.ascii_array(start_time), "1", "date and time at 0 s of the time axis, ISO 8601"
+        )
     _write_columns(given, cases[0], [column for column in table if column.shared and column != TIME])
     for number, case in enumerate(cases):
         estimate = _frames_group(group, case.estimator, "cell_resistance", case)
@@ -108,6 +115,9 @@ def _frames_group(parent: h5py.Group, name: str, signal: str, case: CaseResult) 
     hdf5.write_scale(group, TIME.path, np.asarray(case.time, dtype=float), TIME.units, TIME.long_name)
     for axis, lines in zip(CELLS, case.scene.panel.shape, strict=True):
         hdf5.write_scale(group, axis, np.arange(lines), "1", f"{axis} line")
+    x, y = case.scene.panel.centres_mm()
+    hdf5.write_dataset(group, "y", y, "mm", "position of the row", ("row",))
+    hdf5.write_dataset(group, "x", x, "mm", "position of the column", ("column",))
     return group
 
 
@@ -115,7 +125,10 @@ def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column
     for column in columns:
         values = case.column(column.name)
         if values is not None:
-            hdf5.write_dataset(group, column.path, column.stored(values), column.units, column.long_name, column.axes)
+            seen = {"coordinates": POSITIONS} if column.axes != FRAMES else {}
+            hdf5.write_dataset(
+                group, column.path, column.stored(values), scales=column.axes, **column.attributes, **seen
+            )
 
 
 def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> None:

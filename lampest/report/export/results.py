@@ -1,0 +1,58 @@
+"""A results file → one of another format, whole or not at all."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from lampest.files.errors import InputError
+from lampest.files.whole import whole_file
+from lampest.report.export import Export, export_of
+from lampest.runs.case import CaseResult
+from lampest.runs.results import read_results
+
+
+def export_results(
+    results: str | Path,
+    to: str | Export,
+    out: str | Path | None = None,
+    recording: str | None = None,
+    start: str | None = None,
+) -> tuple[Path, ...]:
+    """Write what a results file holds in another format: the files that were written.
+
+    to : csv, parquet, mat, zarr, nwb, or an Export of your own. out : the file; by default beside the results, with the
+    format's suffix. recording : this one alone. start : date and time at 0 s, ISO 8601, of recordings that do not say.
+
+    Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
+    be written, and where a library is missing.
+    """
+    export = export_of(to) if isinstance(to, str) else to
+    source = Path(results)
+    path = source.with_suffix(export.suffix) if out is None else Path(out)
+    if path.resolve() == source.resolve():
+        raise InputError(f"{path}: the export would replace the results it is made of")
+    read = read_results(source)
+    cases = _started(read.cases if recording is None else read.of(recording), start)
+    if not cases:
+        raise InputError(f"{source}: holds no case that could be exported")
+    second = path.with_name(path.name + export.beside) if export.beside else None
+    with ExitStack() as files:
+        beside = None if second is None else files.enter_context(whole_file(second))
+        export.write(cases, path.name, files.enter_context(whole_file(path)), beside)
+    return (path,) if second is None else (path, second)
+
+
+def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:
+    """The cases, with a start where they have none. Raises InputError where they say another, or it is no date."""
+    if start is None:
+        return tuple(cases)
+    try:
+        datetime.fromisoformat(start)
+    except ValueError as error:
+        raise InputError(f"--start: '{start}' is no date and time such as 2026-05-04T09:30:00+02:00") from error
+    for case in cases:
+        if case.start_time not in ("", start):
+            raise InputError(f"--start: {case.recording} says itself that it began at {case.start_time}")
+    return tuple(replace(case, start_time=start) for case in cases)

@@ -1,0 +1,231 @@
+"""`lampest export`: what a results file holds comes out of every format through that format's own library."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from support import invented_case
+
+from lampest import CaseResult, Export, InputError, LoadedColumnsReadout, export_results, read_results, write_results
+
+START = "2026-05-04T09:30:00+02:00"
+Run = Callable[..., SimpleNamespace]
+
+
+def with_error_bars(case: CaseResult) -> CaseResult:
+    """The case with pressures and error bars, NaN where a frame failed."""
+    told = np.where(case.solved[:, None, None], np.indices(case.measured.shape).sum(axis=0) / 7, np.nan)
+    flags = np.zeros(case.measured.shape, dtype=np.uint8)
+    flags[0, 1, 2] = 1
+    names = ("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors")
+    return dataclasses.replace(case, **dict.fromkeys(names, told), cell_resistance_upper=told + np.inf, saturated=flags)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Two recordings, one with a failed frame and error bars, one of another size without a truth."""
+    cases = [
+        with_error_bars(invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)),
+        invented_case("LSR-gCR", "mouth", (3, 4, 5), start_time=START),
+        invented_case("LSM", "other", (2, 3, 6), truth=False),
+    ]
+    write_results(tmp_path / "r.h5", cases)
+    return tmp_path / "r.h5"
+
+
+def exported(lampest: Run, results: Path, to: str, *words: Any) -> Path:
+    """The file that the command says it wrote."""
+    done = lampest("export", results, "--to", to, *words)
+    assert done.code == 0, done.err
+    return Path(done.out.splitlines()[0])
+
+
+def check_table(table: Any, results: Path) -> None:
+    """A long table of all cases against the results themselves."""
+    cases = read_results(results).cases
+    assert len(table) == sum(case.measured.size for case in cases)
+    for case in cases:
+        lines = table[(table.recording == case.recording) & (table.estimator == case.estimator)]
+        assert_array_equal(lines.cell_resistance_ohm, case.cell_resistance.ravel())
+        assert_array_equal(lines.relative_change_percent, case.relative_change.ravel())
+        assert_array_equal(lines.open_cell, case.open_cell.ravel())
+        assert_array_equal(lines.status, np.repeat(case.status, case.measured[0].size))
+        assert_array_equal(lines.time_s, np.repeat(case.time, case.measured[0].size))
+        x, y = (10 * np.indices(case.measured.shape)[axis].ravel() for axis in (2, 1))
+        assert_array_equal(lines.x_mm, x)
+        assert_array_equal(lines.y_mm, y)
+        assert lines.truth_ohm.isna().all() == (case.truth is None)
+        if case.pressure is None:
+            assert lines.pressure_kPa.isna().all() and lines.saturated.isna().all()
+        else:
+            assert_array_equal(lines.pressure_kPa, case.pressure.ravel())
+            assert_array_equal(lines.saturated, case.saturated.ravel())
+
+
+def test_csv_is_what_pandas_reads(lampest: Run, results: Path) -> None:
+    import pandas
+
+    path = exported(lampest, results, "csv")
+    assert path == results.with_suffix(".csv")
+    table = pandas.read_csv(path)
+    check_table(table, results)
+    told = json.loads(path.with_name("r.csv-metadata.json").read_text())
+    assert told["url"] == "r.csv"
+    columns = {column["name"]: column for column in told["tableSchema"]["columns"]}
+    assert list(columns) == list(table.columns)
+    assert columns["pressure_kPa"]["schema:unitText"] == "kPa"
+    assert columns["open_cell"]["schema:valueReference"]["1"] == "cannot_be_told_from_open"
+    assert [(note["recording"], note["estimator"]) for note in told["notes"]] == [
+        ("mouth", "LSM"),
+        ("mouth", "LSR-gCR"),
+        ("other", "LSM"),
+    ]
+    assert told["notes"][0]["start_time"] == START and "start_time" not in told["notes"][2]
+    assert "rows: 4" in told["notes"][0]["scene"] and "misfit" in told["notes"][0]["case"]
+
+
+def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tmp_path: Path) -> None:
+    import pandas
+    from pyarrow import parquet
+
+    path = exported(lampest, results, "parquet", "--out", tmp_path / "new" / "mine.parquet")
+    check_table(pandas.read_parquet(path), results)
+    schema = parquet.read_schema(path)
+    assert schema.field("time_s").metadata == {b"units": b"s", b"long_name": b"time of the frame"}
+    assert json.loads(schema.field("solved").metadata[b"flags"]) == {"0": "failed", "1": "solved"}
+    assert str(schema.field("saturated").type) == "uint8", "a flag that some cases lack stays a flag"
+    assert json.loads(schema.metadata[b"lampest"])[0]["start_time"] == START
+
+
+def test_readings_in_volt_and_in_ohm_are_two_columns(tmp_path: Path) -> None:
+    import pandas
+
+    volt = invented_case("LSM", "volts", (2, 3, 4))
+    scene = dataclasses.replace(volt.scene, readout=LoadedColumnsReadout(load_ohm=1000.0), series_resistance_ohm=0.0)
+    write_results(tmp_path / "r.h5", [invented_case("LSM", "ohms", (2, 3, 4)), dataclasses.replace(volt, scene=scene)])
+    (path,) = export_results(tmp_path / "r.h5", "parquet")
+    table = pandas.read_parquet(path)
+    assert table[table.recording == "ohms"].measured_volt.isna().all()
+    assert_array_equal(table[table.recording == "volts"].measured_volt, volt.measured.ravel())
+
+
+def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
+    from scipy.io import loadmat
+
+    path = exported(lampest, results, "mat")
+    assert path == results.with_suffix(".mat")
+    held = loadmat(path, simplify_cells=True)["cases"]
+    for ours, case in zip(held, read_results(results).cases, strict=True):
+        assert (ours["recording"], ours["estimator"]) == (case.recording, case.estimator)
+        assert_array_equal(ours["cell_resistance"], case.cell_resistance)
+        assert_array_equal(ours["open_cell"], case.open_cell)
+        assert_array_equal(ours["cost_misfit"], case.costs["misfit"])
+        assert tuple(ours["status"]) == case.status
+        assert_array_equal(ours["x"], 10 * np.arange(case.measured.shape[2]))
+        assert ("pressure" in ours) == (case.pressure is not None)
+        assert (ours["units"]["cell_resistance"], ours["units"]["x"]) == ("ohm", "mm")
+        assert ours["long_name"]["cell_resistance"] == "estimated cell resistance"
+        assert list(ours["flags"]["solved"]["meanings"]) == ["failed", "solved"]
+        assert all(name.isidentifier() and len(name) < 64 for name in ours), "Octave and MATLAB take no other names"
+    assert held[0]["start_time"] == START
+
+
+def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
+    import xarray
+    from zarr.storage import ZipStore
+
+    path = exported(lampest, results, "zarr")
+    assert path.name == "r.zarr.zip"
+    with ZipStore(path, mode="r") as store, xarray.open_datatree(store, engine="zarr") as tree:
+        for case in read_results(results).cases:
+            xarray.testing.assert_identical(tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray())
+        found = tree["mouth/LSM"]
+        assert found["cell_resistance"].attrs["units"] == "ohm" and found["x"].attrs["units"] == "mm"
+        assert found["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
+        assert found.attrs["start_time"] == START
+
+
+def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
+    from pynwb import read_nwb, validate
+
+    path = exported(lampest, results, "nwb", "--recording", "mouth")
+    assert not validate(path=str(path))
+    session = read_nwb(str(path))
+    assert session.session_start_time.isoformat() == START and session.session_id == "mouth"
+    cases = read_results(results).of("mouth")
+    assert set(session.processing) == {"LSM", "LSR-gCR"}
+    assert_array_equal(session.acquisition["measured"].data[:], cases[0].measured)
+    for case in cases:
+        module = session.processing[case.estimator]
+        series = module["cell_resistance"]
+        assert_array_equal(series.data[:], case.cell_resistance)
+        assert_array_equal(series.timestamps[:], case.time)
+        assert series.unit == "ohm"
+        assert "1: cannot be told from open" in module["open_cell"].description
+        assert tuple(module["frames"]["status"].data[:]) == case.status
+        cells = module["cells"].to_dataframe()
+        assert_array_equal(cells.baseline_resistance, case.baseline_resistance.ravel())
+        assert_array_equal(cells.x_mm, 10 * cells.column)
+    session.read_io.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--to", "xlsx"), "there is no format 'xlsx'; there are csv, parquet, mat, zarr, nwb"),
+        (("--to", "nwb"), "an NWB file is one session: choose with --recording one of mouth, other"),
+        (("--to", "nwb", "--recording", "other"), "other says it nowhere: give it with --start"),
+        (("--to", "nwb", "--recording", "other", "--start", "2026-05-04T09:30"), "without a zone"),
+        (("--to", "csv", "--start", "yesterday"), "'yesterday' is no date and time"),
+        (("--to", "csv", "--start", "2026-05-05"), f"mouth says itself that it began at {START}"),
+        (("--to", "csv", "--recording", "third"), "no results of a recording 'third'; there are mouth, other"),
+        (("--to", "csv", "--out", "r.h5"), "the export would replace the results it is made of"),
+    ],
+)
+def test_wrong_input_of_export(
+    lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch, words: Any, sentence: str
+) -> None:
+    monkeypatch.chdir(results.parent)
+    done = lampest("export", "r.h5", *words)
+    assert done.code == 2 and sentence in done.err and done.err.count("\n") == 1
+    assert [path.name for path in results.parent.iterdir()] == ["r.h5"], "nothing is written"
+
+
+def test_a_start_that_is_given_is_kept(lampest: Run, results: Path) -> None:
+    from pynwb import read_nwb
+
+    session = read_nwb(str(exported(lampest, results, "nwb", "--recording", "other", "--start", START)))
+    assert session.session_start_time.isoformat() == START
+    session.read_io.close()
+
+
+@pytest.mark.parametrize(
+    ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
+)
+def test_a_library_that_is_missing_is_named(
+    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install lampest\[export\] brings it$"):
+        export_results(results, to, recording="mouth")
+    assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
+
+
+def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None:
+    class Broken(Export):
+        kind, suffix, beside = "broken", ".txt", ".more"
+
+        def write(self, cases: Any, name: str, path: Path, beside: Path | None) -> None:
+            path.write_text("half")
+            raise InputError(f"{name}: no")
+
+    with pytest.raises(InputError, match=r"r\.txt: no"):
+        export_results(results, Broken())
+    assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
