@@ -19,11 +19,56 @@ from lampest.runs.executors import ONE_THREAD
 app = typer.Typer(
     help="Cell resistances of passive resistive matrix sensors from two-point measurements.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+    rich_markup_mode="rich",
 )
 _MEMORY = typer.Option("--memory", metavar="SIZE", help="Memory it may take, such as 8GB; else most of what is free.")
+
+
+EXAMPLES = {
+    "init": "lampest init mine",
+    "run": "lampest run run.yaml --set formulation=reduced --jobs 2",
+    "starts": "lampest starts run.yaml --random 50",
+    "tune": "lampest tune run.yaml --out results/tune",
+    "simulate": "lampest simulate simulation.yaml --set seed=2 --out second.h5",
+    "import": "lampest import mine.csv --scene scene.yaml --baseline 3 --out mine.h5",
+    "tare": "lampest tare mine.h5 --frames 40:50 --out tared.h5",
+    "compare": "lampest compare results/run/results.h5 --report page.html",
+    "plot": "lampest plot results/run/results.h5 --frame 12 --estimator LSM --out one.svg",
+    "detect": "lampest detect results/run/results.h5 --depth 50",
+    "terms": "lampest terms",
+    "schema": "lampest schema > lampest.schema.json",
+    "info": "lampest info mine.h5",
+    "check": "lampest check mine.h5 results/run/results.h5",
+    "ports": "lampest ports",
+    "record": "lampest record --out today.h5 --scene scene.yaml --baseline 3 --seconds 60",
+    "repair": "lampest repair today.h5",
+    "calibrate": "lampest calibrate known.h5 --known known.csv --out scene.yaml",
+    "live": "lampest live --recording example.h5 --speed 2",
+    "bench": "lampest bench bench.yaml --set sizes=[10]",
+    "tradeoff": "lampest tradeoff tradeoff.yaml",
+    "extremes": "lampest extremes extremes.yaml",
+    "audit": "lampest audit audit.yaml",
+    "paper": "lampest paper --out results/paper",
+}
+
+
+def _print_version(asked: bool) -> None:
+    """Print the version and end."""
+    if asked:
+        from importlib.metadata import version
+
+        say(f"lampest {version('lampest')}")
+        raise typer.Exit
+
+
+@app.callback(help=app.info.help)
+def _about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """What stands before a command."""
 
 
 def _with_memory(command: Callable[..., None]) -> Callable[..., None]:
@@ -71,7 +116,9 @@ for _command in (
     studies.paper,
 ):
     _small = _command in (results.terms, results.schema, board.ports)
-    app.command(_command.__name__.rstrip("_"))(_command if _small else _with_memory(_command))
+    _name = _command.__name__.rstrip("_")
+    _epilog = f"Example: {EXAMPLES[_name]}" if _name in EXAMPLES else None
+    app.command(_name, epilog=_epilog)(_command if _small else _with_memory(_command))
 
 
 def main() -> None:

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import INTERRUPTED, check_positive, markless, progress, say, say_text, written
+from lampest.cli.screen import INTERRUPTED, Assign, check_positive, markless, progress, say, say_text, written
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
-Port = Annotated[str | None, typer.Option("--port", help="Port or URL; else the one that looks like an Arduino.")]
+Port = Annotated[
+    str | None,
+    typer.Option("--port", help="Such as /dev/ttyACM0, or a URL; else the Arduino."),
+]
 SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
-Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames.")]
-Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames; 1 if the board can.")]
+Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames, such as 600.")]
+Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else 1.")]
 
 
 def ports() -> None:
@@ -35,9 +38,11 @@ def record(
     out: Annotated[Path, written("--out", "The recording that is written; must not exist.")],
     port: Port = None,
     frames: Frames = None,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds of frames.")] = None,
+    seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds, such as 60.")] = None,
     scene: SceneFile = None,
-    baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
+    baseline: Annotated[
+        int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
+    ] = 0,
     period: Period = None,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
@@ -121,7 +126,8 @@ def live(
         str | None, typer.Option("--estimator", help="LSR-gCR by default; with --config its first.")
     ] = None,
     config: Annotated[Path | None, typer.Option("--config", help="A run's YAML file with estimators.")] = None,
-    speed: Annotated[float, typer.Option("--speed", help="So many times as fast as the recording.")] = 1.0,
+    assign: Assign = None,
+    speed: Annotated[float, typer.Option("--speed", help="So many times as fast as the recording, such as 10.")] = 1.0,
     http: Annotated[
         str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
@@ -151,13 +157,24 @@ def live(
     check_positive("--period", period)
     if recording is not None and (port or scene or period or out):
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
+    if assign and config is None:
+        raise InputError("--set: overrides entries of a run's file; name one with --config")
     if recording is None:
         source: LiveBoard | Replay = LiveBoard(port, read_scene(scene) if scene else None, baseline, period, out)
     else:
         source = Replay(recording, speed, baseline)
     # A board is told to stop, however live ends.
     with ending_signals():
-        done = run_live(source, estimator, config, http, frames, token, lambda url: say(f"{url}  (Ctrl-C ends)"))
+        done = run_live(
+            source,
+            estimator,
+            config,
+            http,
+            frames,
+            token,
+            lambda url: say(f"{url}  (Ctrl-C ends)"),
+            tuple(assign or ()),
+        )
     if done is not None:
         report_recorded(done)
 

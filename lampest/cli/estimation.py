@@ -6,15 +6,16 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Folder, check_positive, print_table, progress, say, written
+from lampest.cli.screen import SOME_FAILED, Assign, Folder, check_positive, print_table, progress, say, written
 
 
 def run(
     config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
     out: Annotated[Path | None, written("--out", "Folder of the results; results/<config> by default.")] = None,
-    assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
+    assign: Assign = None,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", min=1, help="Processes here; else the file's executor, or all cores.")
+        int | None,
+        typer.Option("--jobs", min=1, help="Processes, such as 2; else the file's executor, or all cores."),
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
@@ -29,6 +30,8 @@ def run(
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
     counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
+    if report.aside:
+        say(f"lampest: the results that stood there held other cases; they are kept: {report.aside}", to=sys.stderr)
     for name, sentence in report.failed:
         say(f"lampest: {name} failed: {sentence}", to=sys.stderr)
     if report.failed:
@@ -38,7 +41,7 @@ def run(
 def tune(
     config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
     out: Folder = None,
-    assign: Annotated[list[str] | None, typer.Option("--set", help="PATH=VALUE, overrides one entry.")] = None,
+    assign: Assign = None,
 ) -> None:
     """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice."""
     from lampest.runs.config import read_run
@@ -61,14 +64,15 @@ def tune(
 def starts(
     config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
     random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
-    seed: Annotated[int, typer.Option("--seed")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Of the random starts: the same seed, the same starts.")] = 0,
+    assign: Assign = None,
 ) -> None:
     """Say how often every case of a run reaches the best objective known from random starts."""
     from lampest.report.compare import Table
     from lampest.runs.config import read_run
     from lampest.studies.starts import tally
 
-    cases = read_run(config).cases
+    cases = read_run(config, tuple(assign or ())).cases
     rows = []
     with progress("cases") as on_case:
         for number, case in enumerate(cases, 1):
@@ -85,12 +89,13 @@ def starts(
 def simulate(
     config: Annotated[Path, typer.Argument(help="The simulation's YAML file.")],
     out: Annotated[Path | None, written("--out", "The recording, or a folder where the file sweeps.")] = None,
+    assign: Assign = None,
 ) -> None:
     """Make recordings with their truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
 
     with progress("frames") as on_frame:
-        written_files = run_simulation(config, out, on_frame)
+        written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
         say(path)
 
@@ -98,20 +103,28 @@ def simulate(
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
     out: Annotated[Path, written("--out", "The recording that is written.")],
-    rows: Annotated[int | None, typer.Option("--rows", min=1, help="Of the panel; else the scene's.")] = None,
-    columns: Annotated[int | None, typer.Option("--columns", min=1, help="Of the panel; else the scene's.")] = None,
-    scene: Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene.")] = None,
+    rows: Annotated[
+        int | None, typer.Option("--rows", min=1, help="Of the panel, such as 10; else the scene's.")
+    ] = None,
+    columns: Annotated[
+        int | None, typer.Option("--columns", min=1, help="Of the panel, such as 10; else the scene's.")
+    ] = None,
+    scene: Annotated[
+        Path | None, typer.Option("--scene", help="The scene's YAML file; lampest init writes one.")
+    ] = None,
     unit: Annotated[
         str | None,
         typer.Option("--unit", help="ohm, kohm, volt, mV or code; else what the header or the values leave."),
     ] = None,
     period: Annotated[
-        float | None, typer.Option("--period", help="Seconds between frames; else the file's times.")
+        float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else the file's times.")
     ] = None,
     missing: Annotated[
         str, typer.Option("--missing", help="Missing readings: mark (NaN), skip-frame or refuse.")
     ] = "mark",
-    baseline: Annotated[int, typer.Option("--baseline", min=0, help="The first so many frames are unloaded.")] = 0,
+    baseline: Annotated[
+        int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
+    ] = 0,
     transpose: Annotated[bool, typer.Option("--transpose", help="Rows and columns of the file are swapped.")] = False,
     variable: Annotated[
         str | None, typer.Option("--variable", help="The variable of a .mat or .npz file, the sheet of an .xlsx file.")

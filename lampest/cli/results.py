@@ -9,7 +9,6 @@ import typer
 from lampest.cli.screen import (
     SOME_FAILED,
     WRONG_INPUT,
-    Out,
     print_figures,
     print_notes,
     print_table,
@@ -50,19 +49,29 @@ def compare(
 
 def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Out = None,
+    out: Annotated[Path | None, written("--out", "Folder of the pictures, or one picture such as x.svg.")] = None,
     show: Annotated[
         str,
         typer.Option(
             "--show", metavar="KIND", help="Such as contours, certainty or pressure; any other word names all kinds."
         ),
     ] = "contours",
+    frame: Annotated[
+        int | None, typer.Option("--frame", min=0, help="Index into the recording, such as 12; else a strong one.")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option("--estimator", help="One that is drawn, such as LSM; else all. Repeatable.")
+    ] = None,
+    form: Annotated[
+        str | None, typer.Option("--format", metavar="png|svg|pdf", help="Of the pictures; png unless --out says else.")
+    ] = None,
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
     from lampest.report.plots.results import plot_results
 
+    chosen = tuple(estimator or ())
     with progress("pictures") as on_picture:
-        files = plot_results(results, out, show, on_picture=on_picture)
+        files = plot_results(results, out, show, on_picture=on_picture, frame=frame, estimators=chosen, form=form)
     for path in files:
         say(path)
 
@@ -89,12 +98,16 @@ def export(
 def detect(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Annotated[Path | None, written("--out", "Folder of the output; else beside the results.")] = None,
-    patch: Annotated[float | None, typer.Option("--patch", help="Edge of a film in mm; else 0.6 of the pitch.")] = None,
+    patch: Annotated[
+        float | None, typer.Option("--patch", help="Edge of a film in mm, such as 6; else 0.6 pitches.")
+    ] = None,
     depth: Annotated[
-        float | None, typer.Option("--depth", help="Depth of row 0 under water in mm; else what the results say.")
+        float | None,
+        typer.Option("--depth", help="Depth of row 0 under water in mm, such as 50; else the scene's."),
     ] = None,
     noise: Annotated[
-        float | None, typer.Option("--noise", help="Noise of a reading in percent, where the results hold none.")
+        float | None,
+        typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
     ] = None,
 ) -> None:
     """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 FIGURES_WIDTH, NAME_WIDTH = 100, 12
+LINE_SECONDS = 30.0
 
 
 def written(name: str, text: str) -> Any:
@@ -34,7 +36,10 @@ def written(name: str, text: str) -> Any:
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
 
 
-Out = Annotated[Path | None, written("--out", "Where the output goes.")]
+Assign = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of the file: formulation=reduced. Repeatable."),
+]
 Folder = Annotated[Path | None, written("--out", "Folder of the output; results/<config> by default.")]
 
 
@@ -117,7 +122,7 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, silent where that is no terminal; it moves on its own while nothing is told."""
+    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every half minute."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
@@ -126,6 +131,7 @@ class progress:  # noqa: N801
         columns = (*Progress.get_default_columns(), TimeElapsedColumn())
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
+        self._what, self._said = what, monotonic()
 
     def __enter__(self) -> Any:
         self._bar.__enter__()
@@ -134,6 +140,9 @@ class progress:  # noqa: N801
     def _told(self, done: int, total: int, what: str | None = None) -> None:
         """How many of how many are done, and what is next where that takes long."""
         self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
+        if self._bar.disable and monotonic() - self._said >= LINE_SECONDS:
+            self._said = monotonic()
+            say(f"lampest: {done} of {total} {what or self._what}", to=sys.stderr)
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)

@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import Folder, print_table, progress, say
+from lampest.cli.screen import Assign, Folder, print_table, progress, say
 
 
 def bench(
     config: Annotated[Path, typer.Argument(help="The benchmark's YAML file.")],
     out: Folder = None,
+    assign: Assign = None,
 ) -> None:
     """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's, published ones.
 
@@ -22,7 +23,7 @@ def bench(
     from lampest.studies.bench.run import run_bench
     from lampest.studies.bench.settings import read_bench
 
-    settings = read_bench(config)
+    settings = read_bench(config, tuple(assign or ()))
     with progress("methods") as on_step:
         found = run_bench(settings, on_step)
     files = write_bench(out or Path("results") / config.stem, found, settings)
@@ -36,6 +37,7 @@ def bench(
 def tradeoff(
     config: Annotated[Path, typer.Argument(help="The trade-off's YAML file.")],
     out: Folder = None,
+    assign: Assign = None,
 ) -> None:
     """Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure."""
     from lampest.studies.tradeoff.figure import plot_tradeoff
@@ -43,7 +45,7 @@ def tradeoff(
     from lampest.studies.tradeoff.run import run_tradeoff
     from lampest.studies.tradeoff.settings import read_plan
 
-    plan = read_plan(config)
+    plan = read_plan(config, tuple(assign or ()))
     with progress("measurements") as on_step:
         found = run_tradeoff(plan, on_step)
     folder = out or Path("results") / config.stem
@@ -56,6 +58,7 @@ def tradeoff(
 def extremes(
     config: Annotated[Path, typer.Argument(help="The atlas' YAML file.")],
     out: Folder = None,
+    assign: Assign = None,
 ) -> None:
     """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
     from lampest.studies.extremes.figure import plot_extremes
@@ -63,7 +66,7 @@ def extremes(
     from lampest.studies.extremes.run import run_atlas
     from lampest.studies.extremes.settings import read_atlas
 
-    atlas = read_atlas(config)
+    atlas = read_atlas(config, tuple(assign or ()))
     with progress("scenes") as on_step:
         found = run_atlas(atlas, on_step)
     folder = out or Path("results") / config.stem
@@ -76,13 +79,14 @@ def extremes(
 def audit(
     config: Annotated[Path, typer.Argument(help="The audit's YAML file.")],
     out: Folder = None,
+    assign: Assign = None,
 ) -> None:
     """Count how often error bars hold the truth where electronics, films or animals do what no scene tells."""
     from lampest.studies.audit.report import audit_remarks, audit_table, write_audit
     from lampest.studies.audit.run import run_audit
     from lampest.studies.audit.settings import read_audit
 
-    settings = read_audit(config)
+    settings = read_audit(config, tuple(assign or ()))
     with progress("recordings") as on_step:
         found = run_audit(settings, on_step)
     files = write_audit(out or Path("results") / config.stem, found)

@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,13 +18,14 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 
 MOST_VALUES = 100_000
 MOST_BYTES = 100_000  # which take up to 4 s
 DEEPEST = 50
 MOST_BITS = 1000
 SHOULD_BE = "Input should be "
+UNKNOWN = "no such key"
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -66,19 +68,28 @@ class Document:
         return dataclasses.replace(self, content=content)
 
 
-def read_document(path: Path) -> Document:
-    """Parse a YAML file. Raises InputError where it cannot be read or parsed."""
+def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
+    """Parse a YAML file and set `PATH=VALUE` entries. Raises InputError where it cannot be read, parsed or set."""
+    document = parse_document(_text_of(path), str(path))
+    for setting in settings:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise InputError(f"'{setting}' is not of the form PATH=VALUE")
+        document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+    return document
+
+
+def _text_of(path: Path) -> str:
     try:
         with path.open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
-        text = content.decode("utf-8")
+        return content.decode("utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text in UTF-8") from error
-    return parse_document(text, str(path))
 
 
 def parse_document(text: str, source: str) -> Document:
@@ -161,7 +172,16 @@ def validated(document: Document, kind: Any) -> Any:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
         location, message = _worst(error.errors(include_url=False), document.content)
+        if message == UNKNOWN:
+            message += meant(str(location[-1]), _keys(kind))
         raise document.error(location, message) from error
+
+
+def _keys(kind: Any) -> set[str]:
+    """Every key that a text of this type may hold anywhere."""
+    schema = adapter(kind).json_schema()
+    objects = (schema, *schema.get("$defs", {}).values())
+    return {key for item in objects for key in item.get("properties", {})}
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
@@ -171,7 +191,7 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     types the deepest fault says which of them was meant.
     """
     if first := next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), None):
-        return _location(first, content), "no such key"
+        return _location(first, content), UNKNOWN
     within = _location(faults[0], content)
     inside = [(_location(fault, content), fault) for fault in faults]
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]

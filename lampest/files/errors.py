@@ -1,8 +1,11 @@
 """The one exception that stands for a user's mistake."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 LONGEST_START, LONGEST_END = 500, 200
+LIKE = 0.65  # of two words: one slip of the finger in a word of four letters or more
 
 
 class InputError(ValueError):
@@ -22,6 +25,12 @@ class InputError(ValueError):
 def printable(text: str) -> str:
     """A text on one line that does nothing to a terminal: other signs are written as escapes."""
     return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """'; did you mean reduced?' where one of the known words is close to what was typed, else nothing."""
+    close = get_close_matches(word, list(known), 1, LIKE)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def in_words(value: Any) -> str:

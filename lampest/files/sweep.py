@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from lampest.files.document import Document
+from lampest.files.document import UNKNOWN, Document
 from lampest.files.errors import InputError
 
 MOST_CASES = 10_000
@@ -132,7 +132,7 @@ def _blame(
         fault = _fault(with_assignments(base, {path: value}), validate)
         if fault is not None:
             index = document.content["sweep"][path].index(value)
-            location = ("sweep", path) if fault.endswith("no such key") else ("sweep", path, index)
+            location = ("sweep", path) if UNKNOWN in fault else ("sweep", path, index)
             raise document.error(location, fault) from error
     values = ", ".join(f"{path} = {value}" for path, value in assignments.items())
     raise document.error(("sweep",), f"with {values}: {_without_position(error)}") from error

@@ -3,9 +3,10 @@
 import fcntl
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
 
 from lampest.estimate.sequence import reconstruct
@@ -24,13 +25,14 @@ CASES = "cases"
 @dataclass(frozen=True)
 class Report:
     """How a batch went: path of the results file, None where no case has a result, numbers of cases, and (case,
-    sentence) of those that failed.
+    sentence) of those that failed. aside : where results of other cases that stood there went, None if there were none.
     """
 
     results: Path | None
     done: int
     skipped: int
     failed: tuple[tuple[str, str], ...]
+    aside: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ def run_batch(
         found = {task.file: result for task in tasks if (result := _result(task)) is not None}
         waiting = [task for task in tasks if task.file not in found]
         failed: list[tuple[str, str]] = []
+        aside: Path | None = None
         try:
             with closing(executor.results(solve_case, waiting)) as outcomes:
                 for finished, (task, outcome) in enumerate(outcomes, 1):
@@ -73,10 +76,27 @@ def run_batch(
         finally:
             done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
             if done:
+                aside = _put_aside(folder / RESULTS, done)
                 write_results(folder / RESULTS, done, run.published)
-        return Report(
-            folder / RESULTS if done else None, len(waiting) - len(failed), len(tasks) - len(waiting), tuple(failed)
-        )
+        skipped = len(tasks) - len(waiting)
+        return Report(folder / RESULTS if done else None, len(waiting) - len(failed), skipped, tuple(failed), aside)
+
+
+def _put_aside(path: Path, done: Sequence[CaseResult]) -> Path | None:
+    """Give results that hold a case of which these have none another name: results_1.h5 and so on; returns it.
+
+    What cannot be read as results keeps its content as well.
+    """
+    if path.is_symlink() or not path.is_file():
+        return None
+    with suppress(InputError):
+        if {case.case_id for case in read_results(path).cases} <= {case.case_id for case in done}:
+            return None
+    kept = next(
+        name for number in count(1) if not os.path.lexists(name := path.with_name(f"{path.stem}_{number}{path.suffix}"))
+    )
+    path.rename(kept)
+    return kept
 
 
 def solve_case(task: Task) -> CaseResult:

@@ -10,7 +10,7 @@ from lampest.cost.given import Background
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.files import sweep
-from lampest.files.document import Document, adapter, parse_scalar, plain_content, read_document, to_yaml, validated
+from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
@@ -93,12 +93,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     Raises InputError for any fault, before any solve. One of several recordings that is there and cannot be read is
     none: its cases fail when their turn comes, so that it costs no other.
     """
-    document = read_document(path)
-    for setting in settings:
-        key, separator, value = setting.partition("=")
-        if not separator or not key:
-            raise InputError(f"'{setting}' is not of the form PATH=VALUE")
-        document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+    document = read_document(path, settings)
     recordings: dict[Path, _Source] = {}
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}

@@ -134,7 +134,7 @@ def test_the_same_picture_twice(tmp_path: Path) -> None:
         save(ContourPlot(7).draw(results.of("mouth")), tmp_path / f"{name}.png")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match=r"written as \.png or \.pdf"):
+    with pytest.raises(InputError, match=r"written as \.png, \.svg or \.pdf"):
         save(ContourPlot().draw(results.of("mouth")), tmp_path / "one.bmp")
     with pytest.raises(InputError, match="frame 3 has no results; there are frames 5 to 7"):
         ContourPlot(3).draw(results.of("mouth"))

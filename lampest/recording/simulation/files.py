@@ -20,7 +20,12 @@ MOST_VALUES = 50_000_000
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
 
 
-def run(path: Path, out: Path | None, on_frame: Callable[[int, int], None] = lambda done, frames: None) -> list[Path]:
+def run(
+    path: Path,
+    out: Path | None,
+    on_frame: Callable[[int, int], None] = lambda done, frames: None,
+    settings: tuple[str, ...] = (),
+) -> list[Path]:
     """Simulate all that a file describes and write the recordings; returns their paths.
 
     Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
@@ -28,7 +33,7 @@ def run(path: Path, out: Path | None, on_frame: Callable[[int, int], None] = lam
 
     on_frame : told of how many frames how many are done. Raises InputError.
     """
-    planned = read_simulations(path)
+    planned = read_simulations(path, settings)
     targets = _targets(path, out, planned)
     if sum(simulation.values for _, simulation in planned) > MOST_VALUES:
         raise InputError(f"{path}: all recordings together hold more than {MOST_VALUES} values; split the sweep")
@@ -50,12 +55,13 @@ def run(path: Path, out: Path | None, on_frame: Callable[[int, int], None] = lam
     return targets
 
 
-def read_simulations(path: Path) -> list[tuple[str, Simulation]]:
+def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
     """Every combination of a file's sweep: (output path as the file names it, simulation).
 
+    settings : PATH=VALUE entries that override the file's.
     Raises InputError with line and column.
     """
-    document = read_document(path)
+    document = read_document(path, settings)
     found = []
     planned = combinations(document, lambda varied: cast(Simulation, validated(drawn(varied), Simulation)))
     for number, case in enumerate(planned, start=1):

@@ -12,7 +12,7 @@ from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.relative_change import RelativeChange
 from lampest.estimate.estimator import Estimator
 from lampest.files.document import read_document, validated
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
@@ -64,6 +64,7 @@ def live(
     frames: int | None = None,
     token: str | None = None,
     on_url: Callable[[str], None] = lambda url: None,
+    settings: tuple[str, ...] = (),
 ) -> Recorded | None:
     """Reconstruct each frame as it comes and show it in the browser, until `frames` have come or Ctrl-C.
 
@@ -73,11 +74,11 @@ def live(
     method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
     http : HOST:PORT to listen at; port 0 for any that is free.
     token : what whoever opens the page must bring; where others can reach it, one is made up if none is given.
-    on_url : told the page's address once it can be opened.
+    on_url : told the page's address once it can be opened. settings : PATH=VALUE entries that override the file's.
 
     Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
     """
-    name, estimator = chosen(method, config)
+    name, estimator = chosen(method, config, settings)
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
     port = source.port or only_port() if isinstance(source, LiveBoard) else ""
     with (
@@ -107,15 +108,16 @@ def live(
         return done
 
 
-def chosen(name: str | None, config: Path | None) -> tuple[str, Estimator]:
+def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
     """An estimator and its name; the first where none is named. Raises InputError where there is none of that name."""
     if config is None:
         known, where = tuple(METHODS), "there are"
     else:
-        document = read_document(config)
+        document = read_document(config, settings)
         run: RunFile = validated(document, RunFile)
         known, where = tuple(run.estimators), f"{config} has"
     name = name or known[0]
     if name not in known:
-        raise InputError(f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}")
+        close = meant(name, known)
+        raise InputError(f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}{close}")
     return name, METHODS[name] if config is None else resolve(document, run, name)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import InputError, in_words, meant
 from lampest.report.plots import plot_of
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import SUFFIXES, image_of, verbatim, write_image
@@ -15,6 +15,7 @@ from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results, read_results
 
 MOST_TOGETHER = 20  # estimators that one picture shows
+OTHER_SUFFIXES = (".jpg", ".jpeg", ".gif", ".bmp", ".tif", ".tiff", ".webp", ".eps", ".ps")
 
 
 def plot_results(
@@ -23,26 +24,34 @@ def plot_results(
     show: str | Plot = "contours",
     columns: Sequence[Column] = (),
     on_picture: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    frame: int | None = None,
+    estimators: Sequence[str] = (),
+    form: str | None = None,
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
     More than MOST_TOGETHER estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on.
-    What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png or .pdf
-    file where there is one picture. columns : as `read_results` takes them.
-    on_picture : told of how many pictures how many are drawn. Returns the files that were written.
-    Raises InputError where there is no such plot, the results cannot be read or hold nothing to draw, or the place
-    cannot be written.
+    What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or
+    .pdf file where there is one picture. columns : as `read_results` takes them.
+    on_picture : told of how many pictures how many are drawn. frame : index into the recordings; its pictures are
+    called so. estimators : those that are drawn, all where none is named. form : png, svg or pdf; png where neither it
+    nor `out` says. Returns the files that were written.
+
+    Raises InputError where there is no such plot, frame or estimator, the results cannot be read or hold nothing to
+    draw, or the place cannot be written.
     """
-    plot = _chosen(show, None)
-    path = Path(path)
-    results = read_results(path, columns)
-    target = path.parent if out is None else Path(out)
-    pictures = list(_pictures(results, plot))
+    plot = _chosen(show, frame)
+    path, target = Path(path), None if out is None else Path(out)
+    single = target if target is not None and target.suffix in SUFFIXES else None
+    _check_form(target, form)
+    pictures = list(_pictures(_of_estimators(read_results(path, columns), estimators, path), plot))
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
-    if target.suffix in SUFFIXES and len(pictures) > 1:
+    if single is not None and len(pictures) > 1:
         raise InputError(f"{target}: one picture cannot hold {len(pictures)}; name a folder instead")
-    files = [target if target.suffix in SUFFIXES else target / f"{plot.kind}_{name}.png" for name, _ in pictures]
+    ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
+    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
     tasks = [(plot, cases, file) for (_, cases), file in zip(pictures, files, strict=True)]
     for file, image in zip(files, each_of(_image, tasks, on_picture, here=not isinstance(show, str)), strict=True):
         write_image(image, file)
@@ -53,6 +62,29 @@ def _image(task: tuple[Plot, tuple[CaseResult, ...], Path]) -> bytes:
     plot, cases, file = task
     with verbatim():
         return image_of(plot.draw(cases), file)
+
+
+def _check_form(target: Path | None, form: str | None) -> None:
+    """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
+    if form is not None and f".{form}" not in SUFFIXES:
+        raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
+    if target is None:
+        return
+    if target.suffix.lower() in OTHER_SUFFIXES:
+        raise InputError(f"{target}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    if form is not None and target.suffix in SUFFIXES and target.suffix != f".{form}":
+        raise InputError(f"{target}: is no name of a picture in {form}")
+
+
+def _of_estimators(results: Results, estimators: Sequence[str], path: Path) -> Results:
+    """The results of these estimators, in the file's order; all where none is named."""
+    known = list(dict.fromkeys(case.estimator for case in results.cases))
+    for name in estimators:
+        if name not in known:
+            close = meant(name, known)
+            raise InputError(f"{path}: no estimator is called {name!r}; there are {', '.join(known)}{close}")
+    chosen = estimators or known
+    return replace(results, cases=tuple(case for case in results.cases if case.estimator in chosen))
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:

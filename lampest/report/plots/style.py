@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ TEXT_POINT, SMALL_POINT = 8, 6.5
 DOTS_PER_INCH = 200
 LONGEST_TITLE = 22
 BLUE, ORANGE = "#0072B2", "#D55E00"
-SUFFIXES = (".png", ".pdf")
+SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
@@ -35,7 +35,7 @@ def half_figure(height: float) -> Figure:
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as .png or .pdf, whole or not at all; the same figure gives the same bytes.
+    """Write a figure as .png, .svg or .pdf, whole or not at all; the same figure gives the same bytes.
 
     Raises InputError for another suffix or where the place cannot be written.
     """
@@ -45,10 +45,11 @@ def save(figure: Figure, path: str | Path) -> None:
 def image_of(figure: Figure, path: Path) -> bytes:
     """The bytes of a figure as a file of that name has them. Raises InputError for another suffix than SUFFIXES."""
     if path.suffix not in SUFFIXES:
-        raise InputError(f"{path}: pictures are written as {' or '.join(SUFFIXES)}")
+        raise InputError(f"{path}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     stream = BytesIO()
-    metadata = {"Software": None} if path.suffix == ".png" else {"CreationDate": None}
-    figure.savefig(stream, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=metadata)
+    dated = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate",)}[path.suffix]
+    with _repeatable():
+        figure.savefig(stream, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
     return stream.getvalue()
 
 
@@ -58,11 +59,16 @@ def write_image(image: bytes, path: Path) -> None:
         unfinished.write_bytes(image)
 
 
+def _repeatable() -> AbstractContextManager[None]:
+    """The same figure gives the same bytes; words are drawn, so that no font is missing elsewhere."""
+    return rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"})
+
+
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
     """The figure as the address of an image that holds it; the same figure gives the same text."""
     stream = BytesIO()
     metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
-    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
+    with _repeatable():
         figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
     form = "image/png" if kind == "png" else "image/svg+xml"
     return f"data:{form};base64,{b64encode(stream.getvalue()).decode('ascii')}"

@@ -120,6 +120,6 @@ class AuditTask:
         )
 
 
-def read_audit(path: Path) -> AuditFile:
+def read_audit(path: Path, settings: tuple[str, ...] = ()) -> AuditFile:
     """An audit's file. Raises InputError with line and column."""
-    return cast(AuditFile, validated(read_document(path), AuditFile))
+    return cast(AuditFile, validated(read_document(path, settings), AuditFile))

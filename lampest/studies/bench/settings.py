@@ -167,6 +167,6 @@ class BenchFile:
         return simulate(simulation, f"{shape[0]}x{shape[1]}")
 
 
-def read_bench(path: Path) -> BenchFile:
+def read_bench(path: Path, settings: tuple[str, ...] = ()) -> BenchFile:
     """A benchmark's file. Raises InputError with line and column."""
-    return cast(BenchFile, validated(read_document(path), BenchFile))
+    return cast(BenchFile, validated(read_document(path, settings), BenchFile))

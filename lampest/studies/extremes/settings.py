@@ -122,6 +122,6 @@ def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[AtlasSample]:
                         yield AtlasSample(name, *shape, decades, noise / 100, seed)
 
 
-def read_atlas(path: Path) -> AtlasFile:
+def read_atlas(path: Path, settings: tuple[str, ...] = ()) -> AtlasFile:
     """An atlas' file. Raises InputError with line and column."""
-    return cast(AtlasFile, validated(read_document(path), AtlasFile))
+    return cast(AtlasFile, validated(read_document(path, settings), AtlasFile))

@@ -254,9 +254,9 @@ def label(formulation: Method) -> str:
     return f"{formulation.kind} {formulation.steps}" if isinstance(formulation, TruncatedMethod) else formulation.kind
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
-    settings = cast(TradeoffFile, validated(read_document(path), TradeoffFile))
+    settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
     subjects = []
     for file in recording_paths(path, settings.recordings):
         recording = Recording.load(file)

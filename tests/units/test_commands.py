@@ -1,0 +1,103 @@
+"""Commands as a newcomer meets them: help, version, mistakes of typing, overrides, pictures, and results that stay."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from typer.main import get_command
+
+from lampest.cli import app, screen
+
+Command = Callable[..., SimpleNamespace]
+COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
+FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
+    command = COMMANDS[name]
+    assert command.help and command.epilog.startswith(f"Example: lampest {name}")
+    for parameter in command.params:
+        assert parameter.help, f"{name}: {parameter.name}"
+        kind = str(getattr(parameter, "type_descriptor", None) or getattr(parameter, "type", "")).lower()
+        if ("float" in kind or "int" in kind) and parameter.default is None:
+            assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
+
+
+@pytest.mark.parametrize(
+    "name", ["run", "tune", "starts", "simulate", "bench", "tradeoff", "extremes", "audit", "live"]
+)
+def test_what_reads_a_configuration_overrides_it(name: str) -> None:
+    assert any("--set" in parameter.opts for parameter in COMMANDS[name].params)
+
+
+def test_version_and_mistyped_commands(lampest: Command) -> None:
+    ended = lampest("--version")
+    assert ended.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", ended.out)
+    ended = lampest("plto")
+    assert ended.code == 2 and "Did you mean 'plot'?" in ended.err
+    assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
+
+
+def test_mistyped_keys_and_names(disk: SimpleNamespace, lampest: Command) -> None:
+    run = disk.folder / "run.yaml"
+    run.write_text(run.read_text().replace("estimators:", "estimatros:"))
+    ended = lampest("run", run)
+    assert ended.code == 2 and "estimatros: no such key; did you mean estimators?" in ended.err
+
+
+def test_progress_is_plain_lines_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with screen.progress("cases") as on_case:
+        on_case(1, 9)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(screen, "LINE_SECONDS", 0.0)
+    with screen.progress("cases") as on_case:
+        on_case(3, 9)
+    assert capsys.readouterr().err == "lampest: 3 of 9 cases\n"
+
+
+def test_a_simulation_is_overridden(tmp_path: Path, lampest: Command) -> None:
+    assert lampest("init", tmp_path).code == 0
+    ended = lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames=2", "--out", tmp_path / "two.h5")
+    assert ended.code == 0 and "2 measured" in lampest("info", tmp_path / "two.h5").out
+    assert lampest("simulate", tmp_path / "simulation.yaml", "--set", "frames").code == 2
+
+
+def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: Command) -> None:
+    run, out = disk.folder / "run.yaml", disk.folder / "out"
+    assert lampest("run", run, "--out", out, "--jobs", "1").err == ""
+    assert lampest("run", run, "--out", out, "--jobs", "1").err == "" and len(list(out.glob("*.h5"))) == 1
+    before = (out / "results.h5").read_bytes()
+    ended = lampest("run", run, "--out", out, "--jobs", "1", "--set", "solver.tolerance=1e-7")
+    assert "held other cases; they are kept" in ended.err and str(out / "results_1.h5") in ended.err
+    assert (out / "results_1.h5").read_bytes() == before
+    assert (out / "results.h5").read_bytes() != before
+
+
+def test_pictures_of_a_frame_an_estimator_and_a_form(disk: SimpleNamespace, lampest: Command) -> None:
+    assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder, "--jobs", "1").code == 0
+    results, new = disk.folder / "results.h5", disk.folder / "new"
+    told = lampest("info", results).out
+    (name, *_) = re.findall(r"^  (\S+) +solved", told, flags=re.MULTILINE)
+    ended = lampest("plot", results, "--out", new, "--frame", "1", "--estimator", name, "--format", "svg")
+    (picture,) = map(Path, ended.out.split())
+    assert picture == new / "contours_small_frame1.svg" and picture.read_text().startswith("<?xml")
+    again = lampest("plot", results, "--out", new / "x.svg", "--frame", "1", "--estimator", name)
+    assert again.code == 0 and (new / "x.svg").read_bytes() == picture.read_bytes()
+    assert lampest("plot", results, "--out", new / "x.pdf").code == 0 and (new / "x.pdf").is_file()
+    shutil.rmtree(new)
+    for wrong in (
+        ("--out", new / "x.jpg"),
+        ("--out", new / "x.svg", "--format", "png"),
+        ("--format", "gif"),
+        ("--frame", "999"),
+        ("--estimator", name + "x"),
+    ):
+        ended = lampest("plot", results, *wrong)
+        assert ended.code == 2 and not new.exists(), wrong
+    assert f"did you mean {name}?" in ended.err
