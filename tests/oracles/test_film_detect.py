@@ -22,6 +22,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.events import events
@@ -30,7 +31,7 @@ from lampest.runs.filling import named_result
 
 MOUTH = OralDisc(kind="oral_disc", centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
 SCENE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
-FORGETS = ModelErrors(creep=0.0, creep_sd=0.0)
+FORGETS = ModelErrors(creep=0.0, creep_sd=0.0, remanence_sd=0.0)
 
 
 def recorded(film: Film | None, mouth: OralDisc = MOUTH, frames: int = 24) -> Recording:
@@ -76,7 +77,7 @@ def test_memory_follows_from_the_answer_and_fades() -> None:
     recording = recorded(None)
     resting = recording.readings()[[0, 1, 2]].mean()
     assert resting.sigma is not None
-    errors = ModelErrors(creep=0.05, creep_sd=0.02)
+    errors = ModelErrors(creep=0.05, creep_sd=0.02, remanence_sd=0.0)
     baseline = Baseline.of(resting.value, resting.sigma, SCENE, errors)
     change = np.zeros(SCENE.panel.shape)
     change[3, 3], change[3, 4] = 1.5, -2.0
@@ -110,7 +111,9 @@ def test_a_weak_lamprey_is_recognised_after_hours_because_the_unloaded_panel_is_
 def test_memory_is_that_since_the_panel_was_taken_anew() -> None:
     resting = recorded(None).readings()[[0, 1, 2]].mean()
     assert resting.sigma is not None
-    baseline = Baseline.of(resting.value, resting.sigma, SCENE, ModelErrors(creep=0.05, creep_sd=0.02))
+    baseline = Baseline.of(
+        resting.value, resting.sigma, SCENE, ModelErrors(creep=0.05, creep_sd=0.02, remanence_sd=0.0)
+    )
     change = np.zeros(SCENE.panel.shape)
     change[3, 3] = 2.0
     film = Remembered.nothing(change.shape).after(change, 100.0)
@@ -118,3 +121,26 @@ def test_memory_is_that_since_the_panel_was_taken_anew() -> None:
     assert anew.rest(baseline, 0.0) is baseline
     whole = [film.rest(baseline, seconds).logarithm[3, 3] for seconds in (110.0, 160.0)]
     assert anew.rest(baseline, 50.0).logarithm[3, 3] - baseline.logarithm[3, 3] == pytest.approx(whole[1] - whole[0])
+
+
+@pytest.mark.parametrize("minutes", [1.0, 10.0])
+def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
+    """15 % of what cells have answered stays and fades exponentially, each cell's by a fifth more or less."""
+    recording = recorded(None, frames=30)
+    cells = recording.truth_cell_resistance
+    assert cells is not None
+    after = np.arange(len(cells)) - 18
+    part = 0.15 * np.exp(0.2 * np.random.default_rng(3).standard_normal(SCENE.panel.shape))
+    left = part * np.log(cells[12] / cells[0]) * np.exp(-np.maximum(after, 0) / (60 * minutes))[:, None, None]
+    remembered = np.where((after >= 0)[:, None, None], cells * np.exp(left), cells)
+    recorded_ohm, _ = measured(SCENE, remembered, Unmodelled(), 5)
+    found = labels([replace(recording, recorded=recorded_ohm)], ModelErrors())
+    assert all("nothing" in label.split(OR) for label in found[15:])
+    without = labels([replace(recording, recorded=recorded_ohm)], ModelErrors(remanence_sd=0.0, creep_sd=0.0))
+    assert any("nothing" not in label.split(OR) for label in without[15:])
+
+
+def test_a_lamprey_that_sucks_less_is_still_there() -> None:
+    less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), frames=6)
+    found = labels([recorded(None, frames=15), less], ModelErrors())
+    assert all("lamprey" in label.split(OR) and "nothing" not in label.split(OR) for label in found[16:])

@@ -25,6 +25,7 @@ class ModelErrors:
     creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation; a mean, not an
         error: what is left of a load that is gone. Wider than a scene that leaves it open, because false alarms cost
         more than weak loads that come back to a place just left.
+    remanence_sd : of the part of its largest answer of late that a film keeps for minutes; see `memory`.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
 
@@ -39,6 +40,7 @@ class ModelErrors:
     settled: float = 0.002
     creep: float = OPEN_CREEP[0]
     creep_sd: float = 0.05
+    remanence_sd: float = 0.12
     channel_ohm: float = 3.0
     reference: float = 0.006
 
