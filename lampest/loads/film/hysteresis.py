@@ -6,7 +6,7 @@ A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the 
 causal, independent of rate, odd (suction is as pressure), homogeneous (half the load makes half the loop) and forgets
 all where the load crosses zero. Its inverse is exact: p_e is strictly monotone and piecewise linear in p, w_0 > 0. The
 weights are such that from a peak P the film unloads along the hyperbola p_e/P = s²t/(1 + (s² − 1)t), t = p/P, with
-s = (1 + h)/(1 − h); its largest gap from the line is h, at t = 1/(1 + s).
+s = (1 + η)/(1 − η); its largest gap from the line is η, at t = 1/(1 + s).
 
 Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
 Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015), who compare it with

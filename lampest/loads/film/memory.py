@@ -1,8 +1,8 @@
 """A film before its next frame: pressure → answer and back, with all that it remembers.
 
-    p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = g·creep(u)
+    p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
-f is the response curve, p_w the water that was there at rest, g what bending leaves of the answer.
+f is the response curve, p_w the water that was there at rest, β what bending leaves of the answer.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class FilmMemory:
-    """plays, creep : where they stand. gain : g. water : p_w, kPa. All (...) cells, or to be broadcast to them."""
+    """plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them."""
 
     plays: Plays
     creep: Creep

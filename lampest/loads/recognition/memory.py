@@ -1,9 +1,9 @@
 """What a film remembers of the loads that were recognised: a panel at rest is not what it was before them.
 
-After a load a cell shows ln r/r0 = −c S − ρ H. S = Σ_j s_j is the creep of what it has answered (see
-`lampest.loads.film.creep`); H is the largest answer of late, which some films keep a part of, for minutes, however long
+After a load a cell shows ln r/r0 = −c S − k P. S = Σ_j s_j is the creep of what it has answered (see
+`lampest.loads.film.creep`); P is the largest answer of late, which some films keep a part of, for minutes, however long
 the load was there. Both look like the load, only weaker: what has risen in a mouth stays up a little, what has fallen
-under its rim stays down. c and ρ are known to a common error each, and each cell's memory to one of its own, because a
+under its rim stays down. c and k are known to a common error each, and each cell's memory to one of its own, because a
 fit tells shapes and no single cell.
 """
 
@@ -18,14 +18,14 @@ from lampest.panel.panel import Array
 OWN = 0.3  # of a cell's memory: films answer with a scatter of a tenth to a quarter, edges lie beside their places
 FAINT = 2e-3  # of ln r/r0, that of a cell at rest apart from drift: less is not worth a new baseline
 MOST = 3.0  # of ln r/r0 in a fit: beyond are open cells and dead shorts
-TAKEN, KEPT = 3.0, 600.0  # s in which H follows an answer that grows, and fades to one that is less; assumptions
+TAKEN, KEPT = 3.0, 600.0  # s in which P follows an answer that grows, and fades to one that is less; assumptions
 
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """creep : of (rows, columns), with a strength of 1. held : H (rows, columns).
+    """creep : of (rows, columns), with a strength of 1. held : P (rows, columns).
 
-    seconds : since the baseline, of the last frame. before : (2, rows, columns) S and H when the baseline was taken; 0
+    seconds : since the baseline, of the last frame. before : (2, rows, columns) S and P when the baseline was taken; 0
     where nothing had been there.
     """
 
@@ -51,7 +51,7 @@ class Remembered:
         return replace(self, seconds=self.seconds - seconds, before=then.patterns(seconds))
 
     def patterns(self, seconds: float) -> Array:
-        """S and H, (2, rows, columns), at a time since the baseline, if nothing comes until then."""
+        """S and P, (2, rows, columns), at a time since the baseline, if nothing comes until then."""
         nothing, lasts = np.zeros(self.held.shape), max(seconds - self.seconds, 0.0)
         return np.stack([self.creep.answer(nothing, lasts), self.held * np.exp(-lasts / KEPT)])
 

@@ -2,7 +2,8 @@
 
 Where so many frames in a row are called nothing (a flat load at most, and less likely), the median of the first half of
 them is the unloaded panel from then on; the other half is a guard, so that a load that begins to come is not in it. It
-is not, where cells on the way there stand out as a load might: drift that has grown for long could hide a weak one.
+is not, where cells on the way there stand out as a load might: drift that has grown for long could hide a weak one; nor
+while the memory of a load still fades fast, because what comes after would be compared with what it was.
 """
 
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 CALM = frozenset(candidate.label for candidate in UNIFORM)
+FADES = 0.01  # ln r/r0 by which the memory of a cell may change over the frames
 OF_MEDIAN = 1.2533  # standard deviation of a median over that of a mean
 
 
@@ -64,7 +66,15 @@ class Zero:
         here = replace(self, calm=(*self.calm, _Calm(frame, detector.remembered)), said="")
         if len(here.calm) < self.count:
             return here, detector
+        if here._fades():
+            return replace(here, calm=here.calm[1:]), detector
         return here._anew(detector)
+
+    def _fades(self) -> bool:
+        """Whether the film still changes by its memory."""
+        errors, (first, last) = self.baseline.model_errors, (self.calm[0], self.calm[-1])
+        crept = [one.remembered.patterns(one.frame.seconds)[0] for one in (first, last)]
+        return bool(np.hypot(errors.creep, errors.creep_sd) * np.abs(crept[0] - crept[1]).max() > FADES)
 
     def _anew(self, detector: Detector) -> tuple["Zero", Detector]:
         """With the baseline that the first half of the calm frames makes; as it was where that might be a load."""
