@@ -129,6 +129,14 @@ def test_a_first_number_is_believed_as_far_as_the_clock_allows() -> None:
     assert run_of((2**32 - 5, 100))[1][0].lost == 0
 
 
+def test_no_frame_is_believed_that_its_clock_puts_days_ahead() -> None:
+    _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))
+    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0)]
+    assert run_of((10**8, 2 * 10**9))[1][0].lost == 0
+    _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
+    assert found[2].session == 1 and found[2].lost < 10_000 and found[2].time < 100
+
+
 def test_what_is_sent_again_is_no_frame() -> None:
     sent = [(number, 500 + 10 * number) for number in range(20)]
     run, found = run_of(*sent, *sent[:15], *sent[3:9])

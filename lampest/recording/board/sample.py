@@ -1,11 +1,13 @@
 """A frame with its place in the recording, and which frame can come after which; no I/O."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from lampest.recording.board.protocol import Frame, Hello
 
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
+# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
+FASTEST, AHEAD_SECONDS = 1000.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,8 @@ class Scanning:
     one, but each other, and the clock went on, the numbers have begun anew.
 
     hello : how the board is set. session : of its next frame. last : the recording's newest sample.
-    before, earlier : the two newest samples of this run. stray : a frame that followed none.
+    before, earlier : the two newest samples of this run. stray : a frame that followed none. since : s since 1970-01-01
+    UTC, when the board was started.
     """
 
     hello: Hello
@@ -43,13 +46,18 @@ class Scanning:
     before: Sample | None = None
     earlier: Sample | None = None
     stray: Frame | None = None
+    since: float = field(default_factory=time.time)
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
-        if self.before is None or self._follows(frame, self.before.frame):
+        if self.before is None or self._follows(frame, self.before.frame, self.before.host_time):
             return self._with(self._placed(frame))
         stray = self.stray
-        if stray is not None and (frame.sequence - stray.sequence) % ROUND == 1 and self._follows(frame, stray):
+        if (
+            stray is not None
+            and (frame.sequence - stray.sequence) % ROUND == 1
+            and self._follows(frame, stray, time.time())
+        ):
             elapsed_ms = (stray.device_ms - self.before.frame.device_ms) % ROUND
             if 0 < elapsed_ms < ROUND // 2:
                 run, samples = self._with(self._renumbered(stray, elapsed_ms))
@@ -65,10 +73,11 @@ class Scanning:
         run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
         return run, (sample,)
 
-    def _follows(self, frame: Frame, before: Frame) -> bool:
+    def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         steps = (frame.sequence - before.sequence) % ROUND
         elapsed_ms = (frame.device_ms - before.device_ms) % ROUND
-        return 0 < steps < ROUND // 2 and elapsed_ms >= 0.99e-3 * steps * self.hello.period_us - 2
+        most_ms = 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3e-6 * self.hello.period_us)
+        return 0 < steps < ROUND // 2 and 0.99e-3 * steps * self.hello.period_us - 2 <= elapsed_ms <= most_ms
 
     def _placed(self, frame: Frame) -> Sample:
         now, period, last = time.time(), self.hello.period_us * 1e-6, self.last
@@ -83,12 +92,14 @@ class Scanning:
 
     def _lost_at_first(self, frame: Frame) -> int:
         """Numbers begin with 0, unless the clock says that there was no time for so many frames."""
-        possible = frame.device_ms >= 0.99e-3 * frame.sequence * self.hello.period_us - 2
-        return frame.sequence if possible else 0
+        least = 0.99e-6 * frame.sequence * self.hello.period_us
+        most = FASTEST * max(time.time() - self.since, 0.0) + AHEAD_SECONDS
+        return frame.sequence if least <= min(1e-3 * frame.device_ms + 2e-3, most) else 0
 
     def _renumbered(self, frame: Frame, elapsed_ms: int) -> Sample:
-        """The first frame whose number began anew; the clock says how many are missing."""
+        """The first frame whose number began anew; the clock that went less far says how many are missing."""
         assert self.before is not None and self.last is not None
-        at = max(self.before.time, self.last.time) + elapsed_ms / 1000
-        lost = max(round(elapsed_ms * 1e3 / self.hello.period_us) - 1, 0)
-        return Sample(frame, self.hello, at, time.time(), lost, self.session + 1)
+        now, period = time.time(), self.hello.period_us * 1e-6
+        moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(now - self.last.host_time, period))
+        at = max(self.before.time, self.last.time) + moved
+        return Sample(frame, self.hello, at, now, max(round(moved / period) - 1, 0), self.session + 1)

@@ -66,9 +66,7 @@ class Dask:
         if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
             raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
         if self.tls is not None and self.address is None and self.slurm is None:
-            raise InputError(
-                "executor: workers of this machine listen on its loopback address alone; tls is for others"
-            )
+            raise InputError("executor: workers of this machine listen on its loopback address alone, without tls")
         cluster_module("distributed")
         if self.slurm is not None:
             cluster_module("dask_jobqueue")
