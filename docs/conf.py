@@ -1,16 +1,21 @@
 """How the pages in this folder become a site: `make docs`, into docs/_build/html. Nothing is fetched."""
 
+import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+# Notebooks type `lampest` as a reader does: the command of this Python, and one thread each.
+os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 project = "lampest"
 author = "The lampest developers"
 project_copyright = f"2026, {author}"
 release = version_of("lampest")
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx_design", "mathml"]
+extensions = ["myst_nb", "sphinx_copybutton", "sphinx_design", "mathml", "generated"]
 exclude_patterns = ["_build"]
 nitpicky = True
 
@@ -22,6 +27,9 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_show_tb = True
+nb_execution_in_temp = True
+nb_merge_streams = True
+toc_object_entries_show_parents = "hide"
 
 html_theme = "furo"
 html_title = "lampest"

@@ -55,10 +55,15 @@ def truth_file(folder: Path, cells: Array, period: float = 1.0) -> Path:
 
 @contextmanager
 def bench(
-    folder: Path, cells: Array, *options: object, period: float = 1.0, wiring: str = "two_point"
+    folder: Path,
+    cells: Array,
+    *options: object,
+    period: float = 1.0,
+    wiring: str = "two_point",
+    sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
     """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
-    words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / "lampest_board.elf"]
+    words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf"]
     words += ["--truth", truth_file(folder, cells, period), "--link", folder / "port", *options]
     with subprocess.Popen(
         [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -170,11 +170,15 @@ def fenced(page: Path, language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [README, PYTHON], ids=lambda page: page.name)
-def test_python_of_a_page_runs(page: Path, copy: Path) -> None:
+def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     blocks = fenced(page, "python") + [block for block in indented(page) if block.startswith("import lampest")]
     assert blocks
-    (copy / "page.py").write_text("\n".join(blocks), encoding="utf-8")
-    typed(copy, "python page.py")
+    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    (tmp_path / "page.py").write_text("\n".join(blocks), encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    command = (sys.executable, "page.py")
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
 
 
 def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:

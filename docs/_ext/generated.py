@@ -1,0 +1,51 @@
+"""Parts of pages that are made of the package itself, so that they cannot differ from it.
+
+A page that holds `<!-- generated: WORD -->` gets there: commands, names, keys or columns.
+"""
+
+import re
+from collections.abc import Callable
+
+import typer
+from keys import keys_page
+from names import names_page
+from sphinx.application import Sphinx
+from typer.cli import get_docs_for_click
+
+from lampest.cli import app as commands
+from lampest.runs.columns import all_columns
+
+MARKED = re.compile(r"<!-- generated: (\w+) -->\n")
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options, by typer's own generator."""
+    command = typer.main.get_command(commands)
+    text = get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="lampest"), name="lampest")
+    _, _, chapters = text.partition("\n## ")
+    return "## " + re.sub(r"(`[^`\n]*`)|<", lambda found: found[1] or r"\<", chapters)
+
+
+def columns_table() -> str:
+    """Every dataset of an estimate, in the file's order."""
+    rows = [f"| `{one.path}` | {', '.join(one.axes)} | {one.units} | {one.long_name} |" for one in all_columns()]
+    return "\n".join(("| dataset | over | unit | what it is |", "|---|---|---|---|", *rows)) + "\n"
+
+
+PARTS: dict[str, Callable[[], str]] = {
+    "commands": commands_page,
+    "names": names_page,
+    "keys": keys_page,
+    "columns": columns_table,
+}
+
+
+def fill(app: Sphinx, page: str, source: list[str]) -> None:
+    """Put the parts into a page that is read."""
+    source[0] = MARKED.sub(lambda found: PARTS[found[1]]() + "\n", source[0])
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Listen to pages being read."""
+    app.connect("source-read", fill)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
