@@ -147,7 +147,7 @@ def reconstruct(
     recording: Recording,
     terms: Sequence[Term],
     *,
-    formulation: MethodName | Method = "nodal",
+    formulation: MethodName | Method = "auto",
     solver: Settings | None = None,
     bounds: Bounds | None = None,
     error_bars: Literal["auto"] | bool = "auto",
@@ -159,8 +159,9 @@ def reconstruct(
     Parameters
     ----------
     recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
-    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a weight may be 'auto'.
-    formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4).
+    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'.
+    formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4);
+        by default nodal or reduced, by the panel's size and the time between frames.
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
     tare : when the zero of pressures is taken anew; None: never.
     error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.

@@ -141,7 +141,7 @@ class Estimator:
     """
 
     terms: tuple[Term, ...]
-    formulation: MethodName | Method = "nodal"
+    formulation: MethodName | Method = "auto"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"

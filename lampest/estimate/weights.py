@@ -43,7 +43,10 @@ def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Ar
         if single and data.measured.size <= MOST_DENSE:
             return estimator.with_weights(search.by_rule(penalties[0], rule, first))
         if rule == "press":
-            raise InputError("weight: auto of more than one penalty, or of other than a squared loss, needs the noise")
+            raise InputError(
+                "weight: auto of more than one penalty, or of a loss that is not squared, needs the noise: name "
+                "weights or add a readout to the scene or sigma to the recording"
+            )
         return estimator.with_weights(search.by_evidence(penalties, first))
 
 

@@ -44,7 +44,7 @@ class RunFile:
     schema: Literal[1]
     recordings: list[str]
     estimators: dict[str, EstimatorEntry]
-    formulation: MethodName | AnyMethod = "nodal"
+    formulation: MethodName | AnyMethod = "auto"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"

@@ -68,10 +68,10 @@ def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
 @pytest.mark.parametrize(
     "terms",
     [
-        (Misfit(), CellResistance()),
-        (Misfit(), Gradient()),
-        (Misfit(), RelativeChange()),
-        (Misfit(), GradientOfRelativeChange()),
+        (Misfit(), CellResistance(weight=1e-3)),
+        (Misfit(), Gradient(weight=1e-3)),
+        (Misfit(), RelativeChange(weight=10)),
+        (Misfit(), GradientOfRelativeChange(weight=10)),
     ],
     ids=lambda terms: terms[1].kind,
 )

@@ -24,11 +24,11 @@ SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
     "weighted": (Misfit(weighting="noise"),),
-    "LSR-CR": (Misfit(), CellResistance()),
-    "LSR-dCR": (Misfit(), RelativeChange()),
-    "LSR-gCR": (Misfit(), Gradient()),
-    "LSR-gdCR": (Misfit(), GradientOfRelativeChange()),
-    "Huber": (Misfit(loss=Huber(corner=2.0)), Gradient()),
+    "LSR-CR": (Misfit(), CellResistance(weight=1e-3)),
+    "LSR-dCR": (Misfit(), RelativeChange(weight=10)),
+    "LSR-gCR": (Misfit(), Gradient(weight=1e-3)),
+    "LSR-gdCR": (Misfit(), GradientOfRelativeChange(weight=10)),
+    "Huber": (Misfit(loss=Huber(corner=2.0)), Gradient(weight=1e-3)),
     "absolute": (Misfit(), Gradient(weight=1.0, loss=Absolute())),
 }
 

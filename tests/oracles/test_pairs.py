@@ -19,8 +19,8 @@ from tests.least_cost import Circuit, LeastCost, Penalty
 SHAPE = (12, 11)
 ALIKE = 1e-6  # of a cost
 METHODS: dict[str, Term] = {
-    "relative_change": RelativeChange(),
-    "gradient_of_relative_change": GradientOfRelativeChange(),
+    "relative_change": RelativeChange(weight=10),
+    "gradient_of_relative_change": GradientOfRelativeChange(weight=10),
 }
 
 

@@ -136,7 +136,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
         raise error("singular")
 
     recording, _ = recording_of(AtlasSample("log-uniform", 3, 3, 1.0, 0.0, 0))
-    estimator = Estimator((Misfit(), Gradient()), "reduced")
+    estimator = Estimator((Misfit(), Gradient(weight=1e-3)), "reduced")
     data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (

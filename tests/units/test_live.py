@@ -370,7 +370,7 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
     assert METHODS["LSR-gCR"].formulation == "reduced"
     assert chosen(None, disk.run())[0] == "LSM"
     name, found = chosen("LSR-dCR", disk.run())
-    assert (name, found.formulation, found.relative) == ("LSR-dCR", "nodal", True)
+    assert (name, found.formulation, found.relative) == ("LSR-dCR", "auto", True)
     with pytest.raises(InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"):
         chosen("LSR", disk.run())
 

@@ -12,7 +12,7 @@ class CellResistance(Term):
 
     unit: ClassVar[str] = "ohm"
     kind: Literal["cell_resistance"] = "cell_resistance"
-    weight: Weight = 1e-3
+    weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
         """Cell resistance, (cells, 1)."""

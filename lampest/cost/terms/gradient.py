@@ -12,7 +12,7 @@ class Gradient(Term):
 
     unit: ClassVar[str] = "ohm per cell"
     kind: Literal["gradient"] = "gradient"
-    weight: Weight = 1e-3
+    weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
         """Finite differences of the cell resistance, (2·cells, 1)."""

@@ -13,7 +13,7 @@ class GradientOfRelativeChange(Term):
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent per cell"
     kind: Literal["gradient_of_relative_change"] = "gradient_of_relative_change"
-    weight: Weight = 10.0
+    weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
         """Finite differences of the relative change, (2·cells, 1)."""

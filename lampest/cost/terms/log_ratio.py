@@ -22,7 +22,7 @@ class LogRatio(Term):
     needs_previous: ClassVar[bool] = True
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
-    weight: Weight = 10.0
+    weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["log_ratio"] = "log_ratio"
     reference: Reference = "baseline"

@@ -13,7 +13,7 @@ class RelativeChange(Term):
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
     kind: Literal["relative_change"] = "relative_change"
-    weight: Weight = 10.0
+    weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
         """Relative change against the previous frame, (cells, 1)."""

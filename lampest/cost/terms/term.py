@@ -80,11 +80,12 @@ Weight = float | Literal["auto"]
 class Term(ABC):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    weight : a number, or 'auto' where the data are to choose it. reads_measurement : whether it is a data term, which
-    reads what was measured; all others are penalties. needs_previous : whether it compares with the previous frame or
-    the baseline. weighs_previous : whether it reads how well the previous frame is known, so that its variance
-    is that of the change and of the previous frame's error together. convex_in_log : whether it is convex in log r once
-    those are known. Raises ValueError unless the weight is finite and not negative.
+    weight : a number, or 'auto' where the data are to choose it, which is what lampest's penalties have where none is
+    named. reads_measurement : whether it is a data term, which reads what was measured; all others are penalties.
+    needs_previous : whether it compares with the previous frame or the baseline. weighs_previous : whether it reads
+    how well the previous frame is known, so that its variance is that of the change and of the previous frame's error
+    together. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless the weight
+    is finite and not negative.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -18,7 +18,7 @@ class TotalVariation(Term):
 
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
-    weight: Weight = 0.3
+    weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["total_variation"] = "total_variation"
 

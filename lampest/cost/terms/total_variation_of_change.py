@@ -18,7 +18,7 @@ class TotalVariationOfChange(Term):
     needs_previous: ClassVar[bool] = True
     convex_in_log: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
-    weight: Weight = 0.3
+    weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["total_variation_of_change"] = "total_variation_of_change"
     reference: Reference = "baseline"

@@ -32,10 +32,10 @@ SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference", "scipy_lbfgsb")
 PAPER: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
-    "LSR-CR": (Misfit(), CellResistance()),
-    "LSR-dCR": (Misfit(), RelativeChange()),
-    "LSR-gCR": (Misfit(), Gradient()),
-    "LSR-gdCR": (Misfit(), GradientOfRelativeChange()),
+    "LSR-CR": (Misfit(), CellResistance(weight=1e-3)),
+    "LSR-dCR": (Misfit(), RelativeChange(weight=10)),
+    "LSR-gCR": (Misfit(), Gradient(weight=1e-3)),
+    "LSR-gdCR": (Misfit(), GradientOfRelativeChange(weight=10)),
 }
 
 

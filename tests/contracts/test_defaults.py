@@ -1,0 +1,66 @@
+"""What somebody gets who names nothing: weights from the data, and a formulation that fits the size and the rate."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import CellResistance, Gradient, Misfit, Recording, Scene, TotalVariation
+
+ROOT = Path(__file__).parents[2]
+PENALTIES = [kind for name, kind in lampest.term_types().items() if name not in ("misfit", "arrival")]
+
+
+@pytest.fixture(scope="module")
+def few() -> Recording:
+    """The lamprey's unloaded frames and two later ones."""
+    recording = lampest.datasets.load("lamprey_35mm")
+    parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
+    chosen = [0, 1, 2, 14, 15]
+    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
+
+
+@pytest.mark.parametrize("kind", PENALTIES, ids=lambda kind: kind.__name__)
+def test_a_penalty_without_a_weight_has_its_weight_from_the_data(kind: type[lampest.Term]) -> None:
+    assert kind().weight == "auto"
+
+
+def test_it_serves_better_than_the_papers_weight(few: Recording) -> None:
+    errors = {}
+    for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
+        found = lampest.reconstruct(few, [Misfit(), penalty])
+        errors[name] = np.median(np.abs(found.cell_resistance / few.truth_cell_resistance[3:] - 1))
+    assert errors["default"] < 0.3 * errors["paper"]
+
+
+def test_unknown_noise_takes_the_rule_that_needs_none(few: Recording) -> None:
+    silent = replace(few, scene=Scene(few.scene.panel, None, few.scene.series_resistance_ohm))
+    bounds = lampest.Bounds(upper="none")
+    found = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=bounds)
+    told = lampest.reconstruct(
+        silent, [Misfit(), Gradient()], bounds=bounds, auto_weight=lampest.AutoWeight(rule="press")
+    )
+    assert found.solved.all() and np.array_equal(found.cell_resistance, told.cell_resistance)
+    with pytest.raises(lampest.InputError, match="name weights or add a readout"):
+        lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()], bounds=bounds)
+
+
+def test_a_file_that_names_nothing_is_one_that_names_the_defaults(
+    disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
+) -> None:
+    from lampest import read_run
+
+    head = "schema: 1\nrecordings: [small.h5]\nestimators: {smooth: {terms: {misfit: {}, gradient: "
+    (silent,) = read_run(disk.run(head + "{}}}}\n")).cases
+    (told,) = read_run(disk.run(head + "{weight: auto}}}}\nformulation: auto\n")).cases
+    assert silent.case_id == told.case_id
+
+
+@pytest.mark.parametrize("name", ["table1", "all_scenes", "sizes_run", "series_run"])
+def test_the_papers_configurations_name_theirs(name: str) -> None:
+    text = (ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")
+    assert "\nformulation: nodal\n" in text and "gradient: {weight: 1e-3}" in text
