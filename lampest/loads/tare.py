@@ -3,8 +3,9 @@
 In each of the last so many frames every cell must lie where noise, drift and the film's memory may have brought it;
 their mean no farther than MOST, that of four neighbours MOST_OF_FOUR. Then the mean of the first half of them is the
 new zero; the other half is a guard, so that a load that begins to come is not in it. Noise is what cells scatter by
-from frame to frame: a load that comes or goes counts as departure and not as noise. What grows more slowly than films
-drift cannot be told from drift by anybody, and is taken off.
+from frame to frame: a load that comes or goes counts as departure and not as noise. Zero waits while the memory of a
+load fades by more than FADES over the frames: it would hold what was wrong of that memory. What grows more slowly than
+films drift cannot be told from drift by anybody, and is taken off.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ TOGETHER = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
 MOST, MOST_OF_FOUR = 0.15, 0.06
+FADES = 0.01  # ln r/r0
 WORTH = 2.0  # standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it
 OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 
@@ -52,12 +54,13 @@ class TareWatch:
     """What has been seen since the last frame that was not at rest.
 
     tare : when. zeroed : s, of the last zero; None before the first frame. left : (frames, rows, columns) ln r/r_zero
-    without the film's memory. times : (frames) s.
+    without the film's memory. memories : (frames, rows, columns) that memory. times : (frames) s.
     """
 
     tare: Tare
     zeroed: float | None = None
     left: tuple[Array, ...] = ()
+    memories: tuple[Array, ...] = ()
     times: tuple[float, ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
@@ -67,12 +70,17 @@ class TareWatch:
         """
         watch = replace(self, zeroed=time if self.zeroed is None else self.zeroed)
         if not np.isfinite(left).any():
-            return replace(watch, left=(), times=()), None, ""
+            return TareWatch(self.tare, watch.zeroed), None, ""
         count = self.tare.frames
-        watch = replace(watch, left=(*self.left, left)[-count:], times=(*self.times, time)[-count:])
-        if len(watch.left) < count:
-            return watch, None, ""
-        mean = watch._zero(memory)
+        watch = TareWatch(
+            self.tare,
+            watch.zeroed,
+            (*self.left, left)[-count:],
+            (*self.memories, memory)[-count:],
+            (*self.times, time)[-count:],
+        )
+        fades = float(np.abs(watch.memories[0] - memory).max())
+        mean = watch._zero(memory) if len(watch.left) == count and fades < FADES else None
         if mean is None:
             return watch, None, ""
         seconds, most = time - watch.times[0], 100 * np.expm1(np.nanmax(np.abs(mean)))

@@ -18,12 +18,11 @@ from lampest.loads.recognition.frame import Direct
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.search import cell_map
 from lampest.loads.recognition.verdict import OR, Verdict
-from lampest.loads.tare import stands_out
+from lampest.loads.tare import FADES, stands_out
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 CALM = frozenset(candidate.label for candidate in UNIFORM)
-FADES = 0.01  # ln r/r0 by which the memory of a cell may change over the frames
 OF_MEDIAN = 1.2533  # standard deviation of a median over that of a mean
 
 
