@@ -20,11 +20,12 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.search import BROKEN
 from lampest.solvers.solution import Status, blank
 
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
+STRONGER = 1.1  # times the change at which weights were chosen before: a load that settles does not choose them again
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,7 @@ class Stream:
     has no error bars.
     prepared : what the method keeps between frames, or None.
     track : what error bars need of earlier frames; None where there are to be none.
+    weights, weighed_at : those that the data chose for the terms, and how far that frame was from rest; None, 0 before.
     """
 
     estimator: Estimator
@@ -68,6 +70,8 @@ class Stream:
     previous_deviation: Array | None = None
     prepared: Any = None
     track: Track | None = None
+    weights: tuple[float, ...] | None = None
+    weighed_at: float = 0.0
 
     @classmethod
     def begin(
@@ -114,7 +118,21 @@ class Stream:
             return self, self.unsolved(Status.UNREAD)
         if self.estimator.method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        return self.estimator.method.push(self, readings)
+        chooses = self.estimator.automatic and self.estimator.auto_weight.per == "recording"
+        return self._pushed_with_weights(readings) if chooses else self.estimator.method.push(self, readings)
+
+    def _pushed_with_weights(self, readings: Readings) -> tuple["Stream", Step]:
+        """As `push`, weights chosen anew by frames that differ from rest by a tenth more than any before them.
+
+        A recording's weight comes from its strongest frame; of a stream nobody knows yet which that will be.
+        """
+        change = mean_change(readings.plain_values, self.resting.value)
+        if self.weights is not None and not change > STRONGER * self.weighed_at:
+            stream = replace(self, estimator=self.estimator.with_weights(self.weights))
+            stream, step = self.estimator.method.push(stream, readings)
+            return replace(stream, estimator=self.estimator), step
+        stream, step = self.estimator.method.push(self, readings)
+        return (replace(stream, weights=step.weights, weighed_at=change) if step.solution.solved else stream), step
 
     def unsolved(self, status: Status) -> Step:
         """A step that was not even tried; for methods."""

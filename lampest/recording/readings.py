@@ -163,14 +163,20 @@ class Readings:
         return self[None]
 
 
+def mean_change(value: Array, resting: Array) -> float:
+    """mean |log y/y₀| of one frame, both (rows, columns) of the network; NaN does not count."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.abs(np.log(value / resting))
+    known = np.isfinite(change)
+    return float(np.sum(change[known]) / max(np.sum(known), 1))
+
+
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
     """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones.
 
     value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count.
     """
-    change = np.abs(np.log(value[frames] / resting))
-    known = np.isfinite(change)
-    change = np.where(known, change, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
+    change = np.array([mean_change(value[frame], resting) for frame in frames])
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 

@@ -10,7 +10,7 @@ from lampest.cost.terms.gradient import Gradient
 from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.relative_change import RelativeChange
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.loads.tare import Tare
@@ -23,9 +23,8 @@ from lampest.report.live.feed import from_board, from_recording, recorded_from_b
 from lampest.report.live.server import address, serving
 from lampest.runs.config import RunFile, resolve
 
-EVERY_FRAME = AutoWeight(per="frame")  # no later frame is there yet whose weight would do for all
 METHODS = {
-    name: Estimator((Misfit(), *penalties), "reduced", auto_weight=EVERY_FRAME, tare=Tare())
+    name: Estimator((Misfit(), *penalties), "reduced", tare=Tare())
     for name, penalties in {
         "LSR-gCR": (Gradient(),),
         "LSM": (),
