@@ -30,7 +30,7 @@ def response_figure(published: PublishedResponse) -> Figure:
     points = [(point.kpa, point.percent) for point in published.changes]
     axes.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
     _dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
-    axes.legend(fontsize=SMALL_POINT, frameon=False, loc="lower center")
+    axes.legend(fontsize=SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
     inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
     fine = np.linspace(0, 60, 601)
     slope = np.gradient(relative_change_from_pressure(fine), fine)

@@ -127,7 +127,7 @@ def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], dra
             "Six methods",
             "methods",
             published.ranges.place,
-            counts(of_maps, names),
+            f"Of the ranges, {counts(of_maps, names)}",
             (("Ranges of the maps", sheet(of_maps, names)),),
             tuple(methods),
         ),
@@ -135,7 +135,7 @@ def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], dra
             "Two mouths",
             "mouths",
             published.mouths.place,
-            counts(of_mouths, names),
+            f"Of rows and columns, {counts(of_mouths, names)}",
             (("Cells covered", sheet(of_mouths, names)),),
             tuple(small),
         ),
@@ -146,14 +146,14 @@ def _table(held: Sequence[Held], timed: Sequence[Held], names: Sequence[str], pu
     """Table I."""
     rows = [row for row in held if row.figure == "Table I"]
     sheets = (("Data errors |f(r) − R|/R", sheet(rows, names)), ("Time of a step", sheet(timed, names)))
-    about = f"{counts(rows, names)} Times are those of another program on another machine."
+    about = f"Of the errors, {counts(rows, names)} Times are those of another program on another machine."
     return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
 
 
 def _summary(held: Sequence[Held], names: Sequence[str]) -> str:
     """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
     checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
-    return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I: {counts(checked, names)}"
+    return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I, {counts(checked, names)}"
 
 
 def _wide(own: Sequence[Held], sides: int) -> list[Held]:

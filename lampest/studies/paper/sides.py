@@ -21,9 +21,9 @@ CLEAN = (
     "the estimates (not in maps of measured resistance, as in the paper), optima verified."
 )
 PANEL = (
-    "The scene that was fitted to some of the paper's numbers and predicts others (configs/paper_35mm.yaml): unloaded "
-    "cells differ by factors, every reading is off by a static error, and the relative methods weigh changes as "
-    "fractions, not as percent. Optima verified."
+    "The scene that was fitted to these numbers (configs/paper_35mm.yaml): unloaded cells differ by factors, every "
+    "reading is off by a static error, and the relative methods weigh changes as fractions, not as percent. Optima "
+    "verified."
 )
 SOLVER = (
     "The same recordings as MATLAB's lsqnonlin leaves them, in kind: bounds, tolerances and limits are its defaults. "

@@ -9,6 +9,7 @@ from lampest.loads.response import relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.report.page.tables import Sheet
 from lampest.report.page.words import digits
+from lampest.report.plots.style import plain_number
 from lampest.studies.paper.figures import covered
 from lampest.studies.paper.published import Published
 from lampest.studies.paper.side import Side
@@ -35,7 +36,7 @@ class Held:
 def built_in(published: Published) -> list[Held]:
     """Figures 1-e and 2: what lampest's response was made from, read back."""
     rows = [
-        Held("Fig. 1-e", f"ΔR/R₀ at {one.kpa:g} kPa", "%", one.percent, (100 * float(_change(one.kpa)),))
+        Held("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, (100 * float(_change(one.kpa)),))
         for one in published.response.changes
     ]
     for part in published.response.slopes:
@@ -125,7 +126,7 @@ def counts(rows: Sequence[Held], names: Sequence[str]) -> str:
     parts = [
         f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
     ]
-    return f"Within a quarter of the published number: {', '.join(parts)}."
+    return f"within a quarter of the published number: {', '.join(parts)}."
 
 
 def csv_rows(rows: Sequence[Held], names: Sequence[str]) -> list[list[object]]:
