@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -242,7 +243,13 @@ def _varied_name(name: str, assignments: dict[str, Any]) -> str:
 
 def _blocks(entries: dict[str, Any]) -> dict[str, str]:
     """The YAML text of every entry: one after the other, in the order of their keys, they are that of the mapping."""
-    return {key: to_yaml({key: value}) for key, value in entries.items() if value is not None}
+    return {key: _block(key, json.dumps(plain_content(value))) for key, value in entries.items() if value is not None}
+
+
+@lru_cache(maxsize=4096)
+def _block(key: str, value: str) -> str:
+    """One of them, of a value as JSON: most cases of a sweep share most of them, and YAML takes its time."""
+    return to_yaml({key: json.loads(value)})
 
 
 def _case(source: _Source, method: _Method) -> Case:
