@@ -107,8 +107,7 @@ def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> N
     axes = painted(painter, Tile("a name", values, "a note", marked, "open cell"))
     (cross,) = (line for line in axes.lines if line.get_label() == "open cell")
     assert (cross.get_xdata()[0], cross.get_ydata()[0]) == (10.0, 5.0)
-    beyond = 0.0 if contoured else 2.5
-    assert axes.get_xlim() == (-beyond, 15 + beyond) and axes.get_ylim() == (10 + beyond, -beyond)
+    assert axes.get_xlim() == (-2.5, 17.5) and axes.get_ylim() == (12.5, -2.5)
     assert axes.get_title() == "a name\na note"
 
 

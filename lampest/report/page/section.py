@@ -145,7 +145,7 @@ def _certainty(subject: Subject, place: int, panel: Panel) -> list[Illustration]
         Tile(case.estimator, _at(case, place, case.resolution)) for case in subject.cases if case.resolution is not None
     ]
     if tiles:
-        maps = _maps(tiles, panel, share_scale("resolution [1]"))
+        maps = _maps(tiles, panel, share_scale("resolution"))
         pictures.append(Illustration(maps, "Maps of the resolution", RESOLVED))
     row = _strongest_row(subject, place)
     bars = any(case.relative_change_lower is not None for case in subject.cases)
@@ -164,7 +164,7 @@ def _residuals(subject: Subject, place: int, panel: Panel) -> list[Illustration]
     weighted = all(case.sigma is not None for case in subject.cases)
     values = [_residual(case, weighted) for case in subject.cases]
     tiles = [Tile(case.estimator, _at(case, place, own)) for case, own in zip(subject.cases, values, strict=True)]
-    label = "(model − measured)/σ [1]" if weighted else "(model − measured)/measured [%]"
+    label = "(model − measured)/σ" if weighted else "(model − measured)/measured [%]"
     scale = signed_scale(_drawn(tiles), label, LEAST_SIGMAS if weighted else LEAST_PERCENT)
     parts = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(subject.cases, values, strict=True)]
     caption = WEIGHTED if weighted else PLAIN

@@ -72,7 +72,7 @@ def _pictures(comparison: Comparison) -> tuple[Illustration, ...]:
             0.0,
             False,
         ),
-        Forest(_lines(comparison.times, exp), f"time per frame, times that of {short_title(quickest)} [1]", 1.0, True),
+        Forest(_lines(comparison.times, exp), f"time per frame, times that of {short_title(quickest)}", 1.0, True),
     )
     return (
         Illustration(

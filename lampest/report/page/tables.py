@@ -79,7 +79,7 @@ LINES = (
         _median,
     ),
     Line("data error, mean [%]", lambda own: own.data_error, None, _median),
-    Line("residuals: mean of ((model − measured)/σ)² [1]", lambda own: own.misfit, None, _median),
+    Line("residuals: mean of ((model − measured)/σ)²", lambda own: own.misfit, None, _median),
     Line("residuals: robust standard deviation [σ]", lambda own: own.spread, None, _median),
     Line("95 % intervals: mean width [% of the cell]", lambda own: own.width, None, _median),
     Line(

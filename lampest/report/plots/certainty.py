@@ -22,8 +22,8 @@ MOST_ACROSS = 7
 class CertaintyPlot(Plot):
     """One frame, one column for each of the first seven estimators with error bars, three rows of maps:
 
-    standard deviation of the cells [%], resolution [1], and, where the truth is known, the error in units of the
-    standard deviation [1]. `frame` is an index into the recording; without it `strongest_index` chooses.
+    standard deviation of the cells [%], resolution, and, where the truth is known, the error in units of the
+    standard deviation. `frame` is an index into the recording; without it `strongest_index` chooses.
     """
 
     kind: ClassVar[str] = "certainty"
@@ -58,13 +58,13 @@ def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Arr
     resolutions = [case.resolution[index] for case in cases if case.resolution is not None]
     rows = [
         (positive_scale(deviations, "standard deviation [%]"), deviations),
-        (share_scale("resolution [1]"), resolutions),
+        (share_scale("resolution"), resolutions),
     ]
     truth = cases[0].truth
     if truth is not None:
         pairs = zip(cases, deviations, strict=True)
         errors = [_error(case.cell_resistance[index], truth[index], deviation) for case, deviation in pairs]
-        rows.append((signed_scale(errors, "error / standard deviation [1]", LEAST_ERROR, MOST_ERROR), errors))
+        rows.append((signed_scale(errors, "error / standard deviation", LEAST_ERROR, MOST_ERROR), errors))
     return rows
 
 

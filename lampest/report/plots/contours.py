@@ -42,7 +42,7 @@ class ContourPlot(Plot):
         grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
         painter.draw_all(grid, [_lettered(number, tile, across) for number, tile in enumerate(tiles)])
         painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-        figure.supxlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
+        figure.supxlabel(f"{ACROSS_LABEL}; bands interpolate between the cells (dots)", fontsize=TEXT_POINT)
         figure.supylabel(DOWN_LABEL, fontsize=TEXT_POINT)
         labelled = shared_labels(grid)
         if len(labelled) > 1:

@@ -18,7 +18,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.plots.scales import Scale
 from lampest.report.plots.style import HALF_INCH, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
 
-ACROSS_LABEL, DOWN_LABEL = "position across the columns [mm]", "position across the rows [mm]"
+ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"
 REFINEMENT = 8
 ACROSS = 3
@@ -105,9 +105,9 @@ class MapPainter:
         return self.contoured and min(self.panel.shape) > 1
 
     def _frame(self, axes: Axes) -> None:
-        """The panel's extent: to the cells' edges, or as far as bands reach."""
+        """The panel's extent, to the cells' edges."""
         x, y = self.panel.centres_mm()
-        beyond = 0.0 if self._between else self.panel.pitch_mm / 2
+        beyond = self.panel.pitch_mm / 2
         axes.set_facecolor(NO_NUMBER)
         axes.set_aspect("equal")
         axes.set_xlim(x[0] - beyond, x[-1] + beyond)
@@ -121,7 +121,7 @@ class MapPainter:
         # A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond.
         beyond = 1.1 * bounds[-1]
         look: dict[str, Any] = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
-        axes.contourf(*_refined(*self.panel.centres_mm(), np.clip(values, -beyond, beyond)), bounds, **look)
+        axes.contourf(*_refined(self.panel, np.clip(values, -beyond, beyond)), bounds, **look)
 
     def _squares(self, axes: Axes, values: Array) -> None:
         half = self.panel.pitch_mm / 2
@@ -131,9 +131,11 @@ class MapPainter:
         axes.pcolormesh(*edges, np.ma.masked_invalid(values), **look)
 
 
-def _refined(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Bilinear interpolation on a finer grid: contours without the corners that straight pieces between cells have."""
-    fine = [np.linspace(centres[0], centres[-1], (len(centres) - 1) * REFINEMENT + 1) for centres in (x, y)]
+def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
+    """Bilinear interpolation on a finer grid, constant beyond the outer centres: contours without corners between cells."""
+    x, y = panel.centres_mm()
+    half = panel.pitch_mm / 2
+    fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * REFINEMENT + 1) for own in (x, y)]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
@@ -149,8 +151,8 @@ def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
     painter.draw_all(grid, [replace(tile, title=short_title(tile.title)) for tile in tiles])
     for number, axes in enumerate(grid.flat[: len(tiles)]):
         if number + across >= len(tiles):
-            axes.set_xlabel("columns [mm]", fontsize=SMALL_POINT, labelpad=1)
+            axes.set_xlabel(ACROSS_LABEL, fontsize=SMALL_POINT, labelpad=1)
         if number % across == 0:
-            axes.set_ylabel("rows [mm]", fontsize=SMALL_POINT, labelpad=1)
+            axes.set_ylabel(DOWN_LABEL, fontsize=SMALL_POINT, labelpad=1)
     painter.bar(figure, grid, "bottom", aspect=45)
     return figure

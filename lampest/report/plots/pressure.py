@@ -17,7 +17,7 @@ from lampest.loads.response import TOLD_KPA, ratio_from_pressure
 from lampest.panel.panel import Array
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
 from lampest.report.plots.plot import Plot, frame_title, shown_index
-from lampest.report.plots.scales import Scale, stepped_scale
+from lampest.report.plots.scales import PRESSING, Scale, stepped_scale
 from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, new_figure, plain_number
 from lampest.runs.case import CaseResult
 
@@ -74,7 +74,7 @@ def _shown(case: CaseResult, index: int) -> tuple[Array, Array, Array, Marks]:
 
 
 def _signed() -> Scale:
-    return stepped_scale(STEPS_KPA, "pressure [kPa]: suction − contact +", TICKS_KPA)
+    return stepped_scale(STEPS_KPA, "pressure [kPa]: suction − contact +", TICKS_KPA, PRESSING)
 
 
 def _widths() -> Scale:

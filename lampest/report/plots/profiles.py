@@ -132,7 +132,7 @@ def histogram_figure(residuals: Sequence[tuple[str, Array]], weighted: bool) -> 
             continue
         _histogram(axes, *residuals[number], edges, weighted)
         axes.tick_params(labelbottom=number + across >= len(residuals))
-    figure.supxlabel(f"(model − measured)/{'σ [1]' if weighted else 'measured [%]'}", fontsize=TEXT_POINT)
+    figure.supxlabel(f"(model − measured)/{'σ' if weighted else 'measured [%]'}", fontsize=TEXT_POINT)
     figure.supylabel("share of readings [%]", fontsize=TEXT_POINT)
     shared_legend(figure, grid)
     return figure

@@ -10,7 +10,7 @@ from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, N
 
 from lampest.panel.panel import Array
 
-SIGNED = "RdBu_r"  # blue below zero, red above
+SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
 STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 LIMITS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 Extend = Literal["both", "min", "max", "neither"]
@@ -73,11 +73,11 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
     return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", _beyond(values, limit), ticks, proportional=True)
 
 
-def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float]) -> Scale:
+def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
     """Bands between ±steps, white within the first; the same whatever is shown."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
-    norm = BoundaryNorm(bounds, colormaps[SIGNED].N, extend="both")
-    return Scale(norm, colormaps[SIGNED], label, "both", tuple(ticks))
+    norm = BoundaryNorm(bounds, colormaps[colours].N, extend="both")
+    return Scale(norm, colormaps[colours], label, "both", tuple(ticks))
 
 
 def _beyond(values: Sequence[Array], limit: float) -> Extend:

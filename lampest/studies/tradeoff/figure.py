@@ -75,7 +75,7 @@ def _draw(
     axes.tick_params(labelsize=SMALL_POINT, which="both")
     axes.grid(True, which="major", color="0.9", linewidth=0.5)
     axes.set_axisbelow(True)
-    axes.set_ylabel("objective gap [1]" if gap else "median error of changed cells [%]", fontsize=TEXT_POINT)
+    axes.set_ylabel("objective gap" if gap else "median error of changed cells [%]", fontsize=TEXT_POINT)
     for number, method in enumerate(methods[1:]):
         points = [point for row in single if row.method == method if (point := _place(row, gap)) is not None]
         if points:

@@ -156,7 +156,7 @@ def _misfit(axes: Axes, one: Tuned) -> None:
 
 def _error(axes: Axes, one: Tuned) -> None:
     """The true error, and the expected one."""
-    _over_weight(axes, one, "rms error of log r [1]")
+    _over_weight(axes, one, "rms error of log r")
     risk = one.curves.values("risk")
     free = one.subject.data.measured.size - one.curves.values("bound_cells")
     expected = np.sqrt(np.maximum(risk, 0) / np.maximum(free, 1))
@@ -178,7 +178,7 @@ def _l_curve(axes: Axes, one: Tuned) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(
-        f"misfit {'ρ/s² [1]' if subject.noisy else f'ρ [{_shown(squared(subject.misfit_unit))}]'}", fontsize=TEXT_POINT
+        f"misfit {'ρ/s²' if subject.noisy else f'ρ [{_shown(squared(subject.misfit_unit))}]'}", fontsize=TEXT_POINT
     )
     axes.set_ylabel(f"penalty η [{_shown(squared(subject.penalty_unit))}]", fontsize=TEXT_POINT)
     axes.plot(one.curves.values("misfit"), one.curves.values("penalty"), color="black", lw=1.3, zorder=2)

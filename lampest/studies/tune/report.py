@@ -37,7 +37,7 @@ def tune_table(study: Study) -> Table:
         "λ",
         "unit of λ",
         "solves",
-        "true error [1]",
+        "true error",
         "over the best",
     )
     rows = [
