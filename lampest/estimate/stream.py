@@ -94,13 +94,14 @@ class Stream:
         return cls(estimator, scene, period, resting, track=track)._rested()
 
     def tared(self, resting: Readings) -> "Stream":
-        """The stream against another unloaded panel from here on; the frames before are forgotten.
+        """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
 
         resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
         """
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
-        return Stream(self.estimator, self.scene, self.period, resting, track=track)._rested()
+        begun = Stream(self.estimator, self.scene, self.period, resting, track=track)
+        return replace(begun, weights=self.weights, weighed_at=self.weighed_at)._rested()
 
     def _rested(self) -> "Stream":
         """With its baseline, where that is solved alone."""
