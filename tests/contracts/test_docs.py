@@ -187,6 +187,8 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
     entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
     assert len(entries) > 6
     for block in entries:
+        for named in re.findall(r"_file: ([\w.-]+)", block):
+            (tmp_path / named).touch()
         run = tmp_path / "run.yaml"
         estimators = (
             "" if block.startswith("estimators:") else "estimators: {LSR-gCR: {terms: {misfit: {}, gradient: {}}}}\n"
