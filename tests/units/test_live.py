@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -301,10 +302,27 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     assert first_view(views)["state"] == "gone"
     for path in ("/favicon.ico", "/page.html", "/../setup", "/views/", "/?x"):
         assert page.ask(path=path).status == 404
-    for method in ("POST", "HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
+    for method in ("HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
         refused = page.ask(method)
-        assert (refused.status, refused.headers["Allow"]) == (405, "GET")
+        assert (refused.status, refused.headers["Allow"]) == (405, "GET, POST")
     assert page.server.server_address[0] == "127.0.0.1"
+
+
+def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
+    asked: list[str] = []
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving("127.0.0.1", 0, shown, tare=lambda: asked.append("zero")) as server:
+
+        def posted(path: str, **headers: str) -> int:
+            with closing(http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)) as connection:
+                connection.request("POST", path, headers={name.replace("_", "-"): of for name, of in headers.items()})
+                return connection.getresponse().status
+
+        assert [posted("/zero"), posted("/zero", X_Lampest="one"), posted("/", X_Lampest="zero")] == [403, 403, 404]
+        assert posted("/zero", X_Lampest="zero", Host="attacker.example") == 403
+        assert not asked
+        assert posted("/zero", X_Lampest="zero") == 200
+        assert asked == ["zero"]
 
 
 def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:

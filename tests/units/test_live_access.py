@@ -41,7 +41,7 @@ def test_elsewhere_nobody_comes_in_without_the_token(open_page: PageServer) -> N
         assert (status, cookie) == (403, "") and b"lampest printed" in text and b"receiving" not in text
     for headers in ({"Cookie": f"lampest={TOKEN}"}, {"Authorization": f"Basic {TOKEN}"}, {"Cookie": '="\x01'}):
         assert asked(open_page, "/views", **headers)[0] == 403
-    assert asked(open_page, f"/?token={TOKEN}", "POST")[0] == 405
+    assert asked(open_page, f"/?token={TOKEN}", "PUT")[0] == 405
 
 
 def test_a_browser_needs_the_token_once(open_page: PageServer) -> None:

@@ -86,7 +86,7 @@ def live(
     port = source.port or only_port() if isinstance(source, LiveBoard) else ""
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
-        serving(*address(http), engine.shown, token) as server,
+        serving(*address(http), engine.shown, token, engine.tare) as server,
     ):
         on_url(server.url)
         try:

@@ -1,10 +1,10 @@
-"""The page and its stream of views over HTTP: GET of two paths, nothing else; server-sent events."""
+"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of a new zero, no more."""
 
 import ipaddress
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -22,11 +22,16 @@ HEARTBEAT_SECONDS = 2.0
 FAREWELL_SECONDS = 1.0
 # Scripts and styles stand in the page; nothing is loaded from elsewhere.
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
+ZERO = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
 POLICY = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
+def nothing() -> None:
+    """What a new zero asks of views that nobody makes anew."""
+
+
 class PageServer(ThreadingHTTPServer):
-    """Shows the views of `shown` to whoever comes; its only other state is how many are looking."""
+    """Shows the views of `shown` to whoever comes; `tare` is called where one of them asks for a new zero."""
 
     daemon_threads = True
     block_on_close = False
@@ -34,8 +39,10 @@ class PageServer(ThreadingHTTPServer):
     # On Windows it would share the port with another server.
     allow_reuse_address = os.name == "posix"
 
-    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None = None) -> None:
-        self.shown = shown
+    def __init__(
+        self, host: str, port: int, shown: Newest[View], token: str | None = None, tare: Callable[[], None] = nothing
+    ) -> None:
+        self.shown, self.tare = shown, tare
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats = BoundedSemaphore(MOST_STREAMS)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -69,12 +76,12 @@ class PageHandler(BaseHTTPRequestHandler):
     server_version, sys_version = "lampest", ""
 
     def parse_request(self) -> bool:
-        """Refuse all methods but GET, and, on the loopback, names that a foreign page may have given this address."""
+        """Refuse other methods, and, on the loopback, names that a foreign page may have given this address."""
         if not super().parse_request():
             return False
-        if self.command != "GET":
+        if self.command not in ("GET", "POST"):
             self.send_response(HTTPStatus.METHOD_NOT_ALLOWED)
-            self.send_header("Allow", "GET")
+            self.send_header("Allow", "GET, POST")
             self.send_header("Content-Length", "0")
             self.end_headers()
             return False
@@ -104,6 +111,16 @@ class PageHandler(BaseHTTPRequestHandler):
                 self._stream()
             finally:
                 self.server.seats.release()
+
+    def do_POST(self) -> None:
+        """A new zero at /zero, for the page's own script alone; all else is not there."""
+        if urlsplit(self.path).path != "/zero":
+            self.send_error(HTTPStatus.NOT_FOUND)
+        elif self.headers.get(ZERO) != "zero" or self.headers.get("Content-Length", "0") != "0":
+            self.send_error(HTTPStatus.FORBIDDEN)
+        else:
+            self.server.tare()
+            self._start("text/plain; charset=utf-8", 0)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Say what a number means and nothing of what was asked."""
@@ -173,15 +190,18 @@ def address(text: str) -> tuple[str, int]:
 
 
 @contextmanager
-def serving(host: str, port: int, shown: Newest[View], token: str | None = None) -> Iterator[PageServer]:
+def serving(
+    host: str, port: int, shown: Newest[View], token: str | None = None, tare: Callable[[], None] = nothing
+) -> Iterator[PageServer]:
     """A server that runs beside; at the end everybody gets the last view.
 
+    tare : called, from any thread, where somebody asks for a new zero.
     token : what whoever looks must bring; None for one that is made up, or for none on the loopback address. Raises
     InputError where it cannot listen, or the token is too short.
     """
     Access(token or "")
     try:
-        server = PageServer(host, port, shown, token)
+        server = PageServer(host, port, shown, token, tare)
     except OSError as error:
         raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
     with server:

@@ -132,7 +132,7 @@ class MapPainter:
 
 
 def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
-    """Bilinear interpolation on a finer grid, constant beyond the outer centres: contours without corners between cells."""
+    """Bilinear interpolation on a finer grid, constant beyond the outer centres: no corners between cells."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
     fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * REFINEMENT + 1) for own in (x, y)]
