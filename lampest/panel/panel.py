@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from lampest.files.memory import check_memory
 
 Array = NDArray[np.floating[Any]]
+LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
+SMALLEST, LARGEST = 1e-30, 1e30  # in any unit
 MANY_LINES = 2000  # fewer fit into 100 MB
 
 
@@ -32,8 +34,10 @@ class Panel:
     def __post_init__(self) -> None:
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
-        if not 0 < self.pitch_mm < float("inf"):
-            raise ValueError("pitch_mm must be positive and finite")
+        if not LEAST_PITCH_MM <= self.pitch_mm <= MOST_PITCH_MM:
+            raise ValueError(
+                f"pitch_mm must be positive and finite, a length between {LEAST_PITCH_MM:g} and {MOST_PITCH_MM:g} mm"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -67,6 +71,13 @@ class Panel:
     def column_gradient(self) -> Array:
         """The same along a row, (columns, columns): the gradient of a matrix X is (D_row X, X D_columnᵀ)."""
         return difference_matrix(self.columns)
+
+
+def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
+    """Where a number, neither zero, infinite nor missing, is so small or so large that its square has no digits."""
+    size = np.abs(values)
+    beyond: NDArray[np.bool_] = np.isfinite(values) & (values != 0) & ((size < SMALLEST) | (size > LARGEST))
+    return beyond
 
 
 def difference_matrix(length: int) -> Array:

@@ -3,7 +3,6 @@
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -14,9 +13,12 @@ from lampest.files.tagged import members_of
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import check_lines, lines_text
+from lampest.panel.readouts.lines import MOST_OHM, check_lines, lines_text
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.series import SeriesPerLine
+
+DEEPEST_MM = 1.1e7
+MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # the rest in ohm
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ class Water:
     top_row_depth_mm: float
 
     def __post_init__(self) -> None:
-        if not 0 <= self.top_row_depth_mm < float("inf"):
-            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
+        if not 0 <= self.top_row_depth_mm <= DEEPEST_MM:
+            raise ValueError(
+                f"top_row_depth_mm must be zero or positive, and finite: at most {DEEPEST_MM:g}, the deepest sea"
+            )
 
 
 @dataclass(frozen=True)
@@ -191,8 +195,9 @@ class Systematic:
             "response_sd",
         ):
             value = getattr(self, name)
-            if value is not None and not (isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be zero or positive, and finite")
+            most = MOST_OFF.get(name, MOST_OHM)
+            if value is not None and not 0 <= value <= most:
+                raise ValueError(f"{name} must be zero or positive, and finite: at most {most:g}")
 
 
 @dataclass(frozen=True)

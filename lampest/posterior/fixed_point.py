@@ -12,6 +12,8 @@ import numpy as np
 from scipy.special import erf
 
 from lampest.cost.losses import Loss, PenaltyEvidence
+from lampest.cost.terms import term_kind
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import LinearModel, penalty_bend
@@ -79,6 +81,9 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
     for number in open_terms:
         size = model.penalty[model.penalty_term == number]
         rows = len(size)
+        if rows == 0:
+            name = term_kind(model.at.cost.terms[number])
+            raise InputError(f"weight: auto finds nothing of {name} on what is left of the panel; give a number")
         evidence = ComputedEvidence(size, float(size @ size), np.zeros(rows), rows, rows)
         total = model.at.cost.terms[number].loss.size(evidence)
         # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.memory import without_memory
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene
 from lampest.recording.stand_in import StandIn
 
@@ -190,6 +190,8 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:
         return
     if sigma.shape not in (recorded.shape, shape):
         raise InputError("sigma has another shape than the readings")
+    if np.any(out := beyond_any_panel(sigma)):
+        raise InputError(f"sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
         raise InputError(f"sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")

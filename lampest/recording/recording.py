@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
@@ -18,6 +18,7 @@ from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = 0, 1
+LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,11 @@ class Recording:
             check_sigma(self.scene, self.recorded, self.sigma)
         except InputError as error:
             raise InputError(f"{self.name}: {self._group}/{error}") from error
+        if np.any(out := beyond_any_panel(self.recorded)):
+            held = f"{self.recorded[out][0]:.6g} {self.scene.circuit.unit}"
+            raise InputError(f"{self.name}: {self.path} holds {held}, which no panel has")
+        if np.any(np.abs(self.time) > LATEST_S):
+            raise InputError(f"{self.name}: {self._group}/time goes beyond {LATEST_S:g} s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.files.log import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, remove_own
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, digest
@@ -68,7 +69,8 @@ def run_batch(
             with closing(executor.results(solve_case, waiting)) as outcomes:
                 for finished, (task, outcome) in enumerate(outcomes, 1):
                     if isinstance(outcome, BaseException):
-                        failed.append((f"{task.case.recording} × {task.case.name}", " ".join(str(outcome).split())))
+                        name = f"{task.case.recording} × {task.case.name}"
+                        failed.append((name, told_reason(outcome, name)))
                     else:
                         found[task.file] = outcome
                     if on_case:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene
 from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column, all_columns
 from lampest.runs.labelled import dataset_of, table_of
@@ -191,6 +191,8 @@ class CaseResult:
         for column, held in filled.items():
             self._check_shape(self._path(column), held, column.axes)
         for column, held in filled.items():
+            if column.name in PHYSICAL and np.any(out := beyond_any_panel(held)):
+                raise InputError(f"{self._path(column)} holds {np.asarray(held)[out][0]:.6g}, which no panel has")
             for fault in (check(held, self.solved) for check in column.checks):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
@@ -207,6 +209,10 @@ class CaseResult:
             raise InputError(f"{path} is {held}; the frames ask for {wanted}")
 
 
+PHYSICAL = (
+    *("measured", "measured_baseline", "sigma", "sigma_baseline", "truth", "truth_baseline", "time"),
+    *("cell_resistance", "baseline_resistance", "reading_model"),
+)
 # Columns that have an attribute of their own, and those of them that a case cannot be without.
 TYPED = {item.name: item.default for item in fields(CaseResult) if item.name in {column.name for column in COLUMNS}}
 REQUIRED = frozenset(name for name, default in TYPED.items() if default is MISSING)

@@ -1,6 +1,13 @@
 """All attacks. A new one joins the tuple of its module; a new module joins here."""
 
-from attack import damage, lines, memory, names, writes
+from attack import damage, lines, memory, names, values, writes
 from attack.attack import Attack
 
-ATTACKS: tuple[Attack, ...] = (*writes.ATTACKS, *damage.ATTACKS, *memory.ATTACKS, *names.ATTACKS, *lines.ATTACKS)
+ATTACKS: tuple[Attack, ...] = (
+    *writes.ATTACKS,
+    *damage.ATTACKS,
+    *memory.ATTACKS,
+    *names.ATTACKS,
+    *values.ATTACKS,
+    *lines.ATTACKS,
+)

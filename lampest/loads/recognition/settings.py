@@ -1,12 +1,13 @@
 """What a user may tell the recognition beside the results."""
 
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any, ClassVar
 
 from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.panel import Panel
+from lampest.panel.scene import Water
 
+LEAST, MOST = 1e-9, 1e6  # mm or percent
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
 
 
@@ -38,10 +39,10 @@ class RecognitionSettings:
             raise ValueError("zero_after must be 0, or at least 5 frames")
         for name in ("patch_mm", "noise_percent"):
             value = getattr(self, name)
-            if value is not None and not (isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive and finite")
-        if self.top_row_depth_mm is not None and not 0 <= self.top_row_depth_mm < float("inf"):
-            raise ValueError("top_row_depth_mm must be zero or positive, and finite")
+            if value is not None and not LEAST <= value <= MOST:
+                raise ValueError(f"{name} must be positive and finite, between {LEAST:g} and {MOST:g}")
+        if self.top_row_depth_mm is not None:
+            Water(self.top_row_depth_mm)
 
     def patch_of(self, panel: Panel) -> float:
         """Edge of the film in mm. Never more than the pitch."""

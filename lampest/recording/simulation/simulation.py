@@ -24,6 +24,7 @@ from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 MOST_VALUES = 20_000_000
 LEAST_OHM, MOST_OHM = 1e-3, 1e12
+SHORTEST_S, LONGEST_S = 1e-9, 1e8  # three years
 MOST_CELLS = 100_000
 COPIES = 10  # of all values, at the worst: pressures, cells, their factors, readings, sums
 
@@ -90,8 +91,8 @@ class Simulation:
             raise ValueError("seed must lie between 0 and 2^64")
         if self.baseline_frames < 0 or self.frames < 1:
             raise ValueError("a recording needs at least one measured frame")
-        if not (isfinite(self.frame_period_s) and self.frame_period_s > 0):
-            raise ValueError("frame_period_s must be positive and finite")
+        if not SHORTEST_S <= self.frame_period_s <= LONGEST_S:
+            raise ValueError(f"frame_period_s must be positive and finite, between {SHORTEST_S:g} and {LONGEST_S:g} s")
         if self.values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values in one recording")
         if self.scene.panel.cells > MOST_CELLS:

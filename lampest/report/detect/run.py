@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.files.log import told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
@@ -71,7 +72,12 @@ def detect(
 
 
 def _detected(task: "tuple[GivenRecording, CaseResult | None]") -> Detection:
-    return detected(*task)
+    given, source = task
+    name = f"{given.case.recording}, {SHARED if source is None else source.estimator}"
+    try:
+        return detected(given, source)
+    except (ArithmeticError, ValueError) as error:
+        raise InputError(f"{name}: {told_reason(error, name)}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +111,7 @@ class GivenRecording:
         try:
             baseline = Baseline.of(unloaded, resting, scene, errors)
         except ValueError as error:
-            raise InputError(f"{case.recording}: {error}") from error
+            raise InputError(f"{case.recording}: {told_reason(error, case.recording)}") from error
         side = np.where(case.valued, VALUE, AT_LEAST)  # what is no value is not asked on which side it bounds
         enough = Readings(measured, None, side, np.ones(side.shape)).enough(scene)
         return cls(case, settings.patch_of(scene.panel), water, measured, sigma, enough, baseline, settings.zero_after)

@@ -12,6 +12,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
 
 from lampest.files.interrupts import ENDING
+from lampest.files.log import libraries_to_the_log
 from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
 
 
@@ -108,7 +109,7 @@ def without_interrupts() -> Iterator[None]:
 
 def _work(function: Function, connection: Connection) -> None:
     """The life of a worker: until nobody is at the other end."""
-    with suppress(EOFError, OSError):
+    with suppress(EOFError, OSError), libraries_to_the_log():
         while True:
             connection.send_bytes(_answer(function, connection.recv()))
 

@@ -1,0 +1,191 @@
+"""Numbers that no panel has, and panels of which next to nothing is left: sentences about the panel, no traceback."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from attack.attack import HELD, Attack, Ended, called, printable
+from attack.targets import SIMULATION
+from fuzz.batches import write_recording
+from support import invented_case
+
+from lampest.recording.recording import Recording
+from lampest.runs.results import write_results
+
+EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
+# Words of the libraries behind; a user's panel has none of them.
+FOREIGN = (
+    "LinAlgError", "eigenvalue", "SVD", "leading minor", "out of bounds", "division by zero", "singular matrix",
+    "positive definite", "infs or NaNs", "broadcast", "index ", "bad_alloc", "NoneType", "math domain", "converge",
+    "overflow encountered", "invalid value", "zero-size array", "empty sequence", "nan_policy", "array must", "axis",
+)  # fmt: skip
+SCENES = (
+    ("panel: {rows: 3, columns: 4", "panel: {rows: 3, columns: 4, pitch_mm: VALUE"),
+    ("series_resistance_ohm: 140", "series_resistance_ohm: VALUE"),
+    ("series_resistance_ohm: 140", "water: {top_row_depth_mm: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {reference_tolerance: 0.01, channel_spread_ohm: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {series_ohm: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {inl_lsb: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {reading_error: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {response_sd: VALUE}"),
+    ("series_resistance_ohm: 140", "systematic: {wire_ohm_per_cell: VALUE}"),
+    ("series_resistance_ohm: 140", "lines: {row_ohm_per_cell: VALUE}"),
+    ("noise_lsb: 0.7", "noise_lsb: VALUE"),
+    ("noise_lsb: 0.7", "noise_lsb: 0.7, reference_ohm: VALUE"),
+    ("noise_lsb: 0.7", "noise_lsb: 0.7, supply_volt: VALUE"),
+    ("seed: 1", "seed: 1\nframe_period_s: VALUE"),
+    ("seed: 1", "seed: 1\ncells: {resistance_ohm: VALUE}"),
+    ("seed: 1", "seed: 1\ncells: {patch_mm: VALUE}"),
+    ("seed: 1", "seed: 1\nloads: [{kind: rod, centre_mm: [VALUE, 10], diameter_mm: 20, mass_g: 100}]"),
+    ("seed: 1", "seed: 1\nloads: [{kind: rod, centre_mm: [10, 10], diameter_mm: VALUE, mass_g: 100}]"),
+    ("seed: 1", "seed: 1\nloads: [{kind: rod, centre_mm: [10, 10], diameter_mm: 20, mass_g: VALUE}]"),
+)
+RUN = (
+    "schema: 1\nrecordings: [small.h5]\nestimators:\n"
+    "  LSM: {terms: {misfit: {}}}\n"
+    "  LSR-CR: {terms: {misfit: {}, cell_resistance: {weight: 1e-3}}, formulation: reduced}\n"
+    "  LSR-gdCR: {terms: {misfit: {}, gradient_of_relative_change: {weight: auto}}, formulation: auto}\n"
+)
+
+
+def _scenes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Scenes and simulations with such numbers: simulated, run, calibrated and looked for loads."""
+    tries = [(old, new, value) for old, new in SCENES for value in EXTREME]
+    for number in rng.permutation(len(tries))[:count]:
+        old, new, value = tries[number]
+        place = folder / f"scene{number}"
+        place.mkdir()
+        text = SIMULATION.replace(old, new.replace("VALUE", _yaml(value)))
+        (place / "small.yaml").write_text(text)
+        (place / "run.yaml").write_text(RUN)
+        commands: list[tuple[str, ...]] = [("simulate", "small.yaml", "--out", "small.h5")]
+        if called(*commands[0], folder=place).code == 0:
+            commands += [
+                ("run", "run.yaml", "--jobs", "1", "--out", "out"),
+                ("detect", "out/results.h5"),
+                ("calibrate", "small.h5", "--known", "1000"),
+                ("info", "small.h5"),
+            ]
+        for arguments in commands:
+            if arguments[0] == "detect" and not (place / "out" / "results.h5").is_file():
+                continue
+            fault = sensible(called(*arguments, folder=place))
+            yield f"{new.splitlines()[-1]} of {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+
+
+def _results(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Results that hold such numbers, in one place or in all."""
+    names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
+             "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
+    tries = [(name, value, whole) for name in names for value in EXTREME for whole in (True, False)]
+    for number in rng.permutation(len(tries))[:count]:
+        name, value, whole = tries[number]
+        place = folder / f"results{number}"
+        place.mkdir()
+        case = invented_case("LSM", "small", (3, 5, 6))
+        values: Any = np.array(getattr(case, name) if getattr(case, name) is not None else 0.01 * case.measured)
+        if name == "sigma_baseline":
+            values = values[0] if values.ndim == 3 else values
+        values[...] = np.where(np.ones(values.shape) if whole else rng.random(values.shape) < 0.1, value, values)
+        try:
+            write_results(place / "results.h5", [invented_case("LSM", "small", (3, 5, 6), **{name: values})])
+        except ValueError as error:
+            yield _words(str(error))
+            continue
+        for arguments in (
+            ("info", "results.h5"),
+            ("compare", "results.h5", "--report", "r.html"),
+            ("plot", "results.h5"),
+            ("plot", "results.h5", "--show", "profiles"),
+            ("detect", "results.h5", "--noise", "1"),
+        ):
+            fault = sensible(called(*arguments, folder=place))
+            where = "all" if whole else "some"
+            yield f"{name} with {where} {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+
+
+def _readings(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Recordings of such readings, σ and times."""
+    tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
+    for number in rng.permutation(len(tries))[:count]:
+        name, value, whole = tries[number]
+        place = folder / f"readings{number}"
+        place.mkdir()
+        write_recording(place / "small.h5", 2, 1)
+        good = Recording.load(place / "small.h5")
+        values = np.array(good.recorded * 0.01 if name == "sigma" else getattr(good, name), dtype=float)
+        values[np.ones(values.shape, bool) if whole else rng.random(values.shape) < 0.2] = value
+        _replace(place / "small.h5", "resistance" if name == "recorded" else name, values)
+        (place / "run.yaml").write_text(RUN)
+        commands = [
+            ("info", "small.h5"),
+            ("run", "run.yaml", "--jobs", "1", "--out", "out"),
+            ("calibrate", "small.h5", "--known", "1000"),
+        ]
+        for arguments in commands:
+            fault = sensible(called(*arguments, folder=place))
+            yield f"{name} of {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+
+
+def _next_to_nothing(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Panels of which one cell, one row or one reading is left; and the smallest panels."""
+    everywhere = [[row, column] for row in range(6) for column in range(7)]
+    faults = {
+        "one cell": {"open": everywhere[:-1]},
+        "one row": {"dead_rows": [0, 1, 2, 3, 4]},
+        "one column": {"dead_columns": [0, 1, 2, 3, 4, 5]},
+        "one reading": {"dead_rows": [0, 1, 2, 3, 4], "dead_columns": [0, 1, 2, 3, 4, 5]},
+        "all rows joined": {"joined_rows": [[0, 1, 2, 3, 4, 5]]},
+        "shorts": {"shorted": everywhere[:-1]},
+    }
+    for number, (name, fault) in enumerate(list(faults.items())[:count]):
+        place = folder / f"fault{number}"
+        place.mkdir()
+        write_recording(place / "small.h5", 2, 1)
+        with h5py.File(place / "small.h5", "a") as file:
+            text = file["entry/scene"][()].decode()
+            del file["entry/scene"]
+            file["entry/scene"] = np.bytes_(f"{text}faults: {fault}\n".replace("'", ""))
+        (place / "run.yaml").write_text(RUN)
+        for arguments in (("info", "small.h5"), ("run", "run.yaml", "--jobs", "1", "--out", "out")):
+            ended = called(*arguments, folder=place)
+            yield f"{name}: {' '.join(arguments)}: {fault}" if (fault := sensible(ended)) else HELD
+        if (place / "out" / "results.h5").is_file():
+            ended = called("detect", "out/results.h5", folder=place)
+            yield f"{name}: detect: {fault}" if (fault := sensible(ended)) else HELD
+
+
+def sensible(ended: Ended) -> str:
+    """HELD where a command did its work, or said in words of the panel why not."""
+    if ended.code not in (0, 2, 3) or "Traceback" in ended.err or not printable(ended.err):
+        return ended.said("ended badly")
+    if ended.code == 2 and ended.refused():
+        return ended.refused()
+    return _words(ended.err)
+
+
+def _words(sentence: str) -> str:
+    foreign = [word for word in FOREIGN if word in sentence]
+    return f"speaks of {foreign}: {sentence[-300:]}" if foreign else HELD
+
+
+def _replace(path: Path, name: str, values: Any) -> None:
+    with h5py.File(path, "a") as file:
+        group = file["entry/two_point"]
+        if name in group:
+            del group[name]
+        group[name] = values
+
+
+def _yaml(value: float) -> str:
+    return {"inf": ".inf", "-inf": "-.inf", "nan": ".nan"}.get(repr(float(value)), repr(float(value)))
+
+
+ATTACKS = (
+    Attack("values", "scenes with numbers of no panel", _scenes, 4, 60),
+    Attack("values", "results with numbers of no panel", _results, 6, 60),
+    Attack("values", "readings with numbers of no panel", _readings, 3, 30),
+    Attack("values", "panels of which next to nothing is left", _next_to_nothing, 2, 6),
+)
