@@ -110,8 +110,12 @@ def detect(
         typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
     ] = None,
 ) -> None:
-    """Say what is attached, where, since when and how strong; events, detections.h5 and a timeline picture."""
+    """Say what is attached, where, since when and how strong; of any load its centre, area, peak and force.
+
+    Writes detections.h5, pressed.csv with every frame, and a timeline picture of each recording.
+    """
     from lampest.loads.recognition.settings import RecognitionSettings
+    from lampest.report.detect import pressed as any_load
     from lampest.report.detect.report import FILE, event_table, write_detections
     from lampest.report.detect.run import detect_file
     from lampest.report.plots.timeline import plot_timelines
@@ -124,9 +128,14 @@ def detect(
     with progress("sources") as on_case:
         read, found = detect_file(results, settings, on_case, refused.append)
     folder = results.parent if out is None else out
+    loads = any_load.pressed(read)
     with progress("pictures") as on_picture:
         files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
+    files += (any_load.write_pressed(folder / any_load.FILE, loads),) if loads else ()
     print_table(event_table(found))
+    if loads:
+        say("whatever it is, in the frame of the largest force:")
+        print_table(any_load.pressed_table(loads))
     for file in files:
         say(file)
     for sentence in refused:

@@ -13,13 +13,15 @@ from lampest.report.detect.detection import NOT_SOLVED, Detection
 AWAY = frozenset(candidate.label for candidate in UNIFORM)
 SUCKING = frozenset(load.label for load in LOADS if load.sucks)
 MOVED_MM, MOVED_SD = 3.0, 4.0
+STILL_FRAMES, STILL_MM = 3, 1.5  # a movement is over once the centre stays within so much over so many frames
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
     """Something that changed.
 
-    kind : 'touched' something presses, 'attached' it sucks, 'moved' its centre, 'released' nothing is there any more.
+    kind : 'touched' something presses, 'attached' it sucks, 'moved' its centre begins to, 'released' nothing is there
+        any more.
     number, frame, time : number among the detection's frames, index into the recording, s: of the first that shows it.
     label : what it was called most often until the next event.
     values, errors : (quantities) medians over the frames until the next event. The errors of neighbouring frames are
@@ -66,11 +68,11 @@ def events(detection: Detection) -> tuple[Event, ...]:
     """What happened, in the order of time."""
     shown = [frozenset(state.split(OR)) for state in states(detection.labels)]
     marks: list[tuple[str, int]] = []
-    present = attached = False
+    present = attached = moving = False
     reference = np.full(2, np.nan)
     for number, state in enumerate(shown):
         if present and state <= AWAY:
-            present = attached = False
+            present = attached = moving = False
             marks.append(("released", number))
         elif not present and not state & AWAY:
             present = True
@@ -82,7 +84,11 @@ def events(detection: Detection) -> tuple[Event, ...]:
                 marks.pop()
             marks.append(("attached", number))
             reference = detection.values[number, :2]
+        elif moving:
+            moving = not _still(detection, number)
+            reference = detection.values[number, :2]
         elif present and _moved(detection, number, reference):
+            moving = True
             marks.append(("moved", number))
             reference = detection.values[number, :2]
     ends = [number for _, number in marks] + [len(shown)]
@@ -101,6 +107,14 @@ def _moved(detection: Detection, number: int, reference: Array) -> bool:
     error = np.hypot(*detection.errors[frames, :2].T)
     far = np.hypot(*step.T) > np.maximum(MOVED_MM, MOVED_SD * error)
     return len(far) == 2 and bool(np.all(far))
+
+
+def _still(detection: Detection, number: int) -> bool:
+    """Whether the centre stays where it is in this frame and the ones before it, by mm or by its uncertainty."""
+    frames = slice(max(0, number - STILL_FRAMES + 1), number + 1)
+    step = detection.values[frames, :2] - detection.values[number, :2]
+    error = np.hypot(*detection.errors[frames, :2].T)
+    return bool(np.all(np.hypot(*step.T) <= np.maximum(STILL_MM, 2 * error)))
 
 
 def _event(detection: Detection, kind: str, number: int, end: int) -> Event:

@@ -19,6 +19,7 @@ FILE = "detections.h5"
 READINGS = "readings"  # what tables call detections from the readings themselves
 ORDINALS = ("second", "third")  # groups of the loads beside the first
 MINUS = "−"
+LEAST_ERROR = 0.1  # mm or kPa: nothing is told to ± 0.0
 
 
 def source_name(source: str) -> str:
@@ -44,7 +45,7 @@ def event_table(detections: Sequence[Detection]) -> Table:
 
 
 def _plus_minus(event: Event, quantity: int) -> str:
-    value, error = event.values[quantity], event.errors[quantity]
+    value, error = event.values[quantity], max(event.errors[quantity], LEAST_ERROR)
     if not np.isfinite(value):
         return ""
     digits = 0 if error >= 10 else 1

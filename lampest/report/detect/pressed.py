@@ -1,0 +1,127 @@
+"""What presses on a panel whatever it is: centre, area, peak and total force over time, from the cells' pressures."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.whole import write_whole
+from lampest.panel.panel import Array
+from lampest.report.compare import Table
+from lampest.runs.case import CaseResult
+from lampest.runs.results import Results
+
+FILE = "pressed.csv"
+CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
+KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
+WITHIN = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
+HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
+
+
+@dataclass(frozen=True, eq=False)
+class PressedCells:
+    """One estimate of a recording, frame by frame; NaN where nothing presses clearly or the frame was not solved.
+
+    recording, estimator : names. frame, time : (frames) index into the recording, and s.
+    values, errors : (frames, 5) in the order of HEADERS, and standard deviations.
+    saturated : (frames) how many of the pressed cells have a pressure that the response does not tell.
+    """
+
+    recording: str
+    estimator: str
+    frame: NDArray[np.int64]
+    time: Array
+    values: Array
+    errors: Array
+    saturated: NDArray[np.int64]
+
+
+def pressed_of(case: CaseResult) -> PressedCells | None:
+    """Cells count that press by more than three standard deviations, each with its whole pitch².
+
+    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the pressed cells, a the pitch squared. Errors of the cells are taken to
+    be independent; to those of area and centre comes that the load's outline lies anywhere within the cells on it,
+    a²/12 and pitch²/12 each. What lies between the films of two cells is not measured: a spot smaller than a cell has
+    the force of one that fills it. None where the results hold no pressure with errors.
+    """
+    if case.pressure is None or case.pressure_errors is None:
+        return None
+    both = [_frame(*maps, case.scene.panel.pitch_mm) for maps in zip(case.pressure, case.pressure_errors, strict=True)]
+    touched = _touched(case.pressure, case.pressure_errors)
+    beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
+    values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
+    counts = np.sum(touched & (beyond != 0), axis=(1, 2))
+    return PressedCells(case.recording, case.estimator, case.frame, case.time, values, errors, counts)
+
+
+def pressed(results: Results) -> tuple[PressedCells, ...]:
+    """Of every case that holds pressures with their errors."""
+    return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
+
+
+def _touched(pressure: Array, errors: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.nan_to_num(pressure) > CLEAR * np.nan_to_num(errors, nan=np.inf, posinf=np.inf))
+
+
+def _frame(pressure: Array, errors: Array, pitch: float) -> tuple[Array, Array]:
+    """(values, errors) of one frame, each (5)."""
+    touched = _touched(pressure, errors)
+    if not touched.any():
+        return np.full(5, np.nan), np.full(5, np.nan)
+    rows, columns = np.nonzero(touched)
+    p, sd, cell = pressure[touched], errors[touched], pitch**2
+    around = np.pad(touched, 1)
+    inside = around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
+    outline = int(np.sum(touched & ~inside))
+    force = p.sum()
+    values, variances = [], []
+    for at in (pitch * columns, pitch * rows):
+        centre = float(p @ at / force)
+        values.append(centre)
+        variances.append(np.sum(((at - centre) * sd / force) ** 2) + pitch**2 * WITHIN * np.sum((p / force) ** 2))
+    peak = int(np.argmax(p))
+    values += [len(p) * cell, p[peak], KPA_MM2 * cell * force]
+    variances += [outline * cell**2 * WITHIN, sd[peak] ** 2, (KPA_MM2 * cell) ** 2 * np.sum(sd**2)]
+    return np.array(values), np.sqrt(variances)
+
+
+def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
+    """One row for each estimate: the frame in which the force is largest."""
+    rows = []
+    for one in all_pressed:
+        force = one.values[:, -1]
+        if np.isfinite(force).any():
+            at = int(np.nanargmax(force))
+            numbers = [_told(*pair) for pair in zip(one.values[at], one.errors[at], strict=True)]
+            saturated = str(one.saturated[at] or "")
+            rows.append((one.recording, one.estimator, str(one.frame[at]), f"{one.time[at]:g}", *numbers, saturated))
+    return Table(("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows))
+
+
+def _told(value: float, error: float) -> str:
+    """With as many digits as the error's first two."""
+    digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 and np.isfinite(error) else 1
+    return f"{value:.{min(digits, 3)}f} ± {error:.{min(digits, 3)}f}".replace("-", "−")
+
+
+def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
+    """Every frame of every estimate as CSV, empty where nothing presses; whole or not at all.
+
+    Raises InputError where the place cannot be written.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    named = [name for header in HEADERS for name in (header, f"standard deviation of {header}")]
+    writer.writerow(["recording", "estimator", "frame", "time [s]", *named, "saturated cells"])
+    for one in all_pressed:
+        for number, frame in enumerate(one.frame):
+            pairs = np.column_stack([one.values[number], one.errors[number]]).ravel()
+            numbers = [float(value) if np.isfinite(value) else None for value in pairs]
+            line = [one.recording, one.estimator, int(frame), float(one.time[number]), *numbers]
+            writer.writerow([*line, int(one.saturated[number])])
+    write_whole(Path(path), stream.getvalue())
+    return Path(path)

@@ -1,0 +1,101 @@
+"""What is said of any load from the cells' pressures; and movements that are told once."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import invented_case
+
+from lampest.loads.recognition.candidates import KINDS
+from lampest.report.detect.detection import QUANTITIES, Detection
+from lampest.report.detect.events import events
+from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
+from lampest.report.detect.report import event_table
+from lampest.runs.results import Results
+
+SHAPE = (3, 10, 10)
+
+
+def maps() -> tuple[np.ndarray, np.ndarray]:
+    """kPa: nothing, then a block of 2 × 3 cells at rows 4 and 5, columns 6 to 8, then one cell in the corner."""
+    pressure, errors = np.full(SHAPE, 0.1), np.full(SHAPE, 0.2)
+    pressure[1, 4:6, 6:9] = 10.0, 12.0, 10.0
+    pressure[2, 0, 0] = 8.0
+    return pressure, errors
+
+
+def test_centre_area_peak_and_force_of_any_load() -> None:
+    pressure, errors = maps()
+    found = pressed_of(invented_case(shape=SHAPE, pressure=pressure, pressure_errors=errors))
+    assert found is not None and np.isnan(found.values[0]).all()
+    x, y, area, peak, force = found.values[1]
+    assert (x, y, area, peak) == pytest.approx((70, 45, 600, 12))
+    assert force == pytest.approx(64 * 100 * 1e-3)  # kPa · mm² = mN
+    assert found.errors[1, -1] == pytest.approx(np.sqrt(6) * 0.2 * 0.1)
+    assert found.errors[1, 2] == pytest.approx(100 * np.sqrt(6 / 12))
+    assert found.values[2, :2] == pytest.approx((0, 0))
+    assert np.all(found.errors[2, :2] == pytest.approx(10 / np.sqrt(12)))  # a spot in a corner is somewhere in its cell
+
+
+def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
+    pressure, errors = maps()
+    rng = np.random.default_rng(4)
+    forces = []
+    for _ in range(200):
+        noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
+        one = pressed_of(invented_case(shape=SHAPE, pressure=noisy, pressure_errors=errors))
+        assert one is not None
+        forces.append(one.values[1, -1])
+    assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
+
+
+def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
+    pressure, errors = maps()
+    saturated = (pressure > 11).astype(np.uint8)
+    cases = (
+        invented_case("LSM", shape=SHAPE, pressure=pressure, pressure_errors=errors, saturated=saturated),
+        invented_case("bare", shape=SHAPE),
+    )
+    found = pressed(Results(cases))
+    assert [one.estimator for one in found] == ["LSM"]
+    lines = list(csv.DictReader(write_pressed(tmp_path / "pressed.csv", found).read_text("utf-8").splitlines()))
+    assert lines[0]["force [N]"] == "" and float(lines[1]["force [N]"]) == pytest.approx(6.4)
+    assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
+    (row,) = pressed_table(found).cells
+    assert row[:4] == ("mouth", "LSM", "6", "6") and "6.400 ± 0.049" in row and row[-1] == "2"
+
+
+def walked(x: np.ndarray, error: float = 0.3) -> Detection:
+    """A rod whose centre is at x, 45 mm."""
+    frames = len(x)
+    values, errors = np.full((2, frames, len(QUANTITIES)), np.nan)
+    values[:, 0], values[:, 1], values[:, 2] = x, 45, 20
+    errors[:, :3] = error
+    nothing = np.full((frames, len(QUANTITIES)), np.nan)
+    detection = Detection.of("walk", "LSM", np.arange(frames), np.arange(frames) * 1.0, (None,) * frames)
+    return Detection(
+        **vars(detection)
+        | {
+            "labels": ("rod",) * frames,
+            "probabilities": np.full((frames, len(KINDS)), 1 / len(KINDS)),
+            "values": values,
+            "errors": errors,
+            "further": ((nothing, nothing),) * len(detection.further),
+        }
+    )
+
+
+@pytest.mark.parametrize("speed", [0.9, 4.0, 9.0])
+def test_a_movement_is_told_once(speed: float) -> None:
+    path = np.concatenate([np.full(4, 20.0), 20 + speed * np.arange(1, 7), np.full(5, 20 + speed * 6)])
+    path = np.concatenate([path, path[-1] - speed * np.arange(1, 7), np.full(4, 20.0)])
+    kinds = [event.kind for event in events(walked(path))]
+    assert kinds == ["touched", "moved", "moved"]
+    jitter = 20 + np.random.default_rng(1).uniform(-1, 1, 20)
+    assert [event.kind for event in events(walked(jitter))] == ["touched"]
+
+
+def test_nothing_is_told_to_a_tenth_of_nothing() -> None:
+    table = event_table((walked(np.full(4, 0.0), error=0.001),))
+    assert "± 0.0" not in "".join(table.cells[0]) and "0.0 ± 0.1, 45.0 ± 0.1" in table.cells[0]
