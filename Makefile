@@ -72,13 +72,14 @@ $(VENV)/.installed-supply: $(VENV)/.installed pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install $(QUIETLY) --constraint constraints.txt --editable '.[supply]'
 	@touch $@
 
-# What the tests of the board need besides Python: a cross compiler, a simulated microcontroller and a browser.
+# What tests need besides Python: a cross compiler, a simulated microcontroller, a browser and a broker of MQTT.
 board-packages:
 	@missing=; for tool in gcc make avr-gcc avr-g++ avr-objcopy chromium chromedriver; do command -v $$tool >/dev/null || missing=1; done; \
+	PATH="$$PATH:/usr/sbin" command -v mosquitto >/dev/null || missing=1; \
 	test -d /usr/share/arduino/hardware/arduino/avr/cores/arduino || missing=1; \
 	test -f /usr/include/simavr/sim_avr.h && test -f /usr/include/libelf.h || missing=1; \
 	if test -n "$$missing"; then \
-	packages="$$($(MAKE) --silent --no-print-directory -C firmware packages) chromium chromium-driver"; \
+	packages="$$($(MAKE) --silent --no-print-directory -C firmware packages) chromium chromium-driver mosquitto"; \
 	if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then { $(APT) $$packages; } >/dev/null; \
 	else echo "The tests of the board need system packages; install them with: apt-get install $$packages" >&2; fi; fi
 

@@ -146,6 +146,15 @@ def live(
     scene: SceneFile = None,
     period: Period = None,
     out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
+    publish: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--publish",
+            metavar="WHERE",
+            help="lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest; may come "
+            "several times.",
+        ),
+    ] = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
     from lampest.files.interrupts import ending_signals
@@ -172,8 +181,10 @@ def live(
             http,
             frames,
             token,
-            lambda url: say(f"{url}  (Ctrl-C ends)"),
+            lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
             tuple(assign or ()),
+            publish or (),
+            lambda sentence: say(f"lampest: {sentence}", to=sys.stderr),
         )
     if done is not None:
         report_recorded(done)

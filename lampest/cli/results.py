@@ -92,7 +92,7 @@ def export(
     from lampest.report.export.results import export_results
 
     for file in export_results(results, to, out, recording, start):
-        print(file)
+        say(file)
 
 
 def detect(

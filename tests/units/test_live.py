@@ -210,10 +210,10 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 
 def test_total_pressure_is_a_force() -> None:
     """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
-    load = PressureTrack.begin(Scene(Panel(10, 10)))
-    assert total_pressure(load, ratio_from_pressure(np.full((10, 10), 10.0))) == pytest.approx(100.0)
+    scene = Scene(Panel(10, 10))
+    assert total_pressure(scene, np.full((10, 10), 10.0)) == pytest.approx(100.0)
     half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert total_pressure(load, ratio_from_pressure(half)) == pytest.approx(0.0, abs=1e-9)
+    assert total_pressure(scene, half) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_total_pressure_is_that_of_the_scene() -> None:
@@ -221,10 +221,12 @@ def test_total_pressure_is_that_of_the_scene() -> None:
     wet = Scene(Panel(10, 10), water=Water(500.0))
     depth = water_pressure(wet.panel, wet.water)
     ratio = ratio_from_pressure(depth + 10.0) / ratio_from_pressure(depth)
-    assert total_pressure(PressureTrack.begin(wet), ratio) == pytest.approx(100.0)
+    assert total_pressure(wet, PressureTrack.begin(wet).pressure(ratio, ratio, ratio, 0.0).pressure) == pytest.approx(
+        100.0
+    )
     broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
-    ratio = ratio_from_pressure(np.where(broken.faults.blind(broken.panel), -9.0, 10.0))  # type: ignore[union-attr]
-    assert total_pressure(PressureTrack.begin(broken), ratio) == pytest.approx(89.0)
+    pressure = np.where(broken.faults.blind(broken.panel), -9.0, 10.0)  # type: ignore[union-attr]
+    assert total_pressure(broken, pressure) == pytest.approx(89.0)
 
 
 def test_history_ends_somewhere() -> None:

@@ -12,6 +12,7 @@ from lampest.loads.pressure import PressureTrack
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.report.live.verdict import verdict_of
 from lampest.report.live.view import Picture
 
 ASKED = "it was asked for"
@@ -89,18 +90,28 @@ def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tu
     picture = replace(picture, status=solution.status.value, seconds=step.seconds)
     ratio = here.ratio(step)
     if ratio is not None:
-        total = total_pressure(here.load, ratio, picture.time)
-        change, cells = 100 * (ratio - 1), solution.open_cell[-1]
-        picture = replace(picture, relative_change=change, open_cell=cells, total=total)
+        pressed = here.load.pressure(ratio, ratio, ratio, picture.time)
+        picture = replace(
+            picture,
+            relative_change=100 * (ratio - 1),
+            open_cell=solution.open_cell[-1],
+            total=total_pressure(here.load.scene, pressed.pressure),
+            cell_resistance=solution.cell_resistance[-1],
+            pressure=pressed.pressure,
+            saturated=pressed.saturated,
+            verdict=verdict_of(readings, stream.resting, pressed.pressure),
+        )
     elif solution.solved:
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
     return here.after(readings, step, picture.time), picture
 
 
-def total_pressure(load: PressureTrack, ratio: Array, time: float = 0.0) -> float:
-    """F = Σ p(r/r0)·pitch² over the cells that are not known to be broken, newton; suction counts as negative."""
-    scene, pressure = load.scene, load.pressure(ratio, ratio, ratio, time).pressure
+def total_pressure(scene: Scene, pressure: Array) -> float:
+    """F = Σ p·pitch² over the cells that are not known to be broken, newton; suction counts as negative.
+
+    pressure : (rows, columns) kPa.
+    """
     if scene.faults is not None:
         broken = scene.faults.open_cells(scene.panel) | scene.faults.shorted_cells(scene.panel)
         pressure = np.where(broken, 0.0, pressure)

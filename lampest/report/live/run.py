@@ -1,6 +1,6 @@
 """`lampest live`: a source of frames, an engine and a server, put together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -20,6 +20,8 @@ from lampest.recording.board.record import Recorded
 from lampest.recording.recording import Recording
 from lampest.report.live.engine import Engine
 from lampest.report.live.feed import from_board, from_recording, recorded_from_board
+from lampest.report.live.publish import publish_at
+from lampest.report.live.publish.publishing import publishing
 from lampest.report.live.server import address, serving
 from lampest.runs.config import RunFile, resolve
 
@@ -68,6 +70,8 @@ def live(
     token: str | None = None,
     on_url: Callable[[str], None] = lambda url: None,
     settings: tuple[str, ...] = (),
+    publish: Sequence[str] = (),
+    on_trouble: Callable[[str], None] = lambda sentence: None,
 ) -> Recorded | None:
     """Reconstruct each frame as it comes and show it in the browser, until `frames` have come or Ctrl-C.
 
@@ -77,18 +81,23 @@ def live(
     method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
     http : HOST:PORT to listen at; port 0 for any that is free.
     token : what whoever opens the page must bring; where others can reach it, one is made up if none is given.
-    on_url : told the page's address once it can be opened. settings : PATH=VALUE entries that override the file's.
+    on_url : told the page's address once it can be opened, and then where frames are published.
+    settings : PATH=VALUE entries that override the file's. publish : where frames go, such as
+        'mqtt://localhost:1883/lampest'. on_trouble : told what happens to them on the way.
 
     Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
     """
     name, estimator = chosen(method, config, settings)
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
     port = source.port or only_port() if isinstance(source, LiveBoard) else ""
+    ways = [publish_at(where, token) for where in publish]
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
+        publishing(ways, engine.shown, on_trouble) as published,
         serving(*address(http), engine.shown, token, engine.tare) as server,
     ):
-        on_url(server.url)
+        for where in (server.url, *published):
+            on_url(where)
         try:
             done = None
             if isinstance(source, Replay):

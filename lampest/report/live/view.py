@@ -30,6 +30,8 @@ class Picture:
     measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
     open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton, NaN where it failed.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
+    cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
+    where the response does not tell the pressure. verdict : one of `verdict.VERDICTS`.
     """
 
     number: int
@@ -42,6 +44,10 @@ class Picture:
     status: str
     seconds: float
     skipped: int
+    cell_resistance: Array | None = None
+    pressure: Array | None = None
+    saturated: NDArray[np.uint8] | None = None
+    verdict: str = "unsolved"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,32 @@
+"""Live frames for other programs. To add a way: write its `Publish` into a file here, name it in WAYS."""
+
+from urllib.parse import urlsplit
+
+from lampest.files.errors import InputError
+from lampest.report.live.publish.lsl import LslPublish
+from lampest.report.live.publish.mqtt import MqttPublish
+from lampest.report.live.publish.osc import OscPublish
+from lampest.report.live.publish.publish import Publish
+from lampest.report.live.publish.websocket import WebsocketPublish
+
+__all__ = ["WAYS", "Publish", "publish_at"]
+WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, WebsocketPublish)
+
+
+def publish_at(where: str, token: str | None = None) -> Publish:
+    """`mqtt://localhost:1883/lampest` or `mqtt` alone: where frames go. token : what whoever listens must bring.
+
+    Raises InputError where there is no such way, or the address is none.
+    """
+    kind, _, rest = where.partition("://")
+    ways = {way.kind: way for way in WAYS}
+    if kind not in ways:
+        raise InputError(f"--publish: '{where}' begins with none of {', '.join(ways)}")
+    try:
+        parts = urlsplit(f"//{rest}", allow_fragments=False)
+        fit = not parts.query and parts.port != -1  # whatever is no port raises
+    except ValueError as error:
+        raise InputError(f"--publish: '{where}' is no address ({error})") from error
+    if not fit:
+        raise InputError(f"--publish: '{where}' is no address: what follows a question mark means nothing there")
+    return ways[kind].at(parts, token)
