@@ -3,16 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from lampest.recording.datasets import folder as shipped_folder
 from lampest.studies.paper.page import write_page
 from lampest.studies.paper.published import published_numbers
 from lampest.studies.paper.sides import all_sides
-
-
-def shipped_folder() -> Path:
-    """Where `configs/` and `data/` stand: within an installed package, or beside that of a checkout."""
-    package = Path(__file__).parents[2]
-    inside = package / "shipped"
-    return inside if inside.is_dir() else package.parent
 
 
 def write_paper(folder: Path, jobs: int | None, on_case: Callable[[int, int], None]) -> tuple[Path, ...]:
