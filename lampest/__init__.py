@@ -75,6 +75,8 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
+    from lampest.panel.response import PowerResponse as PowerResponse
+    from lampest.panel.response import TableResponse as TableResponse
     from lampest.panel.scene import Faults as Faults
     from lampest.panel.scene import Scene as Scene
     from lampest.panel.scene import Systematic as Systematic

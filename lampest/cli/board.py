@@ -78,19 +78,29 @@ def repair(file: Annotated[Path, typer.Argument(help="A recording that was not c
 
 
 def calibrate(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of shorted lines or resistors.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of shorted lines, resistors or loads.")
+    ],
     known: Annotated[
         list[str] | None,
         typer.Option(
             "--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them; one for each file."
         ),
     ] = None,
+    loads: Annotated[
+        Path | None,
+        typer.Option("--loads", help="YAML or CSV of known weights or pressures: finds the film's response instead."),
+    ] = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", help="By which fraction resistors may be off: 0.01 for those of 1 %.")
+        float,
+        typer.Option("--tolerance", help="By which fraction resistors or loads may be off: 0.01 for those of 1 %."),
     ] = 0.01,
     out: Annotated[Path | None, written("--out", "The scene that is written; else it is printed.")] = None,
 ) -> None:
-    """Find the resistances of the electronics from known resistors and write them into a scene, with uncertainties."""
+    """Find the electronics from known resistors, or the film's response from known loads, and write them into a scene.
+
+    Every number comes with its uncertainty.
+    """
     from lampest.files.whole import write_whole
     from lampest.recording.calibration.calibrate import calibrate as calibrate_recordings
     from lampest.recording.calibration.known import known_resistors
@@ -99,6 +109,11 @@ def calibrate(
 
     if not 0 <= tolerance <= 0.5:
         raise InputError("--tolerance must lie between 0 and 0.5")
+    if loads is not None:
+        if known:
+            raise InputError("--known: resistors and --loads are two calibrations")
+        calibrate_film(files, loads, tolerance, out)
+        return
     words = known or ["0"]
     if len(words) not in (1, len(files)):
         raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
@@ -117,6 +132,22 @@ def calibrate(
     say(f"{summary(found)}: {out}")
     if any(one.differ for one in found.found):
         say("lampest: the lines differ by more than their noise; the scene's comments say how much", to=sys.stderr)
+
+
+def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path | None) -> None:
+    """Find the film's response from known loads and write it into a scene."""
+    from lampest.estimate.load_calibration import calibrate_loads
+    from lampest.files.whole import write_whole
+    from lampest.loads.calibration.known import read_known_loads
+    from lampest.recording.recording import Recording
+
+    told = read_known_loads(loads)
+    found = calibrate_loads([Recording.load(file) for file in files], told, tolerance)
+    if out is None:
+        print(found.text(), end="")
+        return
+    write_whole(out, found.text())
+    print(f"{found.summary()}: {out}")
 
 
 def live(

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from lampest.loads.film.known import FilmKnown
 from lampest.loads.film.track import FilmTrack
-from lampest.loads.response import RESPONSE_SD, TOLD_KPA, VACUUM_KPA, pressure_from_logarithm, ratio_from_pressure
+from lampest.loads.response import (
+    RESPONSE_SD,
+    TOLD_KPA,
+    VACUUM_KPA,
+    gains_of,
+    log_ratio_from_pressure,
+    pressure_from_logarithm,
+)
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
 from lampest.panel.hidden import usual
@@ -53,11 +60,12 @@ def pressure_of(
     known: FilmKnown | None = None,
     tare: Tare | None = None,
 ) -> Pressure:
-    """p = f⁻¹(f(p_w)·e^x) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
+    """p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
     that of the estimate (each side its own), |T − T_b|·σ_α, and for the scatter of the cells' response
-    `response_sd`·|x| of the scene's systematic errors, RESPONSE_SD·|x| where it names none.
+    `response_sd`·|x| of the scene's systematic errors, RESPONSE_SD·|x| where it names none, or what its own response
+    says of the curve and of the cell's gain κ.
     A cell at its baseline has none of the last: f(0) = 1 by definition. Where the scene names a film, frame after
     frame is read by what the film remembers of those before; see `PressureTrack`.
 
@@ -105,7 +113,7 @@ class PressureTrack:
             return cls(scene, None)
         water = water_pressure(scene.panel, scene.water)
         known = known or FilmKnown.told(scene.film or Film())
-        return cls(scene, FilmTrack.begin(known, water), None if tare is None else TareWatch(tare))
+        return cls(scene, FilmTrack.begin(known, water, scene.response), None if tare is None else TareWatch(tare))
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
         """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where there is no film.
@@ -121,7 +129,8 @@ class PressureTrack:
             open_kpa = np.sqrt(np.sum((np.stack(others) - here) ** 2, axis=0))
             least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
             most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
-        saturated = (least + water < TOLD_KPA[0]) | (most + water > TOLD_KPA[1])
+        told = TOLD_KPA if self.scene.response is None else self.scene.response.told_kpa
+        saturated = (least + water < told[0]) | (most + water > told[1])
         return Pressure(here, least, most, errors, saturated.astype(np.uint8))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
@@ -155,11 +164,10 @@ class PressureTrack:
         scene, answer = self.scene, self._change(ratio)
         if self.film is not None:
             answer = self.film.at_once(answer, time)
-        warmth, named = scene.temperature, usual(scene)
+        warmth = scene.temperature
         warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
-        scatter = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
         bent = 0.0 if scene.film is None else scene.film.answer_sd
-        shared = NORMAL_95 * np.hypot(np.hypot(scatter, bent) * answer, warming_sd)
+        shared = NORMAL_95 * np.hypot(np.hypot(response_sd(scene, answer), bent) * answer, warming_sd)
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
 
@@ -169,8 +177,20 @@ class PressureTrack:
         if film is not None:
             return lambda change: list(film.pressures(change, time))
         water = water_pressure(self.scene.panel, self.scene.water)
-        rest = np.log(ratio_from_pressure(water))
-        return lambda change: [np.maximum(pressure_from_logarithm(rest + change), VACUUM_KPA) - water]
+        response = self.scene.response
+        rest, gain = log_ratio_from_pressure(water, response), gains_of(response)
+        return lambda change: [np.maximum(pressure_from_logarithm(rest + change / gain, response), VACUUM_KPA) - water]
+
+
+def response_sd(scene: Scene, answer: Array) -> Array:
+    """Relative standard deviation of ln(r/r0) of cells at a pressure, where it is `answer` (…, rows, columns)."""
+    response, named = scene.response, usual(scene)
+    scatter = np.array(RESPONSE_SD if named is None or named.response_sd is None else named.response_sd)
+    if response is None:
+        return scatter
+    if response.gain_sd is not None:
+        scatter = np.array(response.gain_sd)
+    return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

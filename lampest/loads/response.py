@@ -1,6 +1,7 @@
-"""The cell's answer to pressure: kPa ↔ resistance over its unloaded value, monotone and invertible in closed form.
+"""The cell's answer to pressure: kPa ↔ resistance over its unloaded value, monotone and invertible.
 
-The published curve, r/r0 against p in kPa (suction is negative):
+Where a scene tells a response of its own (`lampest.panel.response`), that one; else the published curve, r/r0 against p
+in kPa (suction is negative):
 
     p ≤ 0         exp(−0.202·p)                     through 7.54 at −10; the slope at 0 nearly meets the next piece's
     0 … 2.5       1 − 0.192·p
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 
 LINEAR_PRESSURE = np.array([0.0, 2.5, 28.0])
 LINEAR_RATIO = np.array([1.0, 0.52, 0.112])
@@ -34,9 +36,11 @@ TOLD_KPA = (-10.0, 40.0)
 RESPONSE_SD = 0.1
 
 
-def ratio_from_pressure(pressure: ArrayLike) -> Array:
-    """r/r0 = f(p), any shape, kPa → 1; strictly falling."""
+def ratio_from_pressure(pressure: ArrayLike, response: Response | None = None) -> Array:
+    """r/r0 = f(p), any shape, kPa → 1; strictly falling. Of a cell of gain 1; response: None is the published one."""
     pressure = np.asarray(pressure, dtype=float)
+    if response is not None:
+        return np.exp(response.logarithm(pressure))
     linear = np.interp(pressure, LINEAR_PRESSURE, LINEAR_RATIO)
     logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
     logarithm = logarithm + SATURATING_RATE * np.clip(pressure - 28.0, 0.0, 12.0)
@@ -52,15 +56,27 @@ def pressure_from_ratio(ratio: ArrayLike) -> Array:
     return pressure_from_logarithm(np.log(ratio))
 
 
-def pressure_from_logarithm(logarithm: ArrayLike) -> Array:
-    """p = f⁻¹(e^x), x = ln(r/r0), any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays."""
+def pressure_from_logarithm(logarithm: ArrayLike, response: Response | None = None) -> Array:
+    """p = f⁻¹(e^x), x = ln(r/r0), any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays. Response as above."""
     logarithm = np.asarray(logarithm, dtype=float)
+    if response is not None:
+        return response.pressure(logarithm)
     start = np.log(LINEAR_RATIO[-1])
     linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -LINEAR_RATIO, LINEAR_PRESSURE)
     suction = np.maximum(logarithm, 0.0) / SUCTION_RATE
     below = np.minimum(logarithm - start, 0.0)
     saturating = np.maximum(below, 12.0 * SATURATING_RATE)
     return np.asarray(linear + suction + saturating / SATURATING_RATE + (below - saturating) / SATURATED_RATE)
+
+
+def gains_of(response: Response | None) -> Array:
+    """κ of the cells, to be broadcast to (rows, columns); 1 where nothing is told."""
+    return np.array(1.0) if response is None else response.gains
+
+
+def log_ratio_from_pressure(pressure: ArrayLike, response: Response | None = None) -> Array:
+    """ln f(p), any shape, kPa → 1; as `ratio_from_pressure`."""
+    return np.log(ratio_from_pressure(pressure)) if response is None else response.logarithm(pressure)
 
 
 def relative_change_from_pressure(pressure: ArrayLike) -> Array:

@@ -15,6 +15,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MOST_OHM, check_lines, lines_text
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
+from lampest.panel.response import AnyResponse
 from lampest.panel.series import SeriesPerLine
 
 DEEPEST_MM = 1.1e7
@@ -220,6 +221,7 @@ class Scene:
         see `lampest.panel.memory`. None: nothing.
     contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
     film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
+    response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: the published curve.
 
     Raises ValueError where a number is out of range.
     """
@@ -236,6 +238,7 @@ class Scene:
     converter_memory: float | None = None
     contacts: Contacts | None = None
     film: Film | None = None
+    response: AnyResponse | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.series_resistance_ohm, SeriesPerLine):
@@ -246,6 +249,8 @@ class Scene:
             raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.faults is not None:
             self.faults.check(self.panel)
+        if self.response is not None:
+            self.response.check(self.panel.shape)
         if self.contacts is not None:
             self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
         self.circuit.check(self)

@@ -10,6 +10,7 @@ from lampest.files.errors import InputError
 from lampest.panel.film import Film
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import lines_text
+from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.touching import touching_columns, touching_rows
@@ -124,6 +125,8 @@ def _scene_lines(scene: Scene) -> list[str]:
             f"film      {100 * film.coefficient_per_kelvin:g} % per kelvin, {film.baseline_celsius:g} °C unloaded, "
             f"{film.measured_celsius:g} °C measured"
         )
+    if scene.response is not None:
+        lines.append(f"response  {_response_text(scene.response)}")
     if scene.film is not None:
         lines.append(f"film      {_film_text(scene.film)}")
     if scene.faults is not None:
@@ -132,6 +135,15 @@ def _scene_lines(scene: Scene) -> list[str]:
         )
         lines.append(f"faults    {known or 'none'}")
     return lines
+
+
+def _response_text(response: Response) -> str:
+    """'table, -10 to 40 kPa; gains of cells 0.85 to 1.2'."""
+    least, most = response.told_kpa
+    text = f"{getattr(response, 'kind', type(response).__name__)}, {least:g} to {most:g} kPa"
+    if response.gain is not None:
+        text += f"; gains of cells {response.gains.min():.2g} to {response.gains.max():.2g}"
+    return text
 
 
 def _film_text(film: Film) -> str:

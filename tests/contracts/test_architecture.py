@@ -42,6 +42,7 @@ DOORS = {
     "scipy": (
         "panel.readouts",
         "panel.machine",
+        "panel.response",
         "loads",
         "cost.residuals",
         "recording.calibration",

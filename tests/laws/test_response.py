@@ -1,19 +1,30 @@
 """The pressure response: the published points, strictly falling, and its own inverse."""
 
+from dataclasses import replace
+from itertools import product
+from typing import Any, get_args
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from laws.samples import examples
 
+from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.loads.response import (
     RESPONSE_SD,
     TOLD_KPA,
+    log_ratio_from_pressure,
     pressure_from_logarithm,
     pressure_from_ratio,
     pressure_from_relative_change,
     ratio_from_pressure,
     relative_change_from_pressure,
 )
+from lampest.panel.film import Film
+from lampest.panel.panel import Panel
+from lampest.panel.response import AnyResponse, PowerResponse, Response, TableResponse
+from lampest.panel.scene import Scene, Water
 
 pressures = st.floats(-60, 500)
 
@@ -80,3 +91,82 @@ def test_flat_begins_where_the_scatter_of_the_response_exceeds_the_pressure() ->
     assert relative(flat - 0.01) < 0.2
     assert relative(flat + 0.01) > 1
     assert slope(flat - 0.01) / slope(flat + 0.01) == pytest.approx(9.2, abs=0.1)
+
+
+RESPONSES = [
+    *(example for member in get_args(get_args(AnyResponse)[0]) for example in examples(member)),
+    TableResponse(pressure_kpa=(-5, 0, 1, 5, 20), resistance_ohm=(9e4, 3e4, 9e3, 2500, 800)),
+    PowerResponse(exponent=0.8, scale_kpa=1.5),
+]
+OWN = pytest.mark.parametrize("response", RESPONSES, ids=lambda response: response.kind)
+
+
+@OWN
+def test_a_response_of_its_own_falls_strictly_and_is_1_at_rest(response: Response) -> None:
+    low, high = (2 * end for end in response.told_kpa)
+    pressure = np.linspace(low - 1, high, 1001)
+    assert np.all(np.diff(log_ratio_from_pressure(pressure, response)) < 0)
+    assert ratio_from_pressure(0.0, response) == pytest.approx(1.0)
+
+
+@OWN
+def test_a_response_of_its_own_is_inverted(response: Response) -> None:
+    low, high = (2 * end for end in response.told_kpa)
+    pressure = np.linspace(low - 1, high, 1001)
+    back = pressure_from_logarithm(log_ratio_from_pressure(pressure, response), response)
+    np.testing.assert_allclose(back, pressure, rtol=1e-9, atol=1e-9 * (high - low))
+    ends = pressure_from_logarithm(np.array([-np.inf, np.inf, np.nan]), response)
+    np.testing.assert_array_equal(ends, [np.inf, -np.inf, np.nan])
+
+
+@OWN
+def test_a_response_of_its_own_says_how_sure_it_is(response: Response) -> None:
+    sd = response.curve_sd(np.linspace(-50, 50, 12).reshape(3, 4))
+    assert sd.shape == (3, 4) and np.all(sd >= 0)
+
+
+@OWN
+def test_pressures_go_through_the_scenes_own_curve_and_gains(response: Response) -> None:
+    """With and without water and a film that remembers nothing: what is put in comes out, cell by cell."""
+    gain = ((0.7, 1.0, 1.3), (1.1, 0.9, 1.0))
+    own = replace(response, gain=gain, gain_sd=None)
+    pressure = np.linspace(0.1, 0.9, 7)[:, None, None] * own.told_kpa[1] * np.ones((2, 3))
+    for water, film in product((None, Water(30.0)), (None, Film())):
+        scene = Scene(Panel(2, 3), water=water, film=film, response=own)
+        depth = water_pressure(scene.panel, water)
+        change = np.array(gain) * (own.logarithm(depth + pressure) - own.logarithm(depth))
+        found = pressure_of(np.exp(change), np.exp(change), np.exp(change), scene)
+        np.testing.assert_allclose(found.pressure, pressure, rtol=1e-6)
+
+
+def test_a_table_goes_through_its_points_and_its_uncertainty_into_pressures() -> None:
+    table = TableResponse(pressure_kpa=(0, 1, 5, 20), resistance_ohm=(3e4, 9e3, 2500, 800), sd=(0.1, 0.1, 0.02, 0.02))
+    np.testing.assert_allclose(ratio_from_pressure([0, 1, 5, 20], table), np.array([3e4, 9e3, 2500, 800]) / 3e4)
+    sure, unsure = (replace(table, gain_sd=((sd,),)) for sd in (0.0, 0.2))
+    ratio = np.full((1, 1, 1), 2500 / 3e4)
+    errors = [
+        pressure_of(ratio, ratio, ratio, Scene(Panel(1, 1), response=one)).errors[0, 0, 0] for one in (sure, unsure)
+    ]
+    assert errors[1] / errors[0] == pytest.approx(np.hypot(0.2, 0.02) / 0.02, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"pressure_kpa": (0, 1, 1), "resistance_ohm": (3, 2, 1)}, "must rise"),
+        ({"pressure_kpa": (0, 1, 2), "resistance_ohm": (3, 2, 2)}, "must be positive, and fall"),
+        ({"pressure_kpa": (0, 1, 2), "resistance_ohm": (3, 2)}, "as many"),
+        ({"pressure_kpa": (1, 2), "resistance_ohm": (3, 2)}, "from 0 or below"),
+        ({"pressure_kpa": (0, 1), "resistance_ohm": (3, 2), "sd": (0.1,)}, "sd needs one number"),
+        ({"pressure_kpa": (0, 1), "resistance_ohm": (3, 2), "gain": ((1.0, 2.0), (1.0,))}, "gain needs one number"),
+        ({"pressure_kpa": (0, 1), "resistance_ohm": (3, 2), "gain": ((0.0,),)}, "gain must be positive"),
+    ],
+)
+def test_no_response(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        TableResponse(**given)
+
+
+def test_gains_are_those_of_the_panel() -> None:
+    with pytest.raises(ValueError, match=r"response\.gain must have 2 rows of 3 numbers"):
+        Scene(Panel(2, 3), response=PowerResponse(exponent=1.0, scale_kpa=1.0, gain=((1.0, 1.0),)))

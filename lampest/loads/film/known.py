@@ -6,8 +6,10 @@ import numpy as np
 
 from lampest.loads.film.creep import Creep
 from lampest.loads.film.memory import FilmMemory
+from lampest.loads.response import gains_of
 from lampest.panel.film import MOST_CREEP, Film, Strength
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 
 # Strengths that are tried: as dense as their posteriors are narrow.
 CREEPS = MOST_CREEP * np.linspace(0, 1, 81) ** 2
@@ -42,16 +44,19 @@ class FilmKnown:
         found = cls(film, film.told_hysteresis, film.told_creep)
         return replace(found, sentence=found._said("assumed"))
 
-    def memories(self, water: Array) -> tuple[FilmMemory, ...]:
+    def memories(self, water: Array, response: Response | None = None) -> tuple[FilmMemory, ...]:
         """Films at rest in p_w (rows, columns) kPa: the mean one, then one with each strength by its deviation more."""
-        gap, gain = np.full(water.shape, self.hysteresis.mean), np.full(water.shape, self.film.answer)
+        gap, gain = (
+            np.full(water.shape, self.hysteresis.mean),
+            np.broadcast_to(self.film.answer * gains_of(response), water.shape),
+        )
         creep, creep_sd = self.cells or (np.full(water.shape, strength) for strength in self.creep)
         pairs = [(gap, creep)]
         if self.hysteresis.sd:
             pairs.append((gap + self.hysteresis.sd, creep))
         if self.creep.sd:
             pairs.append((gap, creep + creep_sd))
-        return tuple(FilmMemory.at_rest(*pair, gain, water) for pair in pairs)
+        return tuple(FilmMemory.at_rest(*pair, gain, water, response) for pair in pairs)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """With the creep that makes cells be at rest, or clearly not, after what they have shown; if it is open.

@@ -2,7 +2,7 @@
 
     p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
-f is the response curve, p_w the water that was there at rest, β what bending leaves of the answer.
+f is the response curve, p_w the water that was there at rest, β the cell's gain κ times what bending leaves of it.
 """
 
 from dataclasses import dataclass, replace
@@ -11,23 +11,30 @@ import numpy as np
 
 from lampest.loads.film.creep import Creep
 from lampest.loads.film.hysteresis import Plays
-from lampest.loads.response import VACUUM_KPA, pressure_from_logarithm, ratio_from_pressure
+from lampest.loads.response import VACUUM_KPA, log_ratio_from_pressure, pressure_from_logarithm
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 
 
 @dataclass(frozen=True, eq=False)
 class FilmMemory:
-    """plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them."""
+    """plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them.
+
+    response : the scene's own curve; None: the published one.
+    """
 
     plays: Plays
     creep: Creep
     gain: Array
     water: Array
+    response: Response | None = None
 
     @classmethod
-    def at_rest(cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array) -> "FilmMemory":
+    def at_rest(
+        cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response | None = None
+    ) -> "FilmMemory":
         """Before the first load, long in the water; all of one shape."""
-        return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water)
+        return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
         """(the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
@@ -61,7 +68,12 @@ class FilmMemory:
         return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds))
 
     def _at_once(self, effective: Array) -> Array:
-        return np.asarray(np.log(ratio_from_pressure(self.water)) - np.log(ratio_from_pressure(self.water + effective)))
+        return self._rest - log_ratio_from_pressure(self.water + effective, self.response)
+
+    @property
+    def _rest(self) -> Array:
+        """ln f(p_w)."""
+        return log_ratio_from_pressure(self.water, self.response)
 
     def at_once(self, change: Array, seconds: float) -> Array:
         """−ln(r/r_rest) (...) without what crept, at the end of such an interval."""
@@ -69,5 +81,5 @@ class FilmMemory:
 
     def _effective(self, change: Array, seconds: float) -> Array:
         at_once = self.creep.at_once(-change / self.gain, seconds)
-        on_film = pressure_from_logarithm(np.log(ratio_from_pressure(self.water)) - at_once)
+        on_film = pressure_from_logarithm(self._rest - at_once, self.response)
         return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)

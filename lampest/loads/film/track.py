@@ -7,6 +7,7 @@ import numpy as np
 from lampest.loads.film.known import SOONEST, FilmKnown
 from lampest.loads.film.memory import FilmMemory
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +26,9 @@ class FilmTrack:
     time: float | None = None
 
     @classmethod
-    def begin(cls, known: FilmKnown, water: Array) -> "FilmTrack":
-        """At rest in water, (rows, columns) kPa."""
-        films = known.memories(water)
+    def begin(cls, known: FilmKnown, water: Array, response: Response | None = None) -> "FilmTrack":
+        """At rest in water, (rows, columns) kPa; response : the scene's own."""
+        films = known.memories(water, response)
         return cls(films, np.zeros((len(films), *water.shape)))
 
     def seconds(self, time: float) -> float:

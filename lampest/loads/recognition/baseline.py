@@ -11,6 +11,7 @@ from lampest.loads.recognition.model_errors import ModelErrors
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
 STEPS = 12
@@ -29,6 +30,7 @@ class Baseline:
     logarithm : (rows, columns) mean of ln r0. offsets : (rows + columns + 1) in their standard deviations.
     covariance : of both together, (cells + rows + columns + 1)².
     series_ohm : what was taken off the readings, to be broadcast to them. model_errors : the errors that are assumed.
+    response : the scene's own; None: the published one.
     """
 
     logarithm: Array
@@ -36,6 +38,7 @@ class Baseline:
     covariance: Array
     series_ohm: Array
     model_errors: ModelErrors
+    response: Response | None = None
 
     @cached_property
     def alike(self) -> Array:
@@ -90,7 +93,9 @@ class Baseline:
             if step > ROUGHLY and np.abs(move).max() < SETTLED:
                 break
         covariance = prior - across @ cho_solve(factor, across.T)
-        return cls(state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, model_errors)
+        return cls(
+            state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, model_errors, scene.response
+        )
 
 
 def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from lampest.loads.recognition.baseline import Baseline, network_of
-from lampest.loads.response import ratio_from_pressure
+from lampest.loads.response import gains_of, log_ratio_from_pressure
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 
 STEP_KPA = 1e-3
 ALONE = 5.0
@@ -25,9 +26,10 @@ def counting(sigma: Array, measured: Array) -> Array:
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
 
 
-def log_response(pressure: Array) -> tuple[Array, Array]:
-    """ln f(p) and its slope, any shape, kPa → 1 and 1/kPa. The slope is a difference over 2 Pa: f has corners."""
-    here, up, down = np.log(ratio_from_pressure(np.stack([pressure, pressure + STEP_KPA, pressure - STEP_KPA])))
+def log_response(pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
+    """κ·ln f(p) and its slope, (…, rows, columns), kPa → 1 and 1/kPa; a difference over 2 Pa: f has corners."""
+    near = np.stack([pressure, pressure + STEP_KPA, pressure - STEP_KPA])
+    here, up, down = gains_of(response) * log_ratio_from_pressure(near, response)
     return here, (up - down) / (2 * STEP_KPA)
 
 
@@ -54,8 +56,8 @@ class Observation(ABC):
         """∂f/∂ln r at ln r/r0 = `change`, (cells, cells) ohm."""
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """ln r/r0 = ln f(p + p_w) − ln f(p_w) and its slope, (rows, columns), 1 and 1/kPa."""
-        loaded, slope = log_response(pressure + self.water)
+        """ln r/r0 = κ·(ln f(p + p_w) − ln f(p_w)) and its slope, (rows, columns), 1 and 1/kPa."""
+        loaded, slope = log_response(pressure + self.water, self.baseline.response)
         return loaded - self._unloaded, slope
 
     def covariance(self, change: Array) -> Array:
@@ -95,8 +97,8 @@ class Observation(ABC):
 
     @cached_property
     def _unloaded(self) -> Array:
-        """ln f(p_w), (rows, columns)."""
-        return np.log(ratio_from_pressure(self.water))
+        """κ·ln f(p_w), (rows, columns)."""
+        return log_response(self.water, self.baseline.response)[0]
 
 
 @dataclass(frozen=True, eq=False)

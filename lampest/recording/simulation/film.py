@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from lampest.loads.film.memory import FilmMemory
-from lampest.loads.response import ratio_from_pressure
+from lampest.loads.response import gains_of, log_ratio_from_pressure
 from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 from lampest.recording.simulation.unmodelled import random_stream
 
 # Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
@@ -15,15 +16,21 @@ MOMENTS, AT_ONCE = 8, 64
 
 
 def remembered_ratio(
-    film: Film, seed: int, pressure: Callable[[Array], Array], water: Array, time: Array, period: float
+    film: Film,
+    seed: int,
+    pressure: Callable[[Array], Array],
+    water: Array,
+    time: Array,
+    period: float,
+    response: Response | None = None,
 ) -> Array:
     """r over that of a flat, unloaded film in air, (frames, rows, columns).
 
     pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
-    (frames) s, `period` apart.
+    (frames) s, `period` apart. response : the film's own; None: the published one.
     """
-    memory = true_memory(film, seed, water)
-    rest = film.answer * np.log(ratio_from_pressure(water))
+    memory = true_memory(film, seed, water, response)
+    rest = memory.gain * log_ratio_from_pressure(water, response)
     step, parts = period / MOMENTS, []
     for first in range(0, len(time), AT_ONCE):
         frames = time[first : first + AT_ONCE]
@@ -35,7 +42,7 @@ def remembered_ratio(
     return np.stack(parts)
 
 
-def true_memory(film: Film, seed: int, water: Array) -> FilmMemory:
+def true_memory(film: Film, seed: int, water: Array, response: Response | None = None) -> FilmMemory:
     """A film at rest, drawn as is known of it: all cells together by its deviation, each by its spread."""
     strengths = []
     for name, value, most in (
@@ -47,4 +54,5 @@ def true_memory(film: Film, seed: int, water: Array) -> FilmMemory:
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
         strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
     hysteresis, creep = strengths
-    return FilmMemory.at_rest(hysteresis, creep, np.full(water.shape, film.answer), water)
+    gain = np.broadcast_to(film.answer * gains_of(response), water.shape)
+    return FilmMemory.at_rest(hysteresis, creep, gain, water, response)

@@ -10,10 +10,11 @@ import numpy as np
 from lampest.files.document import to_yaml
 from lampest.files.memory import check_memory
 from lampest.loads.pressure import water_pressure
-from lampest.loads.response import ratio_from_pressure
+from lampest.loads.response import gains_of, ratio_from_pressure
 from lampest.loads.shapes import AnyShape
 from lampest.panel.film import Film
 from lampest.panel.panel import Array
+from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.course import Course
@@ -65,6 +66,7 @@ class Simulation:
     loads, course : what touches the panel, and when; absent in the unloaded frames.
     water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
     film : what the film truly does beside its response, where the scene does not tell or is wrong; likewise.
+    response : how the film truly answers to pressure, likewise.
     unmodelled : what the estimator is not told.
     output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
 
@@ -83,6 +85,7 @@ class Simulation:
     course: Course = field(default_factory=Course)
     water: Water | None = None
     film: Film | None = None
+    response: AnyResponse | None = None
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     output: str | None = None
 
@@ -109,6 +112,8 @@ class Simulation:
         film = self.true_film
         if film is not None and "auto" in (film.hysteresis, film.creep_per_decade):
             raise ValueError("film: a simulation needs numbers where the scene says auto; give a film of its own")
+        if self.response is not None:
+            self.response.check(self.scene.panel.shape)
 
     @property
     def true_film(self) -> Film | None:
@@ -197,12 +202,14 @@ def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
 def film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
     first, film = time[simulation.baseline_frames], simulation.true_film
+    response = simulation.response or simulation.scene.response
     if film is None:
-        return ratio_from_pressure(pressure_at(simulation, time - first, later_s))
+        pressure = pressure_at(simulation, time - first, later_s)
+        return np.asarray(ratio_from_pressure(pressure, response) ** gains_of(response))
     scene, period = simulation.scene, simulation.frame_period_s
     water = water_pressure(scene.panel, simulation.water or scene.water)
     return film.lowering * remembered_ratio(
-        film, simulation.seed, lambda at: pressure_at(simulation, at - first, later_s), water, time, period
+        film, simulation.seed, lambda at: pressure_at(simulation, at - first, later_s), water, time, period, response
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.loads.response import TOLD_KPA, ratio_from_pressure
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
 from lampest.report.plots.plot import Plot, frame_title, shown_index
 from lampest.report.plots.scales import PRESSING, Scale, stepped_scale
@@ -54,7 +55,7 @@ class PressurePlot(Plot):
         least, most = WIDTH_TICKS_KPA[0], WIDTH_TICKS_KPA[-1]
         half = np.clip((upper - lower) / 2, least / 2, 2 * most)  # none and infinite: beyond the scale, not missing
         _map(middle, case, Tile("(b) uncertainty", half, "", marked, "saturated"), _widths())
-        _response(right, 1 + case.relative_change[index] / 100, pressure, lower, upper, marked)
+        _response(right, 1 + case.relative_change[index] / 100, pressure, lower, upper, marked, case.scene.response)
         right.set_title("(c) cells and response", fontsize=TEXT_POINT)
         handles, labels = right.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=SMALL_POINT, frameon=False)
@@ -89,12 +90,20 @@ def _map(axes: Axes, case: CaseResult, tile: Tile, scale: Scale) -> None:
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
 
 
-def _response(axes: Axes, ratio: Array, pressure: Array, lower: Array, upper: Array, marked: Marks) -> None:
+def _response(
+    axes: Axes,
+    ratio: Array,
+    pressure: Array,
+    lower: Array,
+    upper: Array,
+    marked: Marks,
+    response: Response | None,
+) -> None:
     """Resistance against pressure with 95 % intervals; water and temperature move cells off the curve."""
     least, most = SHOWN_KPA
-    curve = np.linspace(least, most, 1000)
-    axes.plot(100 * ratio_from_pressure(curve), curve, color="0.6", lw=1, label="response in air", zorder=1)
-    for beyond in ((least, TOLD_KPA[0]), (TOLD_KPA[1], most)):
+    curve, told = np.linspace(least, most, 1000), TOLD_KPA if response is None else response.told_kpa
+    axes.plot(100 * ratio_from_pressure(curve, response), curve, color="0.6", lw=1, label="response in air", zorder=1)
+    for beyond in ((least, max(told[0], least)), (min(told[1], most), most)):
         axes.axhspan(
             *beyond, color="0.93", lw=0, zorder=0, label="where resistance says little" if beyond[0] < 0 else None
         )

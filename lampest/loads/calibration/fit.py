@@ -1,0 +1,189 @@
+"""A common curve and each cell's gain from known loads: nonlinear least squares with a hierarchical prior.
+
+    ln(r/r0)_li = −κ_i Σ_k e^{ψ_k} a_lik + noise,    ln κ_i ~ N(0, spread²),    ψ_{k+1} − ψ_k ~ N(0, WALK²)
+
+Of cell i under load l; a is how much of the base curve's fall lies in the k-th piece of pressures. e^ψ is how much
+steeper than the base the film is there: the curve falls strictly, whatever ψ. Noise: that of the estimate, the place of
+the load, and scatter·|ln(r/r0)| from load to load. Spread and scatter are those of the largest evidence; of a cell that
+no load has touched the curve and the spread remain.
+Regularised calibration by one load that is moved about: arXiv 2404.15131.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize
+
+from lampest.loads.response import log_ratio_from_pressure
+from lampest.panel.panel import Array
+from lampest.panel.response import Response
+
+# Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
+THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
+ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
+# Assumptions, in logarithms: how much steeper than the base a film is as a whole, and from a piece to the next: e^0.4,
+# for the published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
+LEVEL, WALK = 1.0, 0.4
+LEAST_SD = 1e-3  # of ln(r/r0): nothing is better known
+BEGIN = (0.2, 0.05)  # spread and scatter
+RANGE = (1e-3, 2.0)  # where they are looked for
+ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """change, sd : (loads, cells) ln(r/r0) and its standard deviation; NaN where nothing is known.
+
+    pressure, pressure_sd : (loads, cells) kPa of the load. water : (cells) kPa. base : the curve that ours is a
+    multiple of, piece by piece; None: the published one.
+    """
+
+    change: Array
+    sd: Array
+    pressure: Array
+    pressure_sd: Array
+    water: Array
+    base: Response | None
+
+    def pieces(self, pressure: Array) -> Array:
+        """a (loads, cells, pieces) of a load's pressures (loads, cells)."""
+        return falls(pressure + self.water, self.base) - falls(self.water, self.base)
+
+
+def falls(pressure: Array, base: Response | None) -> Array:
+    """How much of −ln f_base(p) lies in each piece, (..., pieces); signed as the pressure."""
+    fallen = -log_ratio_from_pressure(pressure, base)[..., None]
+    ends = np.concatenate([[-np.inf], -log_ratio_from_pressure(ENDS, base), [np.inf]])
+    low, high = ends[:-1], ends[1:]
+    return np.asarray(np.clip(fallen, low, high) - np.clip(0.0, low, high))
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """ln κ (cells), ψ (pieces), the covariance of both together, spread and scatter.
+
+    touched : (cells) whether any load was felt. answers : how many of loads and cells took part.
+    """
+
+    gains: Array
+    pieces: Array
+    covariance: Array
+    spread: float
+    scatter: float
+    touched: NDArray[np.bool_]
+    answers: int
+
+    @property
+    def centred(self) -> Array:
+        """(cells, cells + pieces): ln κ_i minus the mean over touched cells, which belongs to the curve."""
+        cells = len(self.gains)
+        return np.eye(cells, cells + len(self.pieces)) - self._mean
+
+    @property
+    def _mean(self) -> Array:
+        """(cells + pieces): the mean of ln κ over touched cells."""
+        return np.concatenate([self.touched / max(self.touched.sum(), 1), np.zeros(len(self.pieces))])
+
+    def gain(self) -> tuple[Array, Array]:
+        """κ and its relative standard deviation, from load to load included; (cells)."""
+        logarithm = self.centred @ np.concatenate([self.gains, self.pieces])
+        own = np.einsum("ij,jk,ik->i", self.centred, self.covariance, self.centred)
+        return np.exp(logarithm), np.sqrt(own + self.scatter**2)
+
+    def curve(self, pressure: Array, base: Response | None) -> tuple[Array, Array]:
+        """ln f and its relative standard deviation at pressures (n) kPa but 0."""
+        parts = falls(pressure, base) * np.exp(self.pieces)
+        total = parts.sum(axis=1)
+        slopes = np.hstack([np.zeros((len(pressure), len(self.gains))), parts / total[:, None]]) + self._mean
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes))
+        return -total * np.exp(float(self._mean[: len(self.gains)] @ self.gains)), sd
+
+
+def fit_loads(loaded: Loaded) -> Fitted:
+    """argmin of the sum of squares at the spread and scatter of the largest evidence.
+
+    Where nothing was felt, touched is all False.
+    """
+    felt = np.isfinite(loaded.change) & np.isfinite(loaded.sd) & ((loaded.pressure != 0) | (loaded.pressure_sd > 0))
+    problem = _Answers(loaded, felt, *np.nonzero(felt))
+    found = Fitted(
+        np.zeros(loaded.change.shape[1]), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *BEGIN, felt.any(axis=0), 0
+    )
+    for _ in range(ROUNDS):
+        found = problem.supposed(problem.solved(found))
+    return problem.solved(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Answers:
+    """felt : (loads, cells) what takes part; load, cell : (answers) its indices."""
+
+    loaded: Loaded
+    felt: NDArray[np.bool_]
+    load: NDArray[np.intp]
+    cell: NDArray[np.intp]
+
+    def answer(self, found: Fitted, pressure: Array) -> tuple[Array, Array]:
+        """x (answers) under pressures (loads, cells), and its slopes by ψ (answers, pieces)."""
+        parts = -self.loaded.pieces(pressure)[self.felt] * np.exp(found.gains[self.cell, None] + found.pieces)
+        return parts.sum(axis=1), parts
+
+    def variance(self, found: Fitted) -> tuple[Array, Array]:
+        """(answers) of the estimate and of the load's place; and x², of which the scatter is a multiple."""
+        more, less = (self.answer(found, self.loaded.pressure + sign * self.loaded.pressure_sd)[0] for sign in (1, -1))
+        known = np.maximum(self.loaded.sd[self.felt], LEAST_SD) ** 2 + ((more - less) / 2) ** 2
+        return known, self.answer(found, self.loaded.pressure)[0] ** 2
+
+    def solved(self, found: Fitted) -> Fitted:
+        """The least squares at spread, scatter and weights of what was found before."""
+        cells, pieces = len(found.gains), len(found.pieces)
+        known, square = self.variance(found)
+        weight = 1 / np.sqrt(known + found.scatter**2 * square)
+        walk = np.diff(np.eye(pieces), axis=0) / WALK
+        level = np.zeros((1, pieces))
+        level[0, np.searchsorted(ENDS, 0.0) + 1] = 1 / LEVEL
+        prior = np.vstack([walk, level])
+        change, rows = self.loaded.change[self.felt], np.arange(len(self.cell))
+
+        gains_prior = np.eye(cells, cells + pieces) / found.spread
+
+        def split(state: Array) -> Fitted:
+            return replace(found, gains=state[:cells], pieces=state[cells:])
+
+        def residual(state: Array) -> Array:
+            miss = weight * (self.answer(split(state), self.loaded.pressure)[0] - change)
+            return np.concatenate([miss, state[:cells] / found.spread, prior @ state[cells:]])
+
+        def slope(state: Array) -> Array:
+            answer, parts = self.answer(split(state), self.loaded.pressure)
+            own = np.zeros((len(rows), cells))
+            own[rows, self.cell] = weight * answer
+            data, rest = np.hstack([own, weight[:, None] * parts]), np.hstack([np.zeros((len(prior), cells)), prior])
+            return np.vstack([data, gains_prior, rest])
+
+        state = np.concatenate([found.gains, found.pieces])
+        ended = least_squares(residual, state, slope, method="trf", x_scale="jac")
+        jacobian = slope(ended.x)
+        covariance = np.linalg.inv(jacobian.T @ jacobian)
+        return replace(split(ended.x), covariance=covariance, answers=len(rows))
+
+    def supposed(self, found: Fitted) -> Fitted:
+        """With spread and scatter of the largest evidence, cell by cell: residuals are N(0, V + spread² x xᵀ)."""
+        known, square = self.variance(found)
+        answer = self.answer(found, self.loaded.pressure)[0]
+        left = self.loaded.change[self.felt] - answer + answer * found.gains[self.cell]
+        cells = len(found.gains)
+
+        def cost(logarithms: Array) -> float:
+            spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
+            variance = known + scatter**2 * square
+            most = np.bincount(self.cell, answer**2 / variance, cells)
+            shared = np.bincount(self.cell, answer * left / variance, cells)
+            volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
+            # One cell knows nothing of the spread; its own size keeps it from running away.
+            return float((left**2 / variance).sum() - (shared**2 / (1 / spread**2 + most)).sum() + volume + spread)
+
+        ended = minimize(cost, np.log([found.spread, found.scatter]), method="Nelder-Mead")
+        spread, scatter = np.exp(np.clip(ended.x, *np.log(RANGE)))
+        return replace(found, spread=float(spread), scatter=float(scatter))

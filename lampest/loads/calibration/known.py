@@ -1,0 +1,183 @@
+"""Known loads: which frames had which weight, force or pressure, and where; from YAML or CSV."""
+
+import csv
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lampest.files.document import parse_document, read_document, validated
+from lampest.files.errors import InputError
+from lampest.loads.pressure import GRAVITY
+from lampest.loads.shapes import Block, Rod
+from lampest.loads.shapes.shape import Shape
+from lampest.panel.panel import Array, Panel
+
+MOST_LINES = 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoad:
+    """One load that lay still during some frames.
+
+    Parameters
+    ----------
+    frames : the first and the last, counted from 0 in the recording. recording : its file's name, without folder;
+        may be left out where there is one recording.
+    mass_g, force_newton, pressure_kpa : how heavy it was, one of the three; a pressure may be suction.
+    diameter_mm, or length_mm and width_mm with angle_deg : its foot. x_mm, y_mm : the foot's centre. A pressure without
+        foot lies on the whole panel.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    frames: tuple[int, int]
+    recording: str = ""
+    mass_g: float | None = None
+    force_newton: float | None = None
+    pressure_kpa: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    diameter_mm: float | None = None
+    length_mm: float | None = None
+    width_mm: float | None = None
+    angle_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.frames[0] <= self.frames[1]:
+            raise ValueError("frames must be the first and the last of the load, counted from 0")
+        for name in ("mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1e6:
+                raise ValueError(f"{name} must be positive, and below 1e6")
+        if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
+            raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless what is told makes one load."""
+        if sum(one is not None for one in (self.mass_g, self.force_newton, self.pressure_kpa)) != 1:
+            raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
+        given = (self.diameter_mm is not None, self.length_mm is not None, self.width_mm is not None)
+        if given not in ((True, False, False), (False, True, True), (False, False, False)):
+            raise ValueError("a foot is diameter_mm, or length_mm and width_mm")
+        if any(given) != (self.x_mm is not None and self.y_mm is not None):
+            raise ValueError("a foot needs x_mm and y_mm, and they need a foot")
+        if not any(given) and self.pressure_kpa is None:
+            raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
+
+    @property
+    def foot(self) -> Shape | None:
+        """A unit weight on the foot; None: the whole panel."""
+        if self.x_mm is None or self.y_mm is None:
+            return None
+        place = {"centre_mm": (self.x_mm, self.y_mm), "mass_g": 1.0}
+        if self.diameter_mm is not None:
+            return Rod(diameter_mm=self.diameter_mm, **place)  # type: ignore[arg-type]
+        assert self.length_mm is not None and self.width_mm is not None
+        return Block(length_mm=self.length_mm, width_mm=self.width_mm, angle_deg=self.angle_deg, **place)  # type: ignore[arg-type]
+
+    @property
+    def area_mm2(self) -> float:
+        """Of the foot."""
+        if self.diameter_mm is not None:
+            return float(np.pi / 4 * self.diameter_mm**2)
+        return (self.length_mm or 0.0) * (self.width_mm or 0.0)
+
+    def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
+        """Mean on every patch, (rows, columns) kPa; of the foot elsewhere by so much."""
+        foot = self.foot
+        if foot is None:
+            return np.full(panel.shape, self.pressure_kpa)
+        kpa = self.pressure_kpa
+        if kpa is None:
+            newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
+            kpa = newton / self.area_mm2 * 1e3
+        moved = type(foot)(**{**vars(foot), "centre_mm": (foot.centre_mm[0] + along_mm, foot.centre_mm[1] + down_mm)})
+        contact, _ = moved.mean_pressure(panel, patch_mm)
+        return np.asarray(kpa * contact / (GRAVITY / self.area_mm2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoads:
+    """All loads of a calibration.
+
+    Parameters
+    ----------
+    patch_mm : edge of a cell's film; None: 0.6 of the pitch. place_mm : standard deviation of where a foot stood, along
+        x and along y.
+
+    Raises ValueError where there is no load, of one something is missing or named twice, or a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    schema: Literal[1]
+    loads: tuple[KnownLoad, ...]
+    patch_mm: float | None = None
+    place_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.loads:
+            raise ValueError("loads: name one at least")
+        for number, load in enumerate(self.loads, 1):
+            try:
+                load.check()
+            except ValueError as error:
+                raise ValueError(f"load {number}: {error}") from error
+        if self.patch_mm is not None and not 0 < self.patch_mm < 1e6:
+            raise ValueError("patch_mm must be positive")
+        if not 0 <= self.place_mm < 1e6:
+            raise ValueError("place_mm must be zero or positive")
+
+
+def read_known_loads(path: Path) -> KnownLoads:
+    """From YAML; or from CSV with a line of names: first, last, and those of `KnownLoad`.
+
+    Raises InputError with the line where it is neither.
+    """
+    loads: KnownLoads
+    if path.suffix.lower() != ".csv":
+        loads = validated(read_document(path), KnownLoads)
+        return loads
+    try:
+        loads = validated(parse_document(_as_yaml(path), str(path)), KnownLoads)
+    except InputError as error:  # the column is that of the YAML
+        raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+    return loads
+
+
+def _as_yaml(path: Path) -> str:
+    """The same, line by line, so that a fault is named by the line in which it stands."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text in UTF-8") from error
+    if len(lines) > MOST_LINES:
+        raise InputError(f"{path}: more than {MOST_LINES} lines")
+    names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+    text = ["{schema: 1, loads: ["]
+    for number, row in enumerate(rows, 2):
+        cells = {name: cell for name, cell in zip(names, row, strict=False) if cell}
+        if not cells:
+            text.append("")
+            continue
+        if "first" not in cells or "last" not in cells or len(row) > len(names):
+            raise InputError(
+                f"{path}:{number}: each load needs a frame in the columns first and last, and no more cells"
+            )
+        frames = f"frames: [{_scalar(cells.pop('first'))}, {_scalar(cells.pop('last'))}]"
+        text.append("{" + ", ".join([frames, *(f"{json.dumps(key)}: {_scalar(cells[key])}" for key in cells)]) + "},")
+    return "\n".join([*text, "]}"])
+
+
+def _scalar(cell: str) -> str:
+    try:
+        float(cell)
+    except ValueError:
+        return json.dumps(cell)
+    return cell

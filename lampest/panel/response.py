@@ -1,0 +1,207 @@
+"""A film's answer to pressure where a scene tells its own: ln(r/r0) over kPa, strictly falling, and each cell's gain.
+
+    ln(r/r0) = κ·ln f(p)     f of the film, 1 at 0 kPa; κ of the cell, 1 where nothing is told
+
+The published curve, which stands where a scene tells none, is in `lampest.loads.response`.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator
+
+from lampest.files.tagged import ByKind
+from lampest.panel.panel import Array
+
+Table = tuple[tuple[float, ...], ...]
+PARTS = (
+    16  # lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response(ABC):
+    """What all kinds may say of single cells.
+
+    Parameters
+    ----------
+    gain : (rows, columns) κ of each cell. gain_sd : their relative standard deviations; None: cells scatter as
+        `systematic.response_sd` says, or as usual.
+
+    Raises ValueError where a gain is not positive, a deviation negative, or rows are of different lengths.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    gain: Table | None = None
+    gain_sd: Table | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("gain", 0.0), ("gain_sd", -1e-300)):
+            table: Table | None = getattr(self, name)
+            if table is None:
+                continue
+            if not table or len({len(row) for row in table}) > 1:
+                raise ValueError(f"{name} needs one number for each column in each row")
+            if not all(isfinite(number) and number > least for row in table for number in row):
+                raise ValueError(f"{name} must be {'positive' if least == 0 else 'zero or positive'}, and finite")
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raise ValueError unless what is told of cells is as large as the panel."""
+        for name in ("gain", "gain_sd"):
+            table = getattr(self, name)
+            if table is not None and (len(table), len(table[0])) != shape:
+                raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
+
+    @property
+    def gains(self) -> Array:
+        """κ, to be broadcast to (rows, columns)."""
+        return np.array(1.0 if self.gain is None else self.gain)
+
+    @abstractmethod
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """ln f(p), any shape, kPa → 1; 0 at 0."""
+
+    @abstractmethod
+    def pressure(self, logarithm: ArrayLike) -> Array:
+        """p where ln f(p) is so much, any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays."""
+
+    @abstractmethod
+    def curve_sd(self, pressure: ArrayLike) -> Array:
+        """Relative standard deviation of ln f(p), for all cells alike; any shape."""
+
+    @property
+    @abstractmethod
+    def told_kpa(self) -> tuple[float, float]:
+        """Between which pressures it tells anything."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableResponse(Response):
+    """ln f by points: a monotone cubic (PCHIP) through ln r at them, straight on beyond the first and the last.
+
+    Parameters
+    ----------
+    pressure_kpa : rising, from 0 or below to above 0. resistance_ohm : falling, of one cell or any other unit: only
+        what it is over that at 0 kPa counts.
+    sd : of each point, relative standard deviation of ln(r/r0), for all cells alike; None: the curve is exact.
+
+    Example: {kind: table, pressure_kpa: [0, 1, 5, 20], resistance_ohm: [30000, 9000, 2500, 800]}
+
+    Raises ValueError where points do not rise, fall or agree in number.
+    """
+
+    kind: Literal["table"] = "table"
+    pressure_kpa: tuple[float, ...]
+    resistance_ohm: tuple[float, ...]
+    sd: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        pressure, ohm = np.array(self.pressure_kpa), np.array(self.resistance_ohm)
+        if len(pressure) < 2 or len(pressure) != len(ohm):
+            raise ValueError("a table needs two or more points, as many of resistance_ohm as of pressure_kpa")
+        if not (np.all(np.isfinite(pressure)) and np.all(np.diff(pressure) > 0) and pressure[0] <= 0 < pressure[-1]):
+            raise ValueError("pressure_kpa must rise from 0 or below to above 0")
+        if not (np.all(np.isfinite(ohm)) and np.all(ohm > 0) and np.all(np.diff(np.log(ohm)) < 0)):
+            raise ValueError("resistance_ohm must be positive, and fall where pressure_kpa rises")
+        if not np.all(np.diff(self._points[1]) < 0):
+            raise ValueError("points of pressure_kpa or resistance_ohm lie too close to each other")
+        if self.sd is not None and not (len(self.sd) == len(pressure) and all(0 <= one < np.inf for one in self.sd)):
+            raise ValueError("sd needs one number for each point, zero or positive")
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """Between its points, and straight on beyond."""
+        at, logarithm = self._points
+        return _straight_on(pressure, at, logarithm)
+
+    def pressure(self, logarithm: ArrayLike) -> Array:
+        """The same lines the other way."""
+        at, fallen = self._points
+        return _straight_on(-np.asarray(logarithm, dtype=float), -fallen, at)
+
+    def curve_sd(self, pressure: ArrayLike) -> Array:
+        """Between its points; beyond them that of the last."""
+        sd = np.zeros(len(self.pressure_kpa)) if self.sd is None else np.array(self.sd)
+        return np.asarray(np.interp(np.asarray(pressure, dtype=float), self.pressure_kpa, sd))
+
+    @property
+    def told_kpa(self) -> tuple[float, float]:
+        """From the first point to the last."""
+        return self.pressure_kpa[0], self.pressure_kpa[-1]
+
+    @cached_property
+    def _points(self) -> tuple[Array, Array]:
+        """kPa and ln f, PARTS for each interval."""
+        pressure = np.array(self.pressure_kpa)
+        cubic = PchipInterpolator(pressure, np.log(self.resistance_ohm))
+        steps = np.linspace(pressure[:-1], pressure[1:], PARTS, endpoint=False, axis=1)
+        at = np.append(steps.ravel(), pressure[-1])
+        return at, cubic(at) - cubic(0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PowerResponse(Response):
+    """ln f = −n ln(1 + p/p1): the conductance grows with a power of the pressure. Straight on for suction.
+
+    Parameters
+    ----------
+    exponent : n; 1 where the conductance is linear in the force. scale_kpa : p1. sd : relative standard deviation of
+        ln f, for all cells alike. from_kpa, to_kpa : between which pressures it was fitted.
+
+    Example: {kind: power, exponent: 0.8, scale_kpa: 1.5}
+
+    Raises ValueError where a number is out of range.
+    """
+
+    kind: Literal["power"] = "power"
+    exponent: float
+    scale_kpa: float
+    sd: float = 0.0
+    from_kpa: float = 0.0
+    to_kpa: float = 40.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (0.01 <= self.exponent <= 100 and 1e-3 <= self.scale_kpa <= 1e6):
+            raise ValueError("exponent must lie between 0.01 and 100, scale_kpa between 0.001 and 1e6")
+        if not (0 <= self.sd < float("inf")):
+            raise ValueError("sd must be zero or positive, and finite")
+        if not -1e6 < self.from_kpa <= 0 < self.to_kpa < 1e6:
+            raise ValueError("from_kpa must be zero or negative, to_kpa positive")
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """−n ln(1 + p/p1); −n p/p1 for suction."""
+        share = np.asarray(pressure, dtype=float) / self.scale_kpa
+        return np.asarray(-self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0)))
+
+    def pressure(self, logarithm: ArrayLike) -> Array:
+        """p1 (e^{−x/n} − 1) of x = ln f; −p1 x/n for suction."""
+        fallen = -np.asarray(logarithm, dtype=float) / self.exponent
+        with np.errstate(over="ignore"):
+            return np.asarray(self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0)))
+
+    def curve_sd(self, pressure: ArrayLike) -> Array:
+        """The same everywhere."""
+        return np.full(np.shape(pressure), self.sd)
+
+    @property
+    def told_kpa(self) -> tuple[float, float]:
+        """Where it was fitted."""
+        return self.from_kpa, self.to_kpa
+
+
+AnyResponse = Annotated[TableResponse | PowerResponse, ByKind()]
+
+
+def _straight_on(x: ArrayLike, at: Array, values: Array) -> Array:
+    """Lines through (at, values), the outermost continued by the mean slope of the PARTS next to them; NaN stays."""
+    x = np.asarray(x, dtype=float)
+    inside = np.interp(x, at, values)
+    first = (values[PARTS] - values[0]) / (at[PARTS] - at[0])
+    last = (values[-1] - values[-1 - PARTS]) / (at[-1] - at[-1 - PARTS])
+    return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))

@@ -1,0 +1,137 @@
+"""Recordings of a panel on which known loads lay one after the other, or several at once; no test stands here."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lampest.loads.calibration.known import KnownLoad
+from lampest.loads.shapes import Rod
+from lampest.loads.shapes.shape import Shape
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import AnyResponse
+from lampest.panel.scene import Scene
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
+from lampest.recording.simulation.unmodelled import Unmodelled
+
+RESTING = 4
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A panel on a bench. spread : of the cells' answers. response : what the film truly does. frames : of each load.
+
+    repeat : standard deviation of the logarithm of a factor on each cell's answer, drawn anew for each load.
+    """
+
+    seed: int
+    panel: Panel = field(default_factory=lambda: Panel(8, 8))
+    spread: float = 0.2
+    repeat: float = 0.05
+    response: AnyResponse | None = None
+    frames: int = 2
+
+    @property
+    def scene(self) -> Scene:
+        """What the estimator is told."""
+        return Scene(self.panel, TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
+
+    def recorded(self, loads: Sequence[Sequence[Shape]], name: str, scene: Scene | None = None) -> Recording:
+        """Each group of loads for some frames, after unloaded ones, with the true pressure."""
+        rng = np.random.default_rng([self.seed, len(loads), len(name)])
+        still, course = np.arange(RESTING + self.frames, dtype=float), Course(approach_s=0.0)
+        cells, pressure = [], []
+        for group in loads:
+            made = Simulation(
+                1,
+                self.seed,
+                self.scene,
+                baseline_frames=RESTING,
+                frames=self.frames,
+                loads=tuple(group),  # type: ignore[arg-type]
+                course=course,
+                response=self.response,
+                unmodelled=Unmodelled(response_spread=self.spread),
+            )
+            under = cells_under(made, still)
+            again = np.exp(self.repeat * rng.standard_normal(self.panel.shape))
+            cells.append(under[:1] * (under[RESTING:] / under[:1]) ** again)
+            pressure.append(pressure_at(made, still - RESTING)[RESTING:])
+        resting = np.repeat(under[:1], RESTING, axis=0)
+        truth = np.concatenate([resting, *cells])
+        recorded, _ = measured(self.scene, truth, Unmodelled(), self.seed + len(name), 1.0, ())
+        return Recording(
+            scene=scene or self.scene,
+            recorded=recorded,
+            time=np.arange(len(truth), dtype=float),
+            role=np.where(np.arange(len(truth)) < RESTING, UNLOADED, MEASURED).astype(np.uint8),
+            truth_cell_resistance=truth,
+            truth_pressure=np.concatenate([0 * resting, *pressure]),
+            name=name,
+        )
+
+    def frames_of(self, number: int) -> tuple[int, int]:
+        """The first and the last frame of a group of loads."""
+        first = RESTING + number * self.frames
+        return first, first + self.frames - 1
+
+
+def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
+    """A rod that presses with so much."""
+    return Rod(centre_mm=(x, y), diameter_mm=diameter, mass_g=kpa * np.pi / 4 * diameter**2 / 9.81)
+
+
+def moved_over(
+    bench: Bench, kpa: Sequence[float], diameter: float, step: float, away: float = 0.5
+) -> tuple[list[list[Shape]], list[KnownLoad]]:
+    """Rods of some pressures moved over the panel in steps: where they stood, and what is said of it.
+
+    away : mm, standard deviation of where they stood.
+    """
+    rng = np.random.default_rng([bench.seed, 5])
+    xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])
+    groups: list[list[Shape]] = []
+    known = []
+    for one in kpa:
+        for x in xs:
+            for y in ys:
+                there = rng.normal((x, y), away)
+                groups.append([rod(float(there[0]), float(there[1]), diameter, one)])
+                load = rod(float(x), float(y), diameter, one)
+                known.append(
+                    KnownLoad(
+                        frames=bench.frames_of(len(known)),
+                        mass_g=load.mass_g,
+                        x_mm=float(x),
+                        y_mm=float(y),
+                        diameter_mm=diameter,
+                    )
+                )
+    return groups, known
+
+
+def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
+    """Rods that do not overlap, of 15 to 25 mm and 2 to 20 kPa."""
+    found: list[Rod] = []
+    while len(found) < count:
+        diameter = float(rng.uniform(15, 25))
+        ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
+        x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
+        apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in found]
+        if all(far > (diameter + other.diameter_mm) / 2 + 10 for far, other in zip(apart, found, strict=True)):
+            found.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
+    return list(found)
+
+
+def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
+    """Σ p·pitch² over the cells within 6 mm of each load, newton."""
+    columns, rows = panel.centres_mm()
+    found = []
+    for load in loads:
+        far = np.hypot(columns[None] - load.centre_mm[0], rows[:, None] - load.centre_mm[1])
+        found.append(pressure[far < load.reach_mm + 6].sum() * panel.pitch_mm**2 * 1e-3)
+    return np.array(found)

@@ -1,0 +1,131 @@
+"""Responses from known loads against the film that was put in: curve, gains, their bars, forces of fresh touches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_loads import Bench, forces, moved_over, touches
+
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.load_calibration import LoadCalibration, calibrate_loads
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.loads.calibration.fit import Loaded, fit_loads
+from lampest.loads.calibration.known import KnownLoad, KnownLoads
+from lampest.loads.response import log_ratio_from_pressure
+from lampest.panel.panel import Array, Panel
+from lampest.panel.response import PowerResponse
+from lampest.panel.scene import Scene
+from lampest.recording.simulation.unmodelled import random_stream
+
+OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
+
+
+def calibrated(bench: Bench, kpa: list[float], step: float) -> LoadCalibration:
+    groups, known = moved_over(bench, kpa, 30.0, step)
+    return calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
+
+
+def true_gains(bench: Bench) -> Array:
+    return np.asarray(np.exp(bench.spread * random_stream(bench.seed, "response").standard_normal(bench.panel.shape)))
+
+
+def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
+    """|F/F_true − 1| of two or three touches in each of so many frames that no calibration has seen."""
+    rng = np.random.default_rng(bench.seed + 1000)
+    fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(count)]
+    recording = bench.recorded(fresh, "fresh", scene)
+    pressure, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")).pressure, recording.truth_pressure
+    assert pressure is not None and truth is not None
+    errors = []
+    for number, loads in enumerate(fresh):
+        first, _ = bench.frames_of(number)
+        there = forces(truth[first], loads, bench.panel)
+        errors.append(forces(pressure[first - 4], loads, bench.panel) / there - 1)
+    return np.abs(np.concatenate(errors))
+
+
+def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
+    """The film has the published form; 64 places of one rod tell what each cell makes of it, and 5 kPa is all."""
+    bench = Bench(1, spread=0.25, repeat=0.02)
+    found = calibrated(bench, [5.0], 10.0)
+    naive, ours = (force_errors(bench, scene, 8) for scene in (bench.scene, found.scene))
+    assert np.mean(ours) < 0.10
+    assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
+
+
+def test_several_pressures_tell_another_film() -> None:
+    bench = Bench(2, response=OTHER, repeat=0.02)
+    found = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
+    response = found.scene.response
+    assert response is not None
+    gains = true_gains(bench)
+    shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
+    for kpa in (1.0, 3.0, 9.0, 20.0):
+        assert response.logarithm(kpa) == pytest.approx(shift * OTHER.logarithm(kpa), rel=0.08)
+    off = np.log(response.gains * shift / gains) / np.array(response.gain_sd)
+    assert np.mean(np.abs(off) < 1.96) > 0.85
+    assert found.fitted.spread == pytest.approx(0.2, abs=0.06)
+    naive, ours = (force_errors(bench, scene, 8) for scene in (bench.scene, found.scene))
+    assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
+
+
+def test_bars_of_gains_and_curve_hold_the_truth() -> None:
+    """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
+    rng, gains, curves = np.random.default_rng(3), [], []
+    pressure = np.repeat([[1.0], [4.0], [12.0], [30.0]], 60, axis=1)
+    for _ in range(40):
+        own = np.exp(0.2 * rng.standard_normal(60))
+        scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
+        change = own * scatter * log_ratio_from_pressure(pressure, OTHER)
+        change += 0.01 * rng.standard_normal(pressure.shape)
+        found = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60), None))
+        gain, sd = found.gain()
+        shift = np.log(own).mean()
+        gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
+        curve, curve_sd = found.curve(pressure[:, 0], None)
+        truth = np.exp(shift) * log_ratio_from_pressure(pressure[:, 0], OTHER)
+        curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
+    assert np.mean(gains) > 0.9
+    assert np.mean(curves) > 0.9
+
+
+def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
+    bench = Bench(4, panel=Panel(6, 6), repeat=0.02)
+    groups, known = moved_over(bench, [5.0], 30.0, 10.0)
+    left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
+    some = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(left)]
+    recording = bench.recorded([groups[number] for number in left], "left")
+    found = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
+    response = found.scene.response
+    assert response is not None and response.gain_sd is not None
+    untouched = ~found.fitted.touched.reshape(6, 6)
+    assert untouched[:, -1].all() and not untouched[:, 0].any()
+    np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)
+    sd = np.array(response.gain_sd)
+    assert sd[untouched].min() > 2 * np.median(sd[:, 0]) and sd[untouched].min() >= 0.99 * found.fitted.spread
+
+
+def test_pressures_over_the_whole_panel_suction_too() -> None:
+    """As in a bag that is pumped out or blown up; the cells' gains follow from four loads."""
+    bench = Bench(5, panel=Panel(4, 4), repeat=0.0)
+    kpa = [-6.0, 2.0, 6.0, 12.0]
+    loads = tuple(KnownLoad(frames=(n, n), pressure_kpa=one) for n, one in enumerate(kpa))
+    gains = true_gains(bench).ravel()
+    change = gains * log_ratio_from_pressure(np.array(kpa)[:, None])
+    pressure = np.stack([load.pressure(bench.panel, 6.0).ravel() for load in loads])
+    found = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16), None))
+    shift = np.exp(np.log(gains).mean())
+    np.testing.assert_allclose(found.gain()[0], gains / shift, rtol=0.01)
+    np.testing.assert_allclose(
+        found.curve(np.array(kpa), None)[0], shift * log_ratio_from_pressure(np.array(kpa)), rtol=0.01
+    )
+
+
+def test_loads_at_other_places_are_no_calibration() -> None:
+    bench = Bench(6, panel=Panel(6, 6))
+    groups, known = moved_over(bench, [5.0], 20.0, 25.0)
+    swapped = tuple(replace(load, x_mm=50 - load.x_mm) for load in known if load.x_mm is not None)
+    with pytest.raises(InputError, match="the loads do not explain the cells"):
+        calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=swapped), 0.01)
