@@ -15,7 +15,7 @@ from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.touching import touching_columns, touching_rows
 from lampest.report.holes import Holes
-from lampest.runs.results import FORMAT, Results, read_results
+from lampest.runs.results import FORMAT, CaseResult, Results, read_results
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 MOST_ROWS, MOST_COLUMNS = 24, 12
@@ -178,7 +178,7 @@ def _results_lines(results: Results) -> list[str]:
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(
-                f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}  "
+                f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}{_starts(case)}  "
                 f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
             )
     if results.published:
@@ -188,6 +188,17 @@ def _results_lines(results: Results) -> list[str]:
         lines.append(f"cell resistance of {case.recording} × {case.estimator}, frame {case.frame[0]}, in ohm:")
         lines += text_map(case.cell_resistance[0])
     return lines
+
+
+def _starts(case: CaseResult) -> str:
+    """'', or of how many starts the estimates of the solved frames are the lowest local optimum."""
+    optima = np.array([status.startswith(("optimum", "an optimum,")) for status in case.status])
+    if case.starts is None or not optima.any():
+        return ""
+    least, most = (int(end(case.starts[optima])) for end in (np.min, np.max))
+    if most == 1:
+        return ", local optima from one start a frame"
+    return f", local optima, the lowest from {least if least == most else f'{least} to {most}'} starts a frame"
 
 
 def _holes(recording: Recording) -> list[str]:

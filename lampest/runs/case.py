@@ -38,7 +38,8 @@ class CaseResult:
     open_cell, at_lower_bound : (frames, rows, columns) 0 or 1.
     baseline_resistance : (rows, columns) ohm.
     status : (frames) how each solve ended, a sentence.
-    iterations, solve_time, objective, kkt_residual : (frames), solve_time in s.
+    iterations, solve_time, objective, kkt_residual : (frames), solve_time in s. starts : (frames) of each
+        solve; None in results that do not say.
     costs, weights : term → (frames). disc : an oral disc's number → (frames), where the cells follow from one.
     contacts : line → its contact's resistance (frames) ohm, and with `_errors` behind it the standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
@@ -104,6 +105,7 @@ class CaseResult:
     sigma_baseline: Array | None = None
     reading_side: NDArray[np.int8] | None = None
     missing_readings: NDArray[np.int64] | None = None
+    starts: NDArray[np.int64] | None = None
     bound_readings: NDArray[np.int64] | None = None
     cell_resistance_errors: Array | None = None
     cell_resistance_lower: Array | None = None

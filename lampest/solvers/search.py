@@ -78,7 +78,10 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     relative = any(term.needs_previous for term in solver.cost.terms)
     if (relative or not data.readout.unique) and not isinstance(solver, Newton):
         scout = _best(Newton(solver.cost, solver.settings), data, previous)
-        return solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance)) if scout.solved else scout
+        if not scout.solved:
+            return scout
+        at = evaluated(solver.cost, data, scout.cell_resistance)
+        return replace(solved_from(solver, at), starts=scout.starts)
     plain = all(term.reads_measurement for term in solver.cost.terms)
     uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
@@ -124,9 +127,10 @@ def _unchanged(data: Data) -> list[Array]:
 
 
 def _least(found: Solution, others: list[Solution]) -> Solution:
-    """The first, unless one of the others is a lower minimum."""
+    """The first, unless one of the others is a lower minimum; with the number of them all."""
     best = min((other for other in others if other.solved), key=lambda one: one.objective, default=found)
-    return best if not found.solved or best.objective < found.objective * (1 - SAME) else found
+    lowest = best if not found.solved or best.objective < found.objective * (1 - SAME) else found
+    return replace(lowest, starts=1 + len(others))
 
 
 def _with_squared(solver: Solver, points: list[Evaluation]) -> list[Evaluation]:

@@ -95,7 +95,7 @@ class Solution:
     cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
-    factor : of the outcome.
+    factor : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they reached.
     """
 
     cell_resistance: Array
@@ -110,6 +110,7 @@ class Solution:
     at: Evaluation | None = None
     dual: Array | None = None
     factor: Factor | None = None
+    starts: int = 1
 
     @property
     def solved(self) -> bool:

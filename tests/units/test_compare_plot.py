@@ -169,6 +169,22 @@ def test_all_frames_failed(tmp_path: Path) -> None:
     assert any("solved 0/3" in line for line in describe(tmp_path / "r.h5"))
 
 
+def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
+    words = ("optimum verified", "an optimum, but a plateau", "approximate, as the formulation asks; not an optimum")
+    starts = np.array([1, 4, 9])
+    write_results(
+        tmp_path / "r.h5",
+        [
+            invented_case("LSM", status=words, starts=starts),
+            invented_case("region", status=words[2:] * 3, starts=starts),
+            invented_case("old"),
+        ],
+    )
+    told = "\n".join(describe(tmp_path / "r.h5"))
+    assert "solved 3/3, local optima, the lowest from 1 to 4 starts a frame  r " in told
+    assert told.count("local optima") == 1
+
+
 def test_describe(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", [invented_case(name) for name in METHODS], PUBLISHED)
     lines = describe(tmp_path / "r.h5")

@@ -79,6 +79,14 @@ ESTIMATE = (
         of_steps(lambda step: step.solution.iterations),
         dtype=np.int64,
     ),
+    Column(
+        "starts",
+        FRAMES,
+        "1",
+        "starts of the solve; the estimate is the lowest local optimum that they reached",
+        of_steps(lambda step: step.solution.starts),
+        dtype=np.int64,
+    ),
     Column("solve_time", FRAMES, "s", "wall time of the solve", of_steps(lambda step: step.seconds)),
     Column("objective", FRAMES, "1", "value of the cost function", of_steps(lambda step: step.solution.objective)),
     Column(
