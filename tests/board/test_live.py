@@ -78,8 +78,10 @@ def blueness(image: Array, window: Browser, canvas: str) -> Array:
 
 
 def test_a_user_sees_the_ring(tmp_path: Path) -> None:
-    """850 g on a ring of 27 to 35 mm: 8.3 N under eight cells around four that carry nothing."""
+    """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)
+    pressure = Recording.load(RING).truth_pressure
+    assert pressure is not None
     with (
         bench(tmp_path, cells, "--real-time", period=0.25) as board,
         live(
@@ -90,7 +92,7 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
         window.screenshot(SCREENSHOT)
         image = imread(SCREENSHOT)
         assert window.text("state") == "receiving"
-        assert float(window.text("total").split()[0]) == pytest.approx(850e-3 * 9.81, rel=0.15)
+        assert float(window.text("total").split()[0]) == pytest.approx(0.1 * pressure[-1].sum(), rel=0.05)
         assert window.text("lost") == "0"
         label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
         drawn, measured = blueness(image, window, "cells"), blueness(image, window, "measured")
