@@ -144,10 +144,10 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
     told = read_known_loads(loads)
     found = calibrate_loads([Recording.load(file) for file in files], told, tolerance)
     if out is None:
-        print(found.text(), end="")
+        say_text(found.text().removesuffix("\n"))
         return
     write_whole(out, found.text())
-    print(f"{found.summary()}: {out}")
+    say(f"{found.summary()}: {out}")
 
 
 def live(
