@@ -41,17 +41,19 @@ class PressedCells:
 
 
 def pressed_of(case: CaseResult) -> PressedCells | None:
-    """Cells count that press by more than three standard deviations, each with its whole pitch².
+    """Cells count whose resistance fell by more than three standard deviations, each with its whole pitch².
 
     F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the pressed cells, a the pitch squared. Errors of the cells are taken to
     be independent; to those of area and centre comes that the load's outline lies anywhere within the cells on it,
     a²/12 and pitch²/12 each. What lies between the films of two cells is not measured: a spot smaller than a cell has
-    the force of one that fills it. None where the results hold no pressure with errors.
+    the force of one that fills it. How unevenly films answer widens pressures alone: that something presses is as clear
+    as its change. None where the results hold no pressure or no change with errors.
     """
-    if case.pressure is None or case.pressure_errors is None:
+    if case.pressure is None or case.pressure_errors is None or case.relative_change_errors is None:
         return None
-    both = [_frame(*maps, case.scene.panel.pitch_mm) for maps in zip(case.pressure, case.pressure_errors, strict=True)]
-    touched = _touched(case.pressure, case.pressure_errors)
+    touched = _touched(case.pressure, case.relative_change, case.relative_change_errors)
+    frames = zip(case.pressure, case.pressure_errors, touched, strict=True)
+    both = [_frame(*maps, case.scene.panel.pitch_mm) for maps in frames]
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
@@ -63,13 +65,14 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
     return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
 
 
-def _touched(pressure: Array, errors: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.nan_to_num(pressure) > CLEAR * np.nan_to_num(errors, nan=np.inf, posinf=np.inf))
+def _touched(pressure: Array, change: Array, errors: Array) -> NDArray[np.bool_]:
+    """Where cells have a pressure and conduct more than at rest, clearly; any shape, changes in percent."""
+    fallen = -np.nan_to_num(change) > CLEAR * np.nan_to_num(errors, nan=np.inf, posinf=np.inf)
+    return np.asarray(fallen & (np.nan_to_num(pressure) > 0))
 
 
-def _frame(pressure: Array, errors: Array, pitch: float) -> tuple[Array, Array]:
-    """(values, errors) of one frame, each (5)."""
-    touched = _touched(pressure, errors)
+def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], pitch: float) -> tuple[Array, Array]:
+    """(values, errors) of one frame, each (5), of its touched cells."""
     if not touched.any():
         return np.full(5, np.nan), np.full(5, np.nan)
     rows, columns = np.nonzero(touched)
