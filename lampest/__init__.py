@@ -83,6 +83,8 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
     from lampest.panel.series import SeriesPerLine as SeriesPerLine
+    from lampest.panel.subject import Experiment as Experiment
+    from lampest.panel.subject import MeasuredSubject as MeasuredSubject
     from lampest.recording import datasets as datasets
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene

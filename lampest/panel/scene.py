@@ -17,6 +17,7 @@ from lampest.panel.readouts.lines import MOST_OHM, check_lines, lines_text
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse
 from lampest.panel.series import SeriesPerLine
+from lampest.panel.subject import Experiment, MeasuredSubject
 
 DEEPEST_MM = 1.1e7
 MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # the rest in ohm
@@ -222,6 +223,7 @@ class Scene:
     contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
     film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
     response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: the published curve.
+    subject, experiment : who was measured and for what; None: not told. No estimate depends on them.
 
     Raises ValueError where a number is out of range.
     """
@@ -239,6 +241,8 @@ class Scene:
     contacts: Contacts | None = None
     film: Film | None = None
     response: AnyResponse | None = None
+    subject: MeasuredSubject | None = None
+    experiment: Experiment | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.series_resistance_ohm, SeriesPerLine):

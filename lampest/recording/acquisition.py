@@ -1,6 +1,7 @@
 """What a board adds to a recording's frames: clocks, sequence numbers, gaps, and the events that were marked."""
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import h5py
@@ -13,6 +14,7 @@ from lampest.panel.panel import Array
 
 PATH = "/entry/acquisition"
 LABEL_BYTES = 16
+LAST_SECOND = 253_402_300_800.0  # of the year 9999
 # name, type, units, what it is; for every frame
 FRAME_FIELDS = (
     ("host_time", "f8", "s", "host clock when the frame arrived, since 1970-01-01 UTC"),
@@ -68,6 +70,16 @@ class Acquisition:
             hdf5.write_dataset(group, "event_time", self.event_time, "s", "time of the event")
             labels = hdf5.ascii_array([label or "?" for label in self.event_label])
             group.create_dataset("event_label", data=labels)
+
+    def start(self, first: float) -> str | None:
+        """Date and time at 0 s by the host's clock, ISO 8601 in UTC; None where it told none.
+
+        first : of the first frame on the time axis, s.
+        """
+        seconds = float(self.host_time[0]) - first
+        if not 0 < seconds < LAST_SECOND:
+            return None
+        return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
     @classmethod
     def read(cls, file: h5py.File, kept: slice) -> "Acquisition | None":

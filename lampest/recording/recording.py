@@ -17,7 +17,7 @@ from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
 from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
-UNLOADED, MEASURED = 0, 1
+UNLOADED, MEASURED = ROLES = 0, 1
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
@@ -132,6 +132,8 @@ class Recording:
             acquisition = Acquisition.read(file, kept)
             started = hdf5.has(file, "/entry/start_time")
             start_time = hdf5.read_text(file, "/entry/start_time") if started else None
+            if acquisition is not None and not started and frames and optional["time"]:
+                start_time = acquisition.start(float(time[0]))
         return cls(
             scene,
             recorded,
@@ -168,8 +170,9 @@ class Recording:
             hdf5.write_dataset(
                 group, "sigma", self.sigma, circuit.unit, f"standard deviation of {circuit.signal}", scales
             )
-        role = self.role.astype(np.uint8)
-        hdf5.write_dataset(group, "role", role, "1", "0 unloaded baseline, 1 measured", ("time",))
+        role, flags = self.role.astype(np.uint8), {"flag_values": np.array(ROLES, dtype=np.uint8)}
+        words = "0 unloaded baseline, 1 measured"
+        hdf5.write_dataset(group, "role", role, "1", words, ("time",), **flags, flag_meanings="unloaded measured")
         if self.truth_cell_resistance is not None:
             truth = self._frames_group(entry, "truth", "cell_resistance")
             cells = self.truth_cell_resistance
@@ -192,6 +195,9 @@ class Recording:
         hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
         hdf5.write_scale(group, "row", np.arange(rows), "1", "row line")
         hdf5.write_scale(group, "column", np.arange(columns), "1", "column line")
+        x, y = self.scene.panel.centres_mm()
+        hdf5.write_dataset(group, "y", y, "mm", "position of the row", ("row",))
+        hdf5.write_dataset(group, "x", x, "mm", "position of the column", ("column",))
         return group
 
     def readings(self) -> Readings:

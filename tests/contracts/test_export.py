@@ -13,7 +13,17 @@ import pytest
 from numpy.testing import assert_array_equal
 from support import invented_case
 
-from lampest import CaseResult, Export, InputError, LoadedColumnsReadout, export_results, read_results, write_results
+from lampest import (
+    CaseResult,
+    Experiment,
+    Export,
+    InputError,
+    LoadedColumnsReadout,
+    MeasuredSubject,
+    export_results,
+    read_results,
+    write_results,
+)
 
 START = "2026-05-04T09:30:00+02:00"
 Run = Callable[..., SimpleNamespace]
@@ -229,3 +239,22 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     with pytest.raises(InputError, match=r"r\.txt: no"):
         export_results(results, Broken())
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
+
+
+def test_who_was_measured_is_in_nwb(tmp_path: Path) -> None:
+    from pynwb import read_nwb
+
+    case = invented_case("LSM", "mouth", (2, 3, 4), start_time=START)
+    scene = dataclasses.replace(
+        case.scene,
+        subject=MeasuredSubject(id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0),
+        experiment=Experiment(title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5),
+    )
+    write_results(tmp_path / "r.h5", [dataclasses.replace(case, scene=scene)])
+    (path,) = export_results(tmp_path / "r.h5", "nwb")
+    session = read_nwb(str(path))
+    assert (session.subject.subject_id, session.subject.species) == ("L7", "Petromyzon marinus")
+    assert (session.subject.weight, session.subject.description) == ("0.15 kg", "420 mm long")
+    assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"
+    assert session.experimenter == ("Doe, Jane",)
+    session.read_io.close()

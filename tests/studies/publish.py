@@ -4,8 +4,8 @@ python -m tests.studies.publish                       # every way, 600 frames of
 python -m tests.studies.publish --kind mqtt --frames 300 --broker 127.0.0.1:1883
 
 Frames come from a recording, at 30 a second and against the clock, as a board's would; a frame counts as arrived when
-the source hands it over. mqtt needs a broker. Prints median, 99th percentile and largest latency in ms, and how many of
-the frames came through.
+the source hands it over. mqtt needs a broker. Prints median, 99th percentile and largest latency in ms, how many of the
+frames came through, and of ways with JSON how much of it was the solve. --estimator is one of `lampest live`.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -60,12 +61,12 @@ def long_recording(path: Path, frames: int) -> None:
 
 
 def heard(kind: str, where: str, seconds: float) -> None:
-    """Listen, and print (sequence, latency in s) as JSON at the end; run in a process of its own."""
-    came: list[tuple[int, float]] = []
+    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end; run in a process of its own."""
+    came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:
         now, told = time.time(), json.loads(text)
-        came.append((told["sequence"], now - told["health"]["arrived"]))
+        came.append((told["sequence"], now - told["health"]["arrived"], told["health"]["solve_seconds"]))
 
     until = time.monotonic() + seconds
     address, _, topic = where.partition("://")[2].partition("/")
@@ -98,12 +99,13 @@ def heard(kind: str, where: str, seconds: float) -> None:
         # A bundle does not carry when its frame arrived; this clock and the recording's differ by a constant.
         dispatcher, number = Dispatcher(), [0]
         dispatcher.map("/lampest/sequence", lambda _, value: number.__setitem__(0, value))
-        dispatcher.map("/lampest/time", lambda _, value: came.append((number[0], time.monotonic() - value)))
+        dispatcher.map("/lampest/time", lambda _, value: came.append((number[0], time.monotonic() - value, nan)))
         with BlockingOSCUDPServer((host, int(port)), dispatcher) as server:
             server.timeout = 0.2
             while time.monotonic() < until:
                 server.handle_request()
-        came = [(sequence, late - min(late for _, late in came)) for sequence, late in came]
+        first = min(late for _, late, _ in came)
+        came = [(sequence, late - first, solve) for sequence, late, solve in came]
     else:
         import pylsl
 
@@ -112,12 +114,12 @@ def heard(kind: str, where: str, seconds: float) -> None:
         while time.monotonic() < until:
             sample, stamp = inlet.pull_sample(timeout=0.2)
             if sample is not None:
-                came.append((int(sample[0]), pylsl.local_clock() - stamp))
+                came.append((int(sample[0]), pylsl.local_clock() - stamp, nan))
     print(json.dumps(came))
 
 
-def measured(kind: str, where: str, frames: int) -> tuple[int, np.ndarray]:
-    """(how many came, latencies in ms after the warm ones)."""
+def measured(kind: str, where: str, frames: int, estimator: str) -> np.ndarray:
+    """(frames, 2) latency and solve in ms of those that came, after the warm ones."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.h5"
         long_recording(path, WARM + frames)
@@ -125,10 +127,9 @@ def measured(kind: str, where: str, frames: int) -> tuple[int, np.ndarray]:
         command = [sys.executable, "-m", "tests.studies.publish", "--listen", kind, where, str(seconds)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
             time.sleep(2)
-            live(Replay(path), http="127.0.0.1:0", frames=WARM + frames, publish=(where,))
+            live(Replay(path), http="127.0.0.1:0", frames=WARM + frames, publish=(where,), method=estimator)
             came = json.loads(listener.communicate()[0])
-    late = np.array([1e3 * late for sequence, late in came if sequence > WARM])
-    return len(late), late
+    return 1e3 * np.array([times for sequence, *times in came if sequence > WARM])
 
 
 def main() -> None:
@@ -137,6 +138,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=list(addresses("")))
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--broker", default="127.0.0.1:1883")
+    parser.add_argument("--estimator", default="LSR-gCR")
     parser.add_argument("--listen", nargs=3)
     given = parser.parse_args()
     if given.listen:
@@ -144,11 +146,11 @@ def main() -> None:
         return
     for kind, where in addresses(given.broker).items():
         if given.kind in (None, kind):
-            count, late = measured(kind, where, given.frames)
-            median, most = np.percentile(late, [50, 99])
+            late, solves = measured(kind, where, given.frames, given.estimator).T
+            (median, most), solve = np.percentile(late, [50, 99]), np.percentile(solves, [50, 99])
             print(
-                f"{kind:10} {count}/{given.frames} frames, median {median:.1f} ms, p99 {most:.1f} ms, largest "
-                f"{late.max():.1f} ms",
+                f"{kind:10} {len(late)}/{given.frames} frames: median {median:.1f} ms, p99 {most:.1f} ms, largest "
+                f"{late.max():.1f} ms; the solve alone {solve[0]:.1f} and {solve[1]:.1f} ms",
                 flush=True,
             )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.files.extras import extra
+from lampest.panel.scene import Scene
 from lampest.report.export.export import Export
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import CELLS, FIGURES, TIME, Column, all_columns
@@ -65,11 +66,34 @@ def _session(cases: Sequence[CaseResult]) -> Any:
         source_script_file_name="lampest export",
         source_script=f"lampest {first.versions.get('lampest', '')}",
     )
+    _tell(session, first.scene)
     rows, columns = first.scene.panel.shape
     session.create_device(
         name="panel", description=f"{rows} × {columns} cells, {first.scene.panel.pitch_mm:g} mm apart"
     )
     return session
+
+
+def _tell(session: Any, scene: Scene) -> None:
+    """Who was measured and for what, where the scene says it."""
+    from pynwb.file import Subject
+
+    subject, experiment = scene.subject, scene.experiment
+    if subject is not None:
+        length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
+        session.subject = Subject(
+            subject_id=subject.id or None,
+            species=subject.species or None,
+            weight=None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg",
+            description="; ".join(filter(None, (length, subject.note))) or None,
+        )
+    if experiment is not None:
+        celsius = experiment.water_temperature_celsius
+        water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
+        told = "; ".join(filter(None, (experiment.title, water, experiment.note)))
+        session.experiment_description = told or None
+        session.experimenter = (experiment.experimenter,) if experiment.experimenter else None
+        session.institution = experiment.institution or None
 
 
 def _start(case: CaseResult) -> datetime:
