@@ -80,6 +80,13 @@ def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
     return beyond
 
 
+def as_panels_have(values: Array) -> Array:
+    """Zero for numbers that are smaller than any panel's, infinity with their sign for larger ones; else themselves."""
+    if not np.any(beyond := beyond_any_panel(values)):
+        return values
+    return np.where(beyond, np.where(np.abs(values) < SMALLEST, 0.0, np.copysign(np.inf, values)), values)
+
+
 def difference_matrix(length: int) -> Array:
     """D (length, length): central differences inside, one-sided at the border, zero for a single point.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array, beyond_any_panel
+from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
@@ -70,9 +70,7 @@ class Recording:
             check_sigma(self.scene, self.recorded, self.sigma)
         except InputError as error:
             raise InputError(f"{self.name}: {self._group}/{error}") from error
-        if np.any(out := beyond_any_panel(self.recorded)):
-            held = f"{self.recorded[out][0]:.6g} {self.scene.circuit.unit}"
-            raise InputError(f"{self.name}: {self.path} holds {held}, which no panel has")
+        object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
         if np.any(np.abs(self.time) > LATEST_S):
             raise InputError(f"{self.name}: {self._group}/time goes beyond {LATEST_S:g} s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
