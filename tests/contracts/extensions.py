@@ -30,14 +30,14 @@ class Leash(lampest.Term):
 
 @dataclass(frozen=True)
 class Cushion(lampest.Loss):
-    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual."""
+    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual; written without the cancellation."""
 
     softness: float = 1.0
     kind: Literal["cushion"] = "cushion"
 
     def cost(self, residual: Any) -> Any:
         """The sum, symbolic or numeric."""
-        return 2 * self.softness**2 * casadi.sum1((1 + (residual / self.softness) ** 2) ** 0.5 - 1)
+        return 2 * casadi.sum1(residual**2 / ((1 + (residual / self.softness) ** 2) ** 0.5 + 1))
 
 
 @dataclass(frozen=True, kw_only=True)
