@@ -45,6 +45,7 @@ EXAMPLES = {
     "record": "lampest record --out today.h5 --scene scene.yaml --baseline 3 --seconds 60",
     "repair": "lampest repair today.h5",
     "calibrate": "lampest calibrate known.h5 --known known.csv --out scene.yaml",
+    "export": "lampest export results/run/results.h5 --to csv",
     "live": "lampest live --recording example.h5 --speed 2",
     "bench": "lampest bench bench.yaml --set sizes=[10]",
     "tradeoff": "lampest tradeoff tradeoff.yaml",

@@ -104,8 +104,9 @@ def check_message(told: dict[str, Any]) -> None:
     Draft202012Validator(SCHEMA).validate(told)
     assert len(told["cells"]) == len(told["change"]) == len(told["pressure"]) == 100
     assert told["health"]["solved"] and told["health"]["arrived"] <= told["health"]["sent"]
-    assert told["force"] == pytest.approx(sum(told["pressure"]) * 1e-1, abs=0.02), "kPa on 10 mm × 10 mm"
-    assert told["verdict"].startswith("pressing"), "the rim of a mouth presses more than its inside sucks"
+    known = [kpa for cell, kpa in enumerate(told["pressure"]) if cell not in told["health"]["saturated"]]
+    assert told["force"] == pytest.approx(sum(known) * 1e-1, abs=0.02), "kPa on 10 mm × 10 mm"
+    assert told["verdict"].startswith("pressing"), "the rim of a mouth presses"
 
 
 @needs_broker
@@ -237,7 +238,7 @@ def test_osc_carries_the_frame(lampest: Run) -> None:
         bundle = OscBundle(ear.recv(65536))
     told = {message.address: message.params for message in bundle}
     assert told["/panel/size"] == [10, 10] and len(told["/panel/cells"]) == 100
-    assert told["/panel/force"][0] == pytest.approx(np.sum(told["/panel/pressure"]) / 10, rel=1e-4)
+    assert told["/panel/force"][0] < np.sum(told["/panel/pressure"]) / 10, "saturated cells of the rim are left out"
     assert told["/panel/verdict"][0].startswith("pressing") and told["/panel/solved"] == [True]
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from support import live_pictures
 
+from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
@@ -30,6 +31,7 @@ from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Water
+from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
@@ -40,6 +42,7 @@ from lampest.report.live.feed import from_recording
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
 from lampest.report.live.server import PageServer, address, is_local_name, serving
+from lampest.report.live.verdict import verdict_of
 from lampest.report.live.view import POINTS, Picture, View, view_text
 from lampest.solvers.solution import Settings
 
@@ -227,6 +230,45 @@ def test_total_pressure_is_that_of_the_scene() -> None:
     broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
     pressure = np.where(broken.faults.blind(broken.panel), -9.0, 10.0)  # type: ignore[union-attr]
     assert total_pressure(broken, pressure) == pytest.approx(89.0)
+
+
+def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out() -> None:
+    pressure = np.zeros((2, 3))
+    pressure[0, 1], pressure[0, 2], pressure[1, 0] = 10.0, 30.0, -5.0
+    nothing, saturated = np.zeros((2, 3)), (pressure == 30.0).astype(np.uint8)
+    picture = Picture(1, 0.0, 0.0, nothing, nothing, nothing > 0, 1.0, "fine", 0.0, 0, nothing, pressure, saturated)
+
+    def told(verdict: str) -> dict[str, Any]:
+        view = View("here", "LSM", "receiving", Panel(2, 3), picture=dataclasses.replace(picture, verdict=verdict))
+        content: dict[str, Any] = json.loads(view_text(view, 0.0))["picture"]
+        return content
+
+    assert told("pressing")["centre"] == [17.5, 0.0] and told("pressing")["saturated"] == 1
+    assert told("nothing")["centre"] is None and told("sucking")["centre"] is None
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, "nothing"),
+        ({(1, 1): 0.4}, "pressing"),
+        ({(1, 1): 0.4, (1, 2): 1.1}, "pressing"),
+        ({(1, 1): 3.0}, "sucking"),
+        ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
+    ],
+)
+@pytest.mark.parametrize("noise_told", [True, False])
+def test_what_is_on_the_panel_in_a_word(change: dict[tuple[int, int], float], verdict: str, noise_told: bool) -> None:
+    """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
+    scene, ratio = Scene(Panel(4, 5), TwoPointReadout() if noise_told else None), np.ones((4, 5))
+    for cell, factor in change.items():
+        ratio[cell] = factor
+    cells = np.full((4, 5), 3000.0)
+    resting, now = (Readings.of(scene, two_point_resistance(each)) for each in (cells, cells * ratio))
+    open_cell = np.zeros((4, 5), dtype=bool)
+    assert verdict_of(now, resting, ratio, open_cell) == verdict
+    open_cell[3, 4], ratio[3, 4] = True, 1e6
+    assert verdict_of(now, resting, ratio, open_cell) == verdict
 
 
 def test_history_ends_somewhere() -> None:

@@ -95,11 +95,11 @@ def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tu
             picture,
             relative_change=100 * (ratio - 1),
             open_cell=solution.open_cell[-1],
-            total=total_pressure(here.load.scene, pressed.pressure),
+            total=total_pressure(here.load.scene, np.where(pressed.saturated, 0.0, pressed.pressure)),
             cell_resistance=solution.cell_resistance[-1],
             pressure=pressed.pressure,
             saturated=pressed.saturated,
-            verdict=verdict_of(readings, stream.resting, pressed.pressure),
+            verdict=verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)),
         )
     elif solution.solved:
         assert stream.baseline is not None

@@ -1,6 +1,7 @@
 """Whether something is on the panel, in a word: by its readings' noise, without recognising what it is."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
@@ -16,15 +17,16 @@ NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS = (
 # 30 frames a second have 10⁷.
 NOTICED = 6.0
 NOTICED_PERCENT = 1.0  # where the noise is unknown: far above that of any readout here, and what a finger does
-SHARE = 0.1  # of all that presses and sucks; less of either is not worth a word
+SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
 
 
-def verdict_of(readings: Readings, resting: Readings, pressure: Array) -> str:
+def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
     """One of VERDICTS of a frame that was solved.
 
     Nothing where no reading differs from its unloaded value by more than six standard deviations of the difference,
-    the median of all differences left aside, which a drift of the supply moves; else what presses or sucks by
-    Σ p of each sign over Σ |p|. pressure : (rows, columns) kPa.
+    the median of all differences left aside, which a drift of the supply moves; else pressing where the lowest
+    ln r/r₀, and sucking where the highest, is more than three tenths of the strongest. ratio : r/r₀ (rows, columns).
+    open_cell : (rows, columns) where a cell cannot be told from an open one, which do not count.
     """
     moved = np.log(readings.shown / resting.shown)
     moved -= np.nanmedian(moved)
@@ -33,8 +35,11 @@ def verdict_of(readings: Readings, resting: Readings, pressure: Array) -> str:
         noticed = np.abs(moved) > (NOTICED_PERCENT / 100 if noise is None else NOTICED * noise)
     if not np.any(noticed):
         return NOTHING
-    every = float(np.nansum(np.abs(pressure)))
-    pressing, sucking = (float(np.nansum(np.maximum(sign * pressure, 0))) > SHARE * every for sign in (1, -1))
+    change = np.log(ratio[~open_cell & np.isfinite(ratio)])
+    if not change.size:
+        return NOTHING
+    strongest = float(np.max(np.abs(change)))
+    pressing, sucking = (float(np.max(sign * change)) > SHARE * strongest for sign in (-1, 1))
     if pressing and sucking:
         return BOTH
     return SUCKING if sucking else PRESSING

@@ -28,7 +28,8 @@ class Picture:
 
     number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
     measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
-    open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton, NaN where it failed.
+    open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton over the cells
+    whose pressure the response tells, NaN where it failed.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
     cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
     where the response does not tell the pressure. verdict : one of `verdict.VERDICTS`.
@@ -92,13 +93,13 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         "frames": view.frames,
         "lost": view.lost,
         "skipped": view.skipped,
-        "picture": picture and _picture(picture),
+        "picture": picture and _picture(picture, panel),
         "history": [[point.time, _number(point.total, 4)] for point in view.history[first:]],
     }
     return json.dumps(content, allow_nan=False, separators=(",", ":"))
 
 
-def _picture(picture: Picture) -> dict[str, Any]:
+def _picture(picture: Picture, panel: Panel | None) -> dict[str, Any]:
     return {
         "number": picture.number,
         "time": picture.time,
@@ -107,11 +108,24 @@ def _picture(picture: Picture) -> dict[str, Any]:
         "cells": [_number(value, 2) for value in picture.relative_change.ravel().tolist()],
         "open": np.flatnonzero(picture.open_cell).tolist(),
         "total": _number(picture.total, 4),
+        "saturated": 0 if picture.saturated is None else int(np.count_nonzero(picture.saturated)),
+        "verdict": picture.verdict,
+        "centre": _centre(picture, panel),
         "status": picture.status,
         "solved": isfinite(picture.total),
         "seconds": picture.seconds,
         "skipped": picture.skipped,
     }
+
+
+def _centre(picture: Picture, panel: Panel | None) -> list[float] | None:
+    """x and y in mm, Σ p x/Σ p over the cells that press; None where nothing does."""
+    if panel is None or picture.pressure is None or "pressing" not in picture.verdict:
+        return None
+    pressing = np.maximum(np.nan_to_num(picture.pressure), 0.0)
+    x, y = panel.centres_mm()
+    total = pressing.sum()
+    return [round(float(at), 1) for at in (pressing.sum(axis=0) @ x / total, pressing.sum(axis=1) @ y / total)]
 
 
 def _number(value: float, digits: int) -> float | None:
