@@ -94,7 +94,7 @@ def _probabilities(axes: Axes, detection: Detection) -> None:
         below = below + part
     axes.set_ylim(0, 1)
     axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylabel("probability\n[1]", fontsize=TEXT_POINT)
+    axes.set_ylabel("probability", fontsize=TEXT_POINT)
     axes.tick_params(labelsize=SMALL_POINT)
     look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "handlelength": 1.0, "columnspacing": 1.0}
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.3), ncols=len(KINDS), **look)
