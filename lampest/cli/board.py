@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import INTERRUPTED, Assign, check_positive, markless, progress, say, say_text, written
+from lampest.cli.screen import (
+    INTERRUPTED,
+    Assign,
+    AssignToScene,
+    check_positive,
+    markless,
+    progress,
+    say,
+    say_text,
+    scene_of,
+    written,
+)
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,6 +51,7 @@ def record(
     frames: Frames = None,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds, such as 60.")] = None,
     scene: SceneFile = None,
+    assign: AssignToScene = None,
     baseline: Annotated[
         int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
     ] = 0,
@@ -48,13 +60,12 @@ def record(
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
     from lampest.recording.board.keys import pressed_keys
     from lampest.recording.board.record import record as record_board
-    from lampest.recording.foreign.importing import read_scene
 
     if frames is not None and seconds is not None:
         raise InputError("--frames and --seconds: give one of them")
     check_positive("--seconds", seconds)
     check_positive("--period", period)
-    agreed = read_scene(scene) if scene else None
+    agreed = scene_of(scene, assign)
     with pressed_keys() as keys, recording_line() as on_progress:
         done = record_board(
             port,

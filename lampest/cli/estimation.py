@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import SOME_FAILED, Assign, Folder, check_positive, print_table, progress, say, written
+from lampest.cli.screen import (
+    SOME_FAILED,
+    Assign,
+    AssignToScene,
+    Folder,
+    check_positive,
+    print_table,
+    progress,
+    say,
+    scene_of,
+    written,
+)
 
 
 def run(
@@ -112,6 +123,7 @@ def import_(
     scene: Annotated[
         Path | None, typer.Option("--scene", help="The scene's YAML file; lampest init writes one.")
     ] = None,
+    assign: AssignToScene = None,
     unit: Annotated[
         str | None,
         typer.Option("--unit", help="ohm, kohm, volt, mV or code; else what the header or the values leave."),
@@ -131,11 +143,11 @@ def import_(
     ] = None,
 ) -> None:
     """Turn measurements of another program into a recording, and say how they were understood."""
-    from lampest.recording.foreign.importing import import_file, read_scene
+    from lampest.recording.foreign.importing import import_file
     from lampest.report.imported import understood_lines
 
     check_positive("--period", period)
-    told = read_scene(scene) if scene else None
+    told = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
             file, rows, columns, told, unit, baseline, transpose, variable, period=period, missing=missing

@@ -12,6 +12,7 @@ from lampest.files.errors import InputError, printable
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from lampest.panel.scene import Scene
     from lampest.report.compare import Table
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
@@ -40,7 +41,23 @@ Assign = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of the file: formulation=reduced. Repeatable."),
 ]
+AssignToScene = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of --scene: readout.adc_bits=12. Repeatable."),
+]
 Folder = Annotated[Path | None, written("--out", "Folder of the output; results/<config> by default.")]
+
+
+def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
+    """The scene of a YAML file with some of its entries overridden; None where no file is named.
+
+    Raises InputError with line and column, and where entries are to be overridden of no file.
+    """
+    from lampest.recording.foreign.importing import read_scene
+
+    if path is None and assigned:
+        raise InputError("--set: overrides entries of a scene; name its file with --scene")
+    return read_scene(path, tuple(assigned or ())) if path else None
 
 
 def check_positive(name: str, value: float | None) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -298,3 +299,18 @@ def test_a_scene_file(tmp_path: Path) -> None:
     path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"scene\.yaml:3:"):
         read_scene(path)
+
+
+def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+    scene, made = tmp_path / "scene.yaml", tmp_path / "m.h5"
+    scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
+    np.save(tmp_path / "m.npy", FRAMES)
+    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)
+    done = lampest(*words, "--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
+    assert done.code == 0, done.err
+    assert Recording.load(made).scene == Scene(Panel(3, 5, 4.0), None, 70.0)
+    made.unlink()
+    wrong = lampest(*words, "--scene", scene, "--set", "panel.pitsch_mm=4")
+    assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
+    nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
+    assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err

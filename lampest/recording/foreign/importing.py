@@ -87,12 +87,12 @@ def import_file(
     return recording, tuple(map(printable, notes))
 
 
-def read_scene(path: str | Path) -> Scene:
-    """The scene of a YAML file, which holds nothing else or has it under `scene`.
+def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
+    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
 
-    Raises InputError with line and column.
+    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
     """
-    document = read_document(Path(path))
+    document = read_document(Path(path), assigned)
     if isinstance(document.content, dict) and "scene" in document.content:
         document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
     scene: Scene = validated(document, Scene)
