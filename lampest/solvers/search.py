@@ -11,8 +11,9 @@ from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.panel.panel import Array
-from lampest.solvers.kernel.following import from_previous
+from lampest.solvers.kernel.following import from_previous, serves, swift
 from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
+from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.softest import either_side
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
@@ -29,7 +30,7 @@ FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 
 
-def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solution:
+def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Factor | None = None) -> Solution:
     """The solution from the cheapest start; where the cost has several minima and the solve is hard, of all starts.
 
     The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
@@ -39,30 +40,66 @@ def best_solution(solver: Solver, data: Data, previous: Array | None) -> Solutio
     minimum, the best of these.
     Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
-    stand in the same minimum. Where these terms are convex
-    in log r and the previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
+    stand in the same minimum; so it does on later frames of small panels. Where these terms are convex in log r and the
+    previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
     The starts after the first end with the one that brings them to one solve's limit of iterations, so that no frame
     takes more than three times that.
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
+
+    kept : the factor that the frame before left, if it did.
     """
     with np.errstate(all="ignore"):
-        near = None if previous is None or not isinstance(solver, Newton) else _followed(solver, data, previous)
-        return near or _best(solver, data, previous)
+        if isinstance(solver, Newton):
+            return _by_newton(solver.following(kept), data, previous)
+        if not scouted(solver.cost, data, previous):
+            return _best(solver, data, previous)
+        scout = _by_newton(Newton(solver.cost, solver.settings, kept), data, previous)
+        if not scout.solved:
+            return scout
+        at = evaluated(solver.cost, data, scout.cell_resistance)
+        return replace(solved_from(solver, at), starts=scout.starts, factor=scout.factor)
+
+
+def scouted(cost: Cost, data: Data, previous: Array | None) -> bool:
+    """Whether another solver goes on from what the reduced one found: where minima are several, and where machine code
+    finds the only one at a fraction of the other solver's time.
+    """
+    if previous is not None and serves(cost, data):
+        return True
+    return not data.readout.unique or any(term.needs_previous for term in cost.terms)
+
+
+def _by_newton(solver: Newton, data: Data, previous: Array | None) -> Solution:
+    """The same by the reduced solver; of a later frame by machine code, where there is some."""
+    if previous is None:
+        return _best(solver, data, None)
+    quick = swift(solver)
+    found = _followed(quick, data, previous)
+    return _best(quick, data, previous) if found is None else _compared(quick, data, previous, found)
 
 
 def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
-    """The frame after another one without any search, where it is easy."""
-    most = solver.settings.max_iterations
-    most = most if _one_minimum(solver.cost, data) else min(EASY_KEPT, most)
-    found = from_previous(solver, data, previous, most)
+    """The optimum that machine code finds near the frame before; None where it finds none.
+
+    A factor that told of a second minimum makes no step of this frame: it would tell so again, of a place that is left.
+    """
+    if not _one_minimum(solver.cost, data) and solver.factor is not None and solver.factor.softest is not None:
+        solver = solver.following(None)
+    found = from_previous(solver, data, previous)
     if found is None and (near := _squared(solver)) is not None:
-        begun = from_previous(near, data, previous, most)
-        found = None if begun is None else from_previous(solver, data, begun.cell_resistance, most)
-    if found is None or _one_minimum(solver.cost, data):
+        begun = from_previous(near, data, previous)
+        found = None if begun is None else from_previous(solver, data, begun.cell_resistance)
+    return found
+
+
+def _compared(solver: Newton, data: Data, previous: Array, found: Solution) -> Solution:
+    """The least minimum of that and, where there may be several, of those from starts elsewhere."""
+    if _one_minimum(solver.cost, data) or data.overdue:
         return found
-    return _least(
-        found, [solved_from(solver, point) for point in _evaluable(solver.cost, data, _beside(solver, found))]
-    )
+    more = _beside(solver, found)
+    if found.iterations > EASY_KEPT:
+        more += _elsewhere(data, previous)
+    return _least(found, _others(solver, _evaluable(solver.cost, data, more)))
 
 
 def _one_minimum(cost: Cost, data: Data) -> bool:
@@ -76,12 +113,6 @@ def _one_minimum(cost: Cost, data: Data) -> bool:
 
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     relative = any(term.needs_previous for term in solver.cost.terms)
-    if (relative or not data.readout.unique) and not isinstance(solver, Newton):
-        scout = _best(Newton(solver.cost, solver.settings), data, previous)
-        if not scout.solved:
-            return scout
-        at = evaluated(solver.cost, data, scout.cell_resistance)
-        return replace(solved_from(solver, at), starts=scout.starts)
     plain = all(term.reads_measurement for term in solver.cost.terms)
     uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
@@ -98,12 +129,17 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     if (found.solved and not hard and not more) or data.overdue:
         return found
     if hard or not found.solved:
-        more += [] if previous is None else [uniform, convex(data, None)]
-        far = data.measured[0].size <= FAR_CELLS
-        more += [data.apparent_resistance * factor for factor in FAR_FACTORS] if far else _unchanged(data)
+        more += _elsewhere(data, previous)
     else:
         points = points[:1]
     return _least(found, _others(solver, (*points[1:], *_evaluable(solver.cost, data, more))))
+
+
+def _elsewhere(data: Data, previous: Array | None) -> list[Array]:
+    """Where a hard solve is begun beside what it went on from."""
+    near = [] if previous is None else [data.uniform_start, convex(data, None)]
+    far = data.measured[0].size <= FAR_CELLS
+    return near + ([data.apparent_resistance * factor for factor in FAR_FACTORS] if far else _unchanged(data))
 
 
 def _others(solver: Solver, points: Iterable[Evaluation]) -> list[Solution]:

@@ -23,6 +23,7 @@ from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.solvers import search
 from lampest.solvers.certificate import certificate
+from lampest.solvers.kernel import following
 from lampest.solvers.kernel.following import Workbench, descended, from_previous
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.smoothing import Smoothing
@@ -75,7 +76,7 @@ def compared(recording: lampest.Recording, name: str) -> str:
     with np.errstate(all="ignore"):
         for frame in frames[1:]:
             readings = Readings.of(recording.scene, frame)
-            with patch.object(search, "from_previous", lambda *given: None):
+            with patch.object(following, "serves", lambda *given: False):
                 _, newton = stream.push(readings)
             stream_before = stream
             with patch.object(search, "from_previous", noted):
@@ -115,16 +116,16 @@ def parts(side: int) -> None:
     assert previous is not None
     solver = estimator.problem(scene, 1, 0.2).following(stream.prepared)
     start = Workbench(solver.cost, data).point(np.clip(previous, data.lower, data.upper))
-    found = descended(solver, start, 4)
-    new = descended(replace(solver, factor=None), start, 4)
+    found = descended(solver, start.bench, start.position)
+    new = descended(replace(solver, factor=None), start.bench, start.position)
     assert found is not None and new is not None
     turns = {
         "recorded values to readings": lambda: Readings.of(scene, frames[5]),
         "what a solve is given, with its bounds": lambda: stream.given(readings),
         "a point: network, cost, gradient": lambda: start.elsewhere(previous),
         "the same by Newton's classes": lambda: Evaluation.at(solver.cost, data, previous).log_gradient(np.zeros(0)),
-        "all steps, factor of the frame before": lambda: descended(solver, start, 4),
-        "all steps, a factor of its own": lambda: descended(replace(solver, factor=None), start, 4),
+        "all steps, factor of the frame before": lambda: descended(solver, start.bench, start.position),
+        "all steps, a factor of its own": lambda: descended(replace(solver, factor=None), start.bench, start.position),
         "the check outside the solver": lambda: check(start, found),
         "the frame, readings to step": lambda: stream.push(readings),
     }

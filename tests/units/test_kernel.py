@@ -23,6 +23,7 @@ from lampest.panel.readouts import Readout
 from lampest.recording.readings import Readings
 from lampest.solvers import search
 from lampest.solvers.certificate import certificate
+from lampest.solvers.kernel import following
 from lampest.solvers.kernel.following import KeptFactor, Workbench, from_previous, serves
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
@@ -78,7 +79,7 @@ def noted() -> Iterator[list[Solution | None]]:
 
 def both(stream: Stream, readings: Readings) -> tuple[Solution, Solution]:
     """A frame by Newton's method alone, and by machine code alone."""
-    with patch.object(search, "from_previous", lambda *given: None):
+    with patch.object(following, "serves", lambda *given: False):
         newton = stream.push(readings)[1].solution
     with noted() as answers:
         found = stream.push(readings)[1].solution
@@ -173,25 +174,57 @@ def test_what_it_does_not_know_it_leaves() -> None:
         data, previous = stream.given(Readings.of(other, recorded[2]))
         solver = estimator.problem(other, 1, 0.2)
         assert isinstance(solver, Newton) and previous is not None
-        assert not serves(solver.cost, data) and from_previous(solver, data, previous, 4) is None
+        assert not serves(solver.cost, data) and from_previous(solver, data, previous) is None
         assert stream.push(Readings.of(other, recorded[2]))[1].solution.status is Status.OPTIMUM
 
 
 def test_newton_goes_on_where_it_falls_short() -> None:
-    """From ten times too large cells four factors do not suffice; the frame is solved all the same."""
+    """The frame is solved all the same."""
     scene, recorded = frames(READOUTS["two_point"])
     estimator = Estimator(TERMS["LSR-CR"], "reduced", error_bars=False)
     stream = begun(scene, recorded, estimator)
     readings = Readings.of(scene, recorded[2])
     assert stream.previous is not None
     far = replace(stream, previous=stream.previous * np.geomspace(0.02, 50, 30).reshape(5, 6), prepared=None)
-    with noted() as answers:
+    right = stream.push(readings)[1].solution.cell_resistance
+    with noted() as answers, patch.object(following, "descended", lambda *given: None):
         found = far.push(readings)[1].solution
     assert answers == [None]
     assert found.status is Status.OPTIMUM
-    assert_allclose(found.cell_resistance, stream.push(readings)[1].solution.cell_resistance, rtol=1e-6)
+    assert_allclose(found.cell_resistance, right, rtol=1e-6)
     few = replace(stream, estimator=replace(estimator, solver=Settings(max_iterations=1)), prepared=None)
     assert few.push(readings)[1].solution.status in (Status.OPTIMUM, Status.ITERATIONS)
+
+
+def test_a_hard_frame_is_begun_elsewhere_by_machine_code_too() -> None:
+    """From cells that are far off more than four factors are made; all starts end in the one minimum that there is."""
+    scene, recorded = frames(READOUTS["two_point"])
+    stream = begun(scene, recorded, Estimator(TERMS["LSR-CR"], "reduced", error_bars=False))
+    readings = Readings.of(scene, recorded[2])
+    assert stream.previous is not None
+    easy = stream.push(readings)[1].solution
+    far = replace(stream, previous=stream.previous * np.geomspace(0.02, 50, 30).reshape(5, 6), prepared=None)
+    ended: list[object] = []
+    original = following.descended
+    with patch.object(following, "descended", lambda *given: ended.append(original(*given)) or ended[-1]):
+        hard = far.push(readings)[1].solution
+    assert hard.starts == len(ended) >= 5 and all(ended) and easy.starts == 1
+    assert_allclose(hard.cell_resistance, easy.cell_resistance, rtol=1e-6)
+
+
+def test_cells_that_come_off_arrive_at_once() -> None:
+    """A step that is straight in conductance takes 4 factors to their bound; in log r it took 20."""
+    scene, recorded = frames(READOUTS["two_point"])
+    stream = begun(scene, recorded, Estimator(TERMS["LSM"], "reduced", error_bars=False))
+    opened = 1000 * np.ones((5, 6))
+    opened[1, 1] = opened[2, 4] = 1e9
+    readout = READOUTS["two_point"]
+    values = readout.to_recorded(readout.exact_reading(opened), scene)
+    noise = readout.sigma(values) * np.random.default_rng(5).standard_normal((5, 6))
+    newton, found = both(stream, Readings.of(scene, values + noise))
+    assert newton.status is found.status is Status.OPTIMUM
+    assert found.objective <= newton.objective * (1 + 1e-9)
+    assert min(found.cell_resistance[0, 1, 1], found.cell_resistance[0, 2, 4]) > 1e5 and found.iterations <= 8
 
 
 def test_it_is_compiled_once() -> None:

@@ -92,9 +92,9 @@ def test_machine_code_looks_at_the_clock() -> None:
     solver = estimator.problem(SCENE, 1, 0.2, data.partial)
     assert isinstance(solver, Newton) and start is not None
     for seconds in (None, 1e9):
-        found = from_previous(solver, data.limited(seconds), start, 300)
+        found = from_previous(solver, data.limited(seconds), start)
         assert found is not None and found.status is Status.OPTIMUM
-    assert from_previous(solver, data.limited(1e-9), start, 300) is None
+    assert from_previous(solver, data.limited(1e-9), start) is None
 
 
 @pytest.mark.parametrize("limit", ["0", "-1", ".nan", ".inf", "soon"])

@@ -57,14 +57,12 @@ class OptimalMethod(Method):
     def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
         """The compiled cost, and machine code where a frame follows another one."""
         solver.prepare()
-        if isinstance(solver, Newton) and previous is not None and serves(solver.cost, data):
+        if previous is not None and serves(solver.cost, data):
             load_machine_code()
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""
-        if isinstance(solver, Newton):
-            solver = solver.following(prepared)
-        return best_solution(solver, data, previous)
+        return best_solution(solver, data, previous, prepared)
 
     def kept(self, solution: Solution, prepared: Any) -> Any:
         """The factor of a single frame's second derivatives."""

@@ -16,6 +16,7 @@ from lampest.panel.machine import call, machine_code
 
 FELL_SHORT, SETTLED = 0, 1
 MOST_STEPS, MOST_STOPS, MOST_SEEN = 60, 6, 8
+STRAIGHT = 0.2  # of log r
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
@@ -441,20 +442,22 @@ def _noted(before: Any, after: Any, free: Any, seen: Any, count: int) -> bool:
 
 
 @machine_code
-def _stop_at_bounds(addresses: Any, matrix: Any, vectors: Any, bounds: Any, free: Any, step: Any) -> bool:
+def _stop_at_bounds(
+    addresses: Any, matrix: Any, vectors: Any, bounds: Any, free: Any, straight: Any, step: Any
+) -> bool:
     """Let cells that a step over the free ones takes beyond their bounds stop there, and ask the others again; whether
-    there were any.
+    there were any. Step and bounds in what is `straight`, see `_straightened`.
     """
     count = len(free)
     known, moving, left = np.zeros(count), np.ones(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     for stops in range(MOST_STOPS):
         remaining, before = 0, len(left)
         for number in range(count):
-            place = vectors[0, free[number]]
-            target = place + step[number]
-            held = min(max(target, bounds[0, free[number]]), bounds[1, free[number]])
-            if moving[number] and held != target:
-                known[number], moving[number] = held - place, 0
+            place, kind = vectors[0, free[number]], straight[number]
+            low, high = _bent(bounds[0, free[number]] - place, kind), _bent(bounds[1, free[number]] - place, kind)
+            held = min(max(step[number], low), high)
+            if moving[number] and held != step[number]:
+                known[number], moving[number] = held, 0
             if moving[number]:
                 left[remaining] = number
                 remaining += 1
@@ -477,6 +480,46 @@ def _stop_at_bounds(addresses: Any, matrix: Any, vectors: Any, bounds: Any, free
             step[number] = known[number]
         for one in range(remaining):
             step[left[one]] = found[one]
+    return True
+
+
+@machine_code
+def _bent(change: float, kind: int) -> float:
+    """A change of u as one of what is straight: of u, or relative of r (1) or of the conductance, downwards (-1)."""
+    if kind == 0:
+        return change
+    return float(np.expm1(change)) if kind > 0 else float(-np.expm1(-change))
+
+
+@machine_code
+def _unbent(change: float, kind: int) -> float:
+    """The change of u, infinite beyond what is positive."""
+    if kind == 0:
+        return change
+    if kind > 0:
+        return float(np.log1p(change)) if change > -1 else -np.inf
+    return float(-np.log1p(-change)) if change < 1 else np.inf
+
+
+@machine_code
+def _straightened(addresses: Any, matrix: Any, vectors: Any, free: Any, step: Any, straight: Any) -> bool:
+    """step over the free cells ← Newton's in r of those that it would make far smaller, in 1/r of those that it would
+    make far larger, in u of all others; matrix ← its second derivatives. Whether there are such cells, and a step.
+
+    With H and g the second and first derivatives in u, those in r are H − diag g, and in 1/r they are H + diag g, both
+    for relative changes. In u a cell that is nearly open or shorted moves by about 1 a step, and hardly arrives.
+    """
+    many, kept = False, matrix.copy()
+    for number in range(len(free)):
+        slope = vectors[2, free[number]] + vectors[3, free[number]]
+        if (step[number] > STRAIGHT and slope < 0) or (step[number] < -STRAIGHT and slope > 0):
+            straight[number], many = -1 if slope < 0 else 1, True
+            kept[number, number] -= abs(slope)
+            matrix[number, number] -= abs(slope)
+    if not many or not _factored(addresses, kept):
+        return False
+    _pull(vectors, free, step)
+    _divided(addresses, kept, step)
     return True
 
 
@@ -509,6 +552,30 @@ def _trial(
 
 
 @machine_code
+def _straight_trial(
+    addresses: Any, where: Any, arena: Any, ties: Any, bounds: Any, limits: Any, here: Any, there: Any, other: Any,
+    matrix: Any, free: Any, along: Any, better: bool, costs: Any,
+) -> bool:  # fmt: skip
+    """Whether a step that is straight elsewhere, see `_straightened`, leads to a point that is better, and lower than
+    `there` where that is `better`: `other` is it then, and costs are its.
+
+    along : over the free cells, the step that is straight in u. It and the matrix are overwritten.
+    """
+    straight, step, told = np.zeros(len(free), dtype=np.int64), np.zeros(len(here[0][0])), np.zeros(4)
+    if not _straightened(addresses, matrix, here[0], free, along, straight):
+        return False
+    _stop_at_bounds(addresses, matrix, here[0], bounds, free, straight, along)
+    _spread(here[0], bounds, free, straight, along, step, told)
+    found = costs.copy()
+    reached = _trial(addresses, where, arena, ties, bounds, limits, here, other, step, 1, found)
+    if reached and (not better or found[3] < costs[3]):
+        costs[:] = found
+        return True
+    _priced(addresses, where, arena, ties, there)
+    return False
+
+
+@machine_code
 def _certified(
     addresses: Any, where: Any, arena: Any, entries: Any, limits: Any, sigma: Any, step: Any, told: Any
 ) -> bool:
@@ -523,14 +590,14 @@ def _certified(
 
 
 @machine_code
-def _spread(vectors: Any, bounds: Any, free: Any, along: Any, step: Any, told: Any) -> bool:
+def _spread(vectors: Any, bounds: Any, free: Any, straight: Any, along: Any, step: Any, told: Any) -> bool:
     """step (cells) ← a step over the free cells, within bounds; told[0] : −∇φ·s; whether no bound was in its way."""
     inside, told[0] = True, 0.0
     for cell in range(len(step)):
         step[cell] = 0.0
     for number in range(len(free)):
         cell = free[number]
-        target = vectors[0, cell] + along[number]
+        target = vectors[0, cell] + _unbent(along[number], straight[number])
         held = min(max(target, bounds[0, cell]), bounds[1, cell])
         inside = inside and held == target
         step[cell] = held - vectors[0, cell]
@@ -576,7 +643,7 @@ def descend(
     lines = rows + cells // rows
     for number in range(len(given)):
         arena[where[6] + number] = given[number]
-    here, there = _blank(lines, cells), _blank(lines, cells)
+    here, there, other = _blank(lines, cells), _blank(lines, cells), _blank(lines, cells)
     step, told, costs = np.zeros(cells), np.zeros(4), np.zeros(6)
     _put(here[0], start, bounds)
     costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
@@ -591,6 +658,7 @@ def descend(
         free, near = _free(vectors, bounds), residual <= limits[0]
         usable = usable and exact and _same(free, kept_cells)
         along, stopped, fresh = np.empty(len(free)), False, not usable
+        straight = np.zeros(len(free), dtype=np.int64)
         _pull(vectors, free, along)
         if fresh:
             if factors >= limits[13]:
@@ -607,10 +675,11 @@ def descend(
             kept_cells, kept_at, usable = free, vectors[0].copy(), True
             _along(addresses, kept, seen, 0, along)
             steps, seen = 0, np.empty((2, MOST_SEEN, len(free)))
-            stopped = _stop_at_bounds(addresses, matrix, vectors, bounds, free, along)
+            tried = along.copy()
+            stopped = _stop_at_bounds(addresses, matrix, vectors, bounds, free, straight, along)
         else:
             _along(addresses, kept, seen, steps, along)
-        inside = _spread(vectors, bounds, free, along, step, told)
+        inside = _spread(vectors, bounds, free, straight, along, step, told)
         if not abs(told[0]) < np.inf:
             break
         sure = _away(vectors[0], kept_at) <= limits[7]
@@ -620,7 +689,29 @@ def descend(
             if told[3] <= limits[12]:
                 break
         if fresh or (inside and 0 < told[0] <= limits[1] ** 2 * costs[2]):
-            if _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs):
+            better = _trial(addresses, where, arena, ties, bounds, limits, here, there, step, 5 if fresh else 1, costs)
+            if (
+                fresh
+                and exact
+                and _straight_trial(
+                    addresses,
+                    where,
+                    arena,
+                    ties,
+                    bounds,
+                    limits,
+                    here,
+                    there,
+                    other,
+                    matrix,
+                    free,
+                    tried,
+                    better,
+                    costs,
+                )
+            ):
+                there, other, better = other, there, True
+            if better:
                 here, there, ending = there, here, FELL_SHORT
                 begun = costs[5] if costs[2] == np.inf else begun
                 costs[0], costs[1], costs[2] = costs[3], costs[4], costs[5]

@@ -1,7 +1,7 @@
 """A frame that follows another one, solved in one call of machine code where nothing is unusual."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 from lampest.solvers.certificate import MILLIONTH, NEARBY, SHARE, Bend, Certificate
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.newton.steps import CONTRACTION, DECREASE, EQUAL, HALVED
+from lampest.solvers.newton.steps import DECREASE, EQUAL, HALVED
 from lampest.solvers.newton.ways import LONGEST_STEP
 from lampest.solvers.solution import Outcome, Solution, Status, check
 
@@ -30,8 +30,9 @@ CONTRACTED = 1e-7  # of its first step by the last one: a direction that bends d
 CLOCK = getattr(time, "CLOCK_MONOTONIC", 0)  # that of `time.monotonic`
 SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
+SLOWEST = 0.4  # of a step by the next one with the same factor, which costs as much as seven to twelve such steps
 LIMITS = (
-    CONTRACTION,
+    SLOWEST,
     DECREASE,
     EQUAL,
     HALVED,
@@ -111,18 +112,27 @@ class MachineEvaluation(Evaluation):
         return self.bench.point(cell_resistance)
 
 
-def from_previous(solver: Newton, data: Data, previous: Array, most_factors: int) -> Solution | None:
-    """The checked optimum near the last estimate (1, rows, columns) ohm; None where it takes more than that.
+def from_previous(solver: Newton, data: Data, previous: Array) -> Solution | None:
+    """The checked optimum near the last estimate (1, rows, columns) ohm; None where machine code finds none.
 
-    Then nothing was decided: the frame has several minima nearby, cells that stop at many bounds, a penalty or a panel
-    that the machine code does not know. most_factors : of second derivatives.
+    Then nothing was decided: steps lower nothing or bend down, or a penalty or a panel is none that it knows.
     """
     if not serves(solver.cost, data):
         return None
     start = Workbench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
-    found = descended(solver, start, most_factors)
+    found = descended(solver, start.bench, start.position)
     solution = None if found is None else check(start, found)
     return solution if solution is not None and solution.status is Status.OPTIMUM else None
+
+
+def swift(solver: Newton) -> Newton:
+    """The same, which tries machine code first."""
+    return replace(solver, shortcut=_shortcut)
+
+
+def _shortcut(solver: Newton, data: Data, start: Evaluation) -> Outcome | None:
+    served = serves(solver.cost, data)
+    return descended(solver, Workbench(solver.cost, data), start.position) if served else None
 
 
 def serves(cost: Cost, data: Data) -> bool:
@@ -149,28 +159,28 @@ def load_machine_code() -> None:
     descend(addresses, where, arena, NOTHING, entries, ties, bounds, open_cell, *NO_FACTOR, limits, NOTHING)
 
 
-def descended(solver: Newton, start: MachineEvaluation, most_factors: int) -> Outcome | None:
-    """What the machine code makes of a frame from a start on; None where it fell short."""
+def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
+    """What the machine code makes of a frame from u (1, rows, columns) on; None where it fell short."""
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
-    data, arena, tolerance = start.data, start.bench.arena, solver.settings.tolerance
+    data, arena, settings = bench.data, bench.arena, solver.settings
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
     ending, position, step, decrement, share, factors, upper, cells, place = descend(
         arena.addresses,
         arena.where,
         arena.memory,
-        start.bench.told,
+        bench.told,
         arena.entries,
         data.ties,
         np.concatenate(data.log_bounds).reshape(2, -1),
-        start.position.ravel(),
+        start.ravel(),
         *(NO_FACTOR if kept is None else (kept.triangle, kept.cells, kept.position)),
-        np.array([tolerance, *LIMITS, most_factors, CLOCK, data.until]),
+        np.array([settings.tolerance, *LIMITS, settings.max_iterations, CLOCK, data.until]),
         data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
     )
     if ending != SETTLED:
         return None
-    shape = start.cell_resistance.shape
+    shape = start.shape
     certificate = Certificate(Bend.UP, step, decrement, share)
     left = kept if kept is not None and not factors else _taken(upper, cells, place, shape)
     if not left.solid:

@@ -6,6 +6,7 @@ a solution, so that the last steps converge quadratically. Absolute losses are s
 Source: Bertsekas, SIAM J. Control Optim. 20, 1982 (projection); Chan, Golub & Mulet, 1999 (smoothing).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +26,16 @@ MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they con
 
 @dataclass(frozen=True)
 class Newton:
-    """One cost on one panel shape. factor : of the frame before, which makes the first step where it is near."""
+    """One cost on one panel shape.
+
+    factor : of the frame before, which makes the first step where it is near. shortcut : what is tried first, and
+    returns None where it falls short.
+    """
 
     cost: Cost
     settings: Settings
     factor: Factor | None = None
+    shortcut: "Callable[[Newton, Data, Evaluation], Outcome | None] | None" = None
 
     def following(self, factor: Factor | None) -> "Newton":
         """The same for the frame after one that left this factor."""
@@ -44,6 +50,8 @@ class Newton:
 
         Iterations are the factors and the solves by conjugate gradients; steps that use a factor again do not count.
         """
+        if self.shortcut is not None and (found := self.shortcut(self, data, start)) is not None:
+            return found
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
         iteration = unsettled = 0

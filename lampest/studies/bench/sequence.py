@@ -9,7 +9,6 @@ from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.directions import Factor
-from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Solution, Solver
 from lampest.studies.bench.budget import BenchPart, Budget
 from lampest.studies.bench.problems import first_estimate, frame_data, resting_cells, solver_of, tied
@@ -50,8 +49,8 @@ def timings_of(bench: BenchFile, recording: Recording, part: BenchPart, budget: 
         if frames and frames[-1].spent_s > budget.left_s():
             break
         fresh = frame_data(bench, recording, method, number, best)
-        solvers = [_following(solver_of(bench, method, name, fresh()), kept) for name in names]
-        frames.append(_frame(solvers, fresh, best, bench.repeats if number else 1, matrix))
+        solvers = [solver_of(bench, method, name, fresh()) for name in names]
+        frames.append(_frame(solvers, fresh, best, kept, bench.repeats if number else 1, matrix))
         solved = frames[-1].solved
         kept = next((solution.factor for solution in solved if solution.factor is not None), None)
         if solved:
@@ -73,21 +72,21 @@ def timings_of(bench: BenchFile, recording: Recording, part: BenchPart, budget: 
 
 
 def _frame(
-    solvers: list[Solver], fresh: Callable[[], Data], previous: Array | None, repeats: int, matrix: Array
+    solvers: list[Solver],
+    fresh: Callable[[], Data],
+    previous: Array | None,
+    kept: Factor | None,
+    repeats: int,
+    matrix: Array,
 ) -> _Frame:
     """One frame by every solver in turn, as often as told unless it takes long."""
     turns: list[list[TimedSolve]] = []
     inverses: list[float] = []
     stacked = None if previous is None else previous[None]
     while len(turns) < repeats and not (turns and sum(solve.wall for solve in turns[-1]) > LONG_S):
-        turns.append([timed(solver, fresh(), stacked) for solver in solvers])
+        turns.append([timed(solver, fresh(), stacked, kept) for solver in solvers])
         inverses.append(inverse_time(matrix))
     return _Frame(turns, inverses, float(np.sum(fresh().measured ** 2)))
-
-
-def _following(solver: Solver, kept: Factor | None) -> Solver:
-    """A solver with what a sequence keeps from the frame before."""
-    return solver.following(kept) if isinstance(solver, Newton) else solver
 
 
 def _gaps(frames: list[_Frame]) -> Array:

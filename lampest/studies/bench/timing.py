@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
 from lampest.panel.panel import Array
+from lampest.solvers.newton.directions import Factor
 from lampest.solvers.search import best_solution, convex, evaluated
 from lampest.solvers.solution import Solution, Solver, Status, check
 from lampest.studies.bench.lbfgsb import Lbfgsb
@@ -87,12 +88,12 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float, float]:
     return result, perf_counter() - wall, process_time() - cpu
 
 
-def timed(solver: Solver, data: Data, previous: Array | None) -> TimedSolve:
-    """Solve as a sequence does; scipy's from the cheapest of the same starts."""
+def timed(solver: Solver, data: Data, previous: Array | None, kept: Factor | None = None) -> TimedSolve:
+    """Solve as a sequence does, which keeps a factor; scipy's from the cheapest of the same starts."""
     if isinstance(solver, Trf | Lbfgsb):
         (solution, cells), wall, cpu = clocked(lambda: _judged(solver, data, previous))
         return TimedSolve(solution, evaluated(solver.cost, data, cells).objective, wall, cpu)
-    solution, wall, cpu = clocked(lambda: best_solution(solver, data, previous))
+    solution, wall, cpu = clocked(lambda: best_solution(solver, data, previous, kept))
     return TimedSolve(solution, solution.objective, wall, cpu)
 
 
