@@ -6,6 +6,7 @@ the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. Nobody else reads an impedance.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
@@ -17,6 +18,7 @@ from lampest.panel.panel import Array
 
 Block = tuple[slice, slice]
 Numbers = NDArray[np.intp]
+GridLinear = Callable[[Array], Array]  # (rows, columns) → (rows, columns)
 
 
 class SecondOrder(Protocol):
@@ -33,16 +35,6 @@ class SecondOrder(Protocol):
 
     def adjoint(self) -> Array:
         """Jᵀ·w, (rows, columns), from what H needs anyway."""
-
-
-class ResponseInverse(Protocol):
-    """What approximates J⁻¹ over some free cells: a preconditioner. Values are (rows, columns), zero at other cells."""
-
-    def solve(self, values: Array) -> Array:
-        """J⁻¹·x, nearly."""
-
-    def solve_transposed(self, values: Array) -> Array:
-        """J⁻ᵀ·x, nearly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +78,11 @@ class Network(ABC):
         """Second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
 
     @abstractmethod
-    def response_inverse(self, free: NDArray[np.bool_]) -> ResponseInverse:
-        """What approximates J⁻¹ over the free cells (rows, columns)."""
+    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
+        """What approximates (Jᵀ·diag(w)·J + diag(c))⁻¹ over the free cells: a preconditioner, symmetric and positive.
+
+        weight : w > 0 of the readings. diagonal : c ≥ 0 of the cells; all (rows, columns).
+        """
 
     def potentials(self) -> Array:
         """(lines, patterns) volt per ampere: what every line stands at while a unit current enters line `pattern`."""

@@ -97,7 +97,7 @@ class SampledErrors:
     def _preconditioner(self, least: float) -> Linear:
         model, at = self.model, self.model.at
         if not self._penalties.nnz and len(at.cell_resistance) == 1:
-            return misfit_inverse(self._curvature, model.free)
+            return misfit_inverse(self._curvature, model.free, np.full(at.cell_resistance.size, least))
         through = sparse.csr_array(model.through)
         weight = through.multiply(through).T @ model.data_curvature
         own = weight * np.stack([network.own_response() for network in at.networks]).ravel() ** 2

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
+from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
@@ -14,11 +15,13 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import convex
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
-from lampest.panel.readouts.two_point.stencil import Stencil
+from lampest.panel.readouts.two_point.stencil import Stencil, StencilSquare
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import linearised
-from lampest.solvers.newton import curvature
+from lampest.solvers.newton import curvature, newton
+from lampest.solvers.newton.inside import from_inside
+from lampest.solvers.solution import Status
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -91,3 +94,50 @@ def test_stencil_inverts_what_it_stands_for() -> None:
     values = generator.standard_normal(20)
     expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[chosen])
     assert_allclose(stencil.solve(values.reshape(4, 5)).ravel()[chosen], expected, rtol=1e-10)
+
+
+def test_the_square_of_a_stencil_inverts_what_it_stands_for() -> None:
+    """G(S W S + r c r)G over the free cells, S put together cell by cell."""
+    generator = np.random.default_rng(3)
+    conductance, weight, diagonal = np.exp(generator.standard_normal((3, 4, 5)))
+    resistance = two_point_resistance(1 / conductance)
+    free = generator.random((4, 5)) < 0.7
+    row, column = np.divmod(np.arange(20), 5)
+    lines = (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
+    lines += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
+    own = np.maximum(resistance.ravel() ** 2 - np.diag(lines), 0.05 * resistance.ravel() ** 2)
+    response = (lines + np.diag(own)) * conductance.ravel()
+    matrix = response.T @ (weight.reshape(-1, 1) * response) + np.diag(diagonal.ravel())
+    chosen = np.flatnonzero(free)
+    values = np.where(free, generator.standard_normal((4, 5)), 0.0)
+    solved = StencilSquare.of(conductance, resistance, weight, diagonal, free)(values)
+    assert_allclose(solved[~free], 0.0)
+    expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[free])
+    assert_allclose(solved[free], expected, rtol=1e-9)
+
+
+def test_least_squares_from_inside_ends_where_stops_at_bounds_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a large panel with noise, a third of the cells at their bound; begun inside, and stopped one by one."""
+    generator = np.random.default_rng(8)
+    truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
+    truth[4:9, 5:9] *= 0.1
+    readout = TwoPointReadout()
+    exact = two_point_resistance(truth)
+    resistance = exact + 100 * readout.sigma(exact) * generator.standard_normal(exact.shape)
+    recorded = Recording(Scene(Panel(18, 20), readout), resistance[None], np.zeros(1), np.ones(1, dtype=np.uint8))
+    estimator = Estimator((Misfit(),), formulation="reduced")
+    taken = []
+
+    def watched(start: Evaluation) -> tuple[Evaluation, int]:
+        found, steps = from_inside(start)
+        taken.append(steps)
+        return found, steps
+
+    monkeypatch.setattr(newton, "from_inside", watched)
+    inside = reconstruct(recorded, estimator).steps[0].solution
+    assert max(taken) > 5
+    monkeypatch.setattr(newton, "from_inside", lambda start: (start, 0))
+    stopped = reconstruct(recorded, estimator).steps[0].solution
+    assert np.sum(inside.open_cell) > 38
+    assert inside.status is stopped.status is Status.OPTIMUM
+    assert inside.objective == pytest.approx(stopped.objective, rel=1e-8)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, Numbers, ResponseInverse, SecondOrder
+from lampest.panel.network import GridLinear, Network, Numbers, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.equation import PARTS, compiled_equation
 
@@ -103,27 +103,12 @@ class TiedNetwork(Network):
         """Through Z twice, and through the bends of h."""
         return TiedSecondOrder(self, weights)
 
-    def response_inverse(self, free: NDArray[np.bool_]) -> ResponseInverse:
-        """Of the diagonal alone."""
+    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
+        """Of the diagonal of J alone."""
         response = self.own_response()
-        floor = LEAST_RESPONSE * np.abs(response).max(initial=1e-300)
-        held = np.where(np.abs(response) < floor, floor, response)
-        return Diagonal(np.where(free, 1 / held, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class Diagonal:
-    """inverse : (rows, columns) of a diagonal J."""
-
-    inverse: Array
-
-    def solve(self, values: Array) -> Array:
-        """J⁻¹·x."""
-        return self.inverse * values
-
-    def solve_transposed(self, values: Array) -> Array:
-        """J⁻ᵀ·x."""
-        return self.inverse * values
+        held = np.maximum(np.abs(response), LEAST_RESPONSE * np.abs(response).max(initial=1e-300))
+        inverse = np.where(free, 1 / (held**2 * weight + diagonal), 0.0)
+        return lambda values: inverse * values
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, Network, ResponseInverse, SecondOrder
+from lampest.panel.network import Block, GridLinear, Network, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.ladder import Ladder
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
@@ -102,9 +102,9 @@ class WiredNetwork(TiedNetwork):
         """Through D twice, and through the bends of h."""
         return WiredSecondOrder(self, TiedSecondOrder(self, weights), self.loading(weights))
 
-    def response_inverse(self, free: NDArray[np.bool_]) -> ResponseInverse:
+    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
         """Of the same cells without wire, which is near enough for a preconditioner."""
-        return self.readout.network(self.cell_resistance, self.ties).response_inverse(free)
+        return self.readout.network(self.cell_resistance, self.ties).normal_inverse(weight, diagonal, free)
 
     def changed(self, block: Block, conductance: Array) -> "WiredNetwork":
         """Solved anew: cells inside a wired panel cannot be told from its terminals."""

@@ -145,16 +145,18 @@ def _by_conjugate_gradients(
     curvature: Curvature, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float, kept: Factor | None
 ) -> Direction:
     """Where the curvature turns negative the step is extended along that direction to a change of one in log r."""
-    shift = damping * _at_least(np.abs(curvature.local.diagonal()), 1e-6) if damping else np.zeros(1)
-    whole = np.zeros(len(curvature.gradient))
+    shift: Array = np.zeros(len(curvature.gradient))
+    if damping:
+        shift = damping * _at_least(np.abs(curvature.local.diagonal()), 1e-6)
+    whole = np.zeros(len(shift))
 
     def product(search: Array) -> Array:
         whole[free] = search
         image = curvature.product(whole)[free]
         return image + shift[free] * search if damping else image
 
-    factor = preconditioner(curvature, free, kept) if not damping or curvature.only_misfit else None
-    precondition = local_inverse(curvature.local, shift, free) if factor is None else factor.over(free)
+    factor = None if damping else preconditioner(curvature, free, kept)
+    precondition = _damped_inverse(curvature, shift, free) if factor is None else factor.over(free)
     step, downhill = conjugate_gradients(product, precondition, -slope, accuracy)
     if downhill is None:
         return Direction(step, damping, None if damping else factor)
@@ -169,7 +171,7 @@ def preconditioner(curvature: Curvature, free: NDArray[np.intp], kept: Factor | 
     """
     cells = curvature.at.cell_resistance
     if curvature.only_misfit:
-        return Factor(free, cells, misfit_inverse(curvature, free))
+        return Factor(free, cells, misfit_inverse(curvature, free, np.zeros(cells.size)))
     if kept is not None and not kept.exact and kept.near(cells, FOLLOWED) and not len(curvature.at.cost.slope):
         return kept
     everything = np.arange(cells.size)
@@ -181,19 +183,26 @@ def raised(damping: float) -> float:
     return max(4 * damping, LEAST_DAMPING)
 
 
-def misfit_inverse(curvature: Curvature, free: NDArray[np.intp]) -> Linear:
-    """(Jᵀ W J)⁻¹ with the network's approximate J⁻¹, on the free cells of one frame."""
-    resistance = curvature.at.cell_resistance[0]
-    weight = _at_least(curvature.terms.diagonal()[resistance.size :], 1e-6)
-    moving = np.zeros(resistance.size, dtype=bool)
+def _damped_inverse(curvature: Curvature, shift: Array, free: NDArray[np.intp]) -> Linear:
+    if curvature.only_misfit:
+        return misfit_inverse(curvature, free, shift)
+    return local_inverse(curvature.local, shift, free)
+
+
+def misfit_inverse(curvature: Curvature, free: NDArray[np.intp], diagonal: Array) -> Linear:
+    """(Jᵀ W J + diag(c))⁻¹ as the network approximates it, on the free cells of one frame; diagonal : c (cells)."""
+    shape = curvature.at.cell_resistance.shape[1:]
+    weight = _at_least(curvature.terms.diagonal()[diagonal.size :], 1e-6)
+    moving = np.zeros(diagonal.size, dtype=bool)
     moving[free] = True
-    inverse = curvature.at.networks[0].response_inverse(moving.reshape(resistance.shape))
+    inverse = curvature.at.networks[0].normal_inverse(
+        weight.reshape(shape), diagonal.reshape(shape), moving.reshape(shape)
+    )
 
     def solve(values: Array) -> Array:
-        whole = np.zeros(resistance.size)
+        whole = np.zeros(diagonal.size)
         whole[free] = values
-        half = inverse.solve_transposed(whole.reshape(resistance.shape))
-        return inverse.solve(half / weight.reshape(resistance.shape)).ravel()[free]
+        return inverse(whole.reshape(shape)).ravel()[free]
 
     return solve
 

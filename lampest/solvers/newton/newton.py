@@ -17,6 +17,7 @@ from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.groping import advanced
+from lampest.solvers.newton.inside import from_inside
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
@@ -52,9 +53,10 @@ class Newton:
         """
         if self.shortcut is not None and (found := self.shortcut(self, data, start)) is not None:
             return found
+        start, iteration = from_inside(start)
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
-        iteration = unsettled = 0
+        unsettled = 0
         stands = False
         while iteration < self.settings.max_iterations:
             if data.overdue:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, Numbers, SecondOrder, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.stencil import Stencil, StencilInverse
+from lampest.panel.readouts.two_point.stencil import StencilSquare
 
 
 def grounding(two_point_resistance: Array) -> Array:
@@ -92,9 +92,9 @@ class FloatingNetwork(Network):
         """With Z L_w Z."""
         return FloatingSecondOrder(self, self._impedance @ self._injected(weights, self._impedance))
 
-    def response_inverse(self, free: NDArray[np.bool_]) -> StencilInverse:
-        """(D∘D)⁻¹ from what a network looks like from afar, and r."""
-        return StencilInverse(Stencil.of(self.conductance, self.reading(), free), self.cell_resistance)
+    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> StencilSquare:
+        """From what a network looks like from afar."""
+        return StencilSquare.of(self.conductance, self.reading(), weight, diagonal, free)
 
     def log_determinant(self) -> float:
         """log det Z."""

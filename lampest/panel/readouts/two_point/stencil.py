@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.kirchhoff import line_sums
 from lampest.panel.panel import Array
 
 LEAST_SHARE = 0.05  # of R²: where the lines alone explain a cell's own response, the diagonal must not vanish
@@ -27,15 +28,9 @@ class Stencil:
     @classmethod
     def of(cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]) -> "Stencil":
         """The stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
-        across, along = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
-        square = two_point_resistance**2
-        cells = np.maximum(square - across[:, None] - along, LEAST_SHARE * square)
+        cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)
-        rows = len(across)
-        matrix = np.diag(np.concatenate([1 / across + diagonal.sum(axis=1), 1 / along + diagonal.sum(axis=0)]))
-        matrix[:rows, rows:] = diagonal
-        matrix[rows:, :rows] = diagonal.T
-        return cls(diagonal, np.linalg.inv(matrix))
+        return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + _between_lines(diagonal)))
 
     def solve(self, values: Array) -> Array:
         """(stencil of D∘D)⁻¹·x over the free cells, (rows, columns)."""
@@ -47,17 +42,55 @@ class Stencil:
 
 
 @dataclass(frozen=True, eq=False)
-class StencilInverse:
-    """J⁻¹ ≈ r·S⁻¹ with the stencil S in place of D∘D; cell_resistance : r (rows, columns) ohm."""
+class StencilSquare:
+    """(JᵀWJ + diag(c))⁻¹ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D, W = diag(w).
 
-    stencil: Stencil
+    (JᵀWJ + diag(c)) = G(diag(d²w + r²c) + [dwU, U]·M·[dwU, U]ᵀ)G, M = [[0, K], [K, K UᵀwU K]], so that Woodbury's
+    formula takes one inverse of twice as many lines. inverse : (rows, columns) 1/(d²w + r²c), zero at cells that are
+    left out. heavy : d·w. inner : (2·lines)², (M⁻¹ + [dwU, U]ᵀ·inverse·[dwU, U])⁻¹. cell_resistance : r, ohm.
+    """
+
+    inverse: Array
+    heavy: Array
+    inner: Array
     cell_resistance: Array
 
-    def solve(self, values: Array) -> Array:
-        """r·S⁻¹ x."""
-        solved: Array = self.stencil.solve(values) * self.cell_resistance
+    @classmethod
+    def of(
+        cls, conductance: Array, two_point_resistance: Array, weight: Array, diagonal: Array, free: NDArray[np.bool_]
+    ) -> "StencilSquare":
+        """w > 0 : `weight`, c ≥ 0 : `diagonal`; all (rows, columns), siemens and ohm."""
+        cells, lines = _parts(conductance, two_point_resistance)
+        inverse = np.where(free, 1 / (cells**2 * weight + diagonal / conductance**2), 0.0)
+        heavy = cells * weight
+        mixed = np.diag(1 / lines) + _between_lines(heavy * inverse)
+        outer = _between_lines(heavy**2 * inverse - weight)
+        inner = np.linalg.inv(np.block([[outer, mixed], [mixed, _between_lines(inverse)]]))
+        return cls(inverse, heavy, inner, 1 / conductance)
+
+    def __call__(self, values: Array) -> Array:
+        """Of values (rows, columns) at the free cells; likewise."""
+        first = self.inverse * values * self.cell_resistance
+        heavy = self.heavy * first
+        sums = (heavy.sum(axis=1), heavy.sum(axis=0), first.sum(axis=1), first.sum(axis=0))
+        above, below = np.split(self.inner @ np.concatenate(sums), 2)
+        rows = len(first)
+        back = self.heavy * (above[:rows, None] + above[rows:]) + (below[:rows, None] + below[rows:])
+        solved: Array = (first - self.inverse * back) * self.cell_resistance
         return solved
 
-    def solve_transposed(self, values: Array) -> Array:
-        """S⁻¹ (r x)."""
-        return self.stencil.solve(values * self.cell_resistance)
+
+def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
+    """(d, K): the diagonal (rows, columns) of the stencil, and 1/A², 1/B² of the lines."""
+    across, along = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
+    square = two_point_resistance**2
+    return np.maximum(square - across[:, None] - along, LEAST_SHARE * square), np.concatenate([across, along])
+
+
+def _between_lines(values: Array) -> Array:
+    """Uᵀ diag(x) U, (lines)², of x (rows, columns)."""
+    rows, columns = values.shape
+    matrix = np.zeros((rows + columns, rows + columns))
+    matrix[:rows, rows:], matrix[rows:, :rows] = values, values.T
+    matrix.flat[:: rows + columns + 1] = line_sums(values)
+    return matrix
