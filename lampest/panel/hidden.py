@@ -60,7 +60,7 @@ def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systemati
     if sizes.wire_ohm_per_cell:
         parts.append(_wire(cells, scene, sizes.wire_ohm_per_cell))
     if sizes.reading_error:
-        each = sizes.reading_error * _recorded_share(measured, scene)
+        each = sizes.reading_error * recorded_share(measured, scene)
         parts.append(np.diag(each.ravel()).reshape(measured.size, *measured.shape))
     return np.concatenate(parts) if parts else np.zeros((0, *measured.shape))
 
@@ -94,7 +94,7 @@ def _wire(cells: Array, scene: Scene, ohm: float) -> Array:
     return np.stack([scene.circuit.exact_reading(cells, replace(wiring, lines=one)) - still for one in longer])
 
 
-def _recorded_share(measured: Array, scene: Scene) -> Array:
+def recorded_share(measured: Array, scene: Scene) -> Array:
     """∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
     recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
     ends = [scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.panel.hidden import Possible, hidden_columns, usual
+from lampest.panel.hidden import Possible, hidden_columns, recorded_share, usual
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
@@ -54,6 +54,13 @@ class Shared:
         if self.contact_root is not None:
             parts.append(contact_responses(networks) @ self.contact_root)
         return np.concatenate(parts, axis=1)
+
+    def own_error(self, measured: Array) -> Array:
+        """Standard deviation of what each reading is off by on its own, in their unit, (frames, rows, columns)."""
+        size = None if self.systematic is None else self.systematic.reading_error
+        if not size:
+            return np.zeros(measured.shape)
+        return np.asarray(size * np.abs(np.stack([recorded_share(frame, self.scene) for frame in measured])))
 
     def _of_readings(self, cells: Array, measured: Array, systematic: Systematic) -> list[Array]:
         """1 + rows + columns of them, and the hidden ones.

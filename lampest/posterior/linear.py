@@ -6,7 +6,7 @@ for −2·log probability, whatever the unit of the misfit.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -24,10 +24,15 @@ NEAR_BOUND = 1e-3  # in log r
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows."""
+    """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows.
+
+    own_error : standard deviation of what each reading is off by in all frames, as `Data.measured` or 0: no noise, but
+    what penalties leave open is weighed against it.
+    """
 
     at: Evaluation
     dual: Array
+    own_error: Array | float = field(default=0.0, kw_only=True)
 
     @cached_property
     def gradient(self) -> Array:
@@ -85,11 +90,12 @@ class LinearModel:
     @cached_property
     def noise(self) -> Array:
         """τ of the data."""
-        squares = sparse.csc_array(
-            (self.through.data**2, self.through.indices, self.through.indptr), shape=self.through.shape
-        )
-        noise: Array = np.sqrt(squares @ self.at.data.deviation.ravel() ** 2)
-        return noise
+        return self._of_rows(self.at.data.deviation)
+
+    def _of_rows(self, deviation: Array) -> Array:
+        through = self.through
+        squares = sparse.csc_array((through.data**2, through.indices, through.indptr), shape=through.shape)
+        return np.asarray(np.sqrt(squares @ deviation.ravel() ** 2))
 
     @cached_property
     def data_curvature(self) -> Array:
@@ -114,9 +120,11 @@ class LinearModel:
 
     @cached_property
     def scale(self) -> float:
-        """s²."""
+        """s², with each reading's own error in τ."""
         seen = self.data_curvature > 0
-        return float(np.mean(self.data_curvature[seen] * self.noise[seen] ** 2)) if seen.any() else 1.0
+        off = np.hypot(self.at.data.deviation, self.own_error) if np.any(self.own_error) else None
+        noise = self.noise if off is None else self._of_rows(off)
+        return float(np.mean(self.data_curvature[seen] * noise[seen] ** 2)) if seen.any() else 1.0
 
     @cached_property
     def penalty(self) -> Array:

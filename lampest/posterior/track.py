@@ -1,6 +1,6 @@
 """Error bars along a sequence: of every frame, and of its change against the baseline."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,7 +72,7 @@ class Track:
 
         Raises numpy.linalg.LinAlgError where the cost is flat.
         """
-        errors = errors_of(model, None, self._drawn(model, baseline=True))
+        errors = errors_of(self._blurred(model), None, self._drawn(model, baseline=True))
         own = Certainty.of(errors)
         answer, certainty = self._answered(errors, own)
         return Track(
@@ -88,7 +88,7 @@ class Track:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
         relative = any(term.needs_previous for term in model.at.cost.terms)
         joint = len(model.at.cell_resistance) == 2
-        errors = errors_of(model, self.memory, self._drawn(model, baseline=joint))
+        errors = errors_of(self._blurred(model), self.memory, self._drawn(model, baseline=joint))
         own = Certainty.of(errors)
         answer, certainty = self._answered(errors, own)
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
@@ -100,6 +100,13 @@ class Track:
             return track, Bars(frame, None)
         together = np.sum(answer[-size:] * resting, axis=1) + (0.0 if memory is None else memory.shared())
         return track, Bars(frame, Change.between(frame, baseline, together.reshape(frame.deviation.shape)))
+
+    def _blurred(self, model: LinearModel) -> LinearModel:
+        """The model with each reading's own error; not where nothing is penalised, or frames that share it compared."""
+        terms = model.at.cost.terms
+        if self.shared is None or all(term.reads_measurement or term.needs_previous for term in terms):
+            return model
+        return replace(model, own_error=self.shared.own_error(model.at.data.measured))
 
     def _drawn(self, model: LinearModel, baseline: bool) -> Array | None:
         """V of the data rows, or None; baseline : whether the first frame is the unloaded ones' mean."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Estimator, Misfit, Panel, Scene, two_point_resistance
+from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
 from lampest.estimate.noise.outliers import leaps
 from lampest.estimate.noise.scatter import scatter
 from lampest.estimate.noise.seen import noise_seen
@@ -201,6 +201,20 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
     recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
     hidden = noise_seen(recording).hidden
     assert hidden is not None and hidden.sizes.reading_error == 0.02
+
+
+def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:
+    """Its weight is chosen for what repeats show; its bars allow for what they do not show."""
+    gradient = Estimator((Misfit(), Gradient(weight="auto")), "reduced", error_bars=True)
+    rod, held = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=30.0, mass_g=300.0), []
+    for seed in (1, 2):
+        told, static = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(reading_error=0.1)
+        made = lampest.simulate(lampest.Simulation(1, seed, told, frames=3, loads=(rod,), unmodelled=static))
+        found = reconstruct(made, gradient)
+        truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
+        assert truth is not None and lower is not None and upper is not None
+        held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
+    assert 0.88 < np.mean(held) < 0.995
 
 
 @pytest.mark.parametrize("seed", [7, 8, 13])

@@ -99,7 +99,16 @@ def test_stiffness_is_the_slope_of_what_the_walk_costs() -> None:
     walk, squares = Walk(0.01, 3.0), np.random.default_rng(1).uniform(0, 4e-3, (5, 4))
     slope = approx_fprime(squares.ravel(), lambda flat: walk.cost(flat.reshape(5, 4)), 1e-9)
     assert_allclose(walk.stiffness(squares).ravel(), slope, rtol=1e-4)
-    assert walk.cost(np.full((5, 4), 1e6)) == pytest.approx(20 * 3.0**2)
+    assert walk.cost(np.full((5, 4), 1e6)) == pytest.approx(20 * 1.9 * (10 / 9) ** 2 * np.log(10.0) + 20e6)
+    assert_allclose(walk.stiffness(np.full((5, 4), 1e-4)), 1e4 + 1)
+
+
+def test_a_walk_is_drawn_down_until_still_cells_step_further() -> None:
+    rng, walk = np.random.default_rng(2), Walk(0.01, 3.0)
+    lesser, larger = 1e-6 * rng.chisquare(1, (40, 9)), 9e-4 * rng.chisquare(1, (40, 9))
+    assert walk.drawn_down(lesser, walk.stiffness(lesser), 0.001) == (Walk(0.006, 3.0), 0.001)
+    assert walk.drawn_down(lesser, walk.stiffness(lesser), 0.008) == (Walk(0.008, 3.0), 0.008)
+    assert walk.drawn_down(larger, np.full((40, 9), 1e4), 0.001) == (walk, 0.01)
 
 
 def test_the_end_is_the_least_of_the_stated_cost() -> None:

@@ -104,7 +104,7 @@ class Setting:
 
     course: Callable[[int, int], Array] = attached
     unmodelled: Unmodelled = CLEAN
-    readout: Readout = TwoPointReadout()
+    readout: Readout = TwoPointReadout(noise_lsb=0.7)
     side: int = 10
     spread: float = 0.2
     noisier: float = 1.0
@@ -121,7 +121,7 @@ class Setting:
         time = np.arange(len(pressure), dtype=float)
         drift = np.exp(self.unmodelled.drift_per_minute / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
         cells = resting * drift * ratio_from_pressure(pressure)
-        noisy = replace(self.readout, noise_lsb=self.readout.noise_lsb * self.noisier)
+        noisy = replace(self.readout, noise_lsb=self.readout.assumed_noise * self.noisier)
         recorded, _ = measured(replace(scene, readout=noisy), cells, self.unmodelled, seed)
         role = np.where(time < RESTING, UNLOADED, MEASURED).astype(np.uint8)
         return Recording(scene, recorded, time, role, truth_cell_resistance=cells)
@@ -138,7 +138,9 @@ SETTINGS = {
     "hand": Setting(hand),
     "noise 6 times": Setting(readout=TwoPointReadout(readings=1, noise_lsb=1.0)),
     "noise twice as told": Setting(noisier=2.0),
-    "loaded columns": Setting(readout=LoadedColumnsReadout(load_ohm=3000.0, drive_ohm=100.0, adc_bits=12)),
+    "loaded columns": Setting(
+        readout=LoadedColumnsReadout(load_ohm=3000.0, drive_ohm=100.0, adc_bits=12, noise_lsb=0.7)
+    ),
     "uneven baseline": Setting(spread=0.6),
     "16 x 16": Setting(side=16),
 }

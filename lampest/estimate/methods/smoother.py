@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms.misfit import Misfit
 from lampest.cost.terms.term import Term
@@ -47,17 +48,18 @@ class Window:
 class SmootherMethod(Method):
     """Φ = misfits + what cells do from frame to frame + what all readings share, over all frames and the baseline.
 
-    Cells hardly walk, but may jump (`lampest.estimate.smoothing.walk`); a step that all cells have in common is free.
-    JointData as they come are estimated together with those before, back to `lag`.
+    Most cells stand still, some never do, and any may jump (`lampest.estimate.smoothing.walk`); a step that all cells
+    have in common is free. Frames as they come are estimated together with those before, back to `lag`.
 
-    walk : how far a cell walks from frame to frame, over the noise of a frame that is estimated alone, in the median.
+    walk : the least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated
+    alone, in the median; frames may tell that it is more.
     jump : so many walks a jump costs at most. lag : of how many frames before.
     Raises ValueError where a number is out of range.
     """
 
     optimum: ClassVar[bool] = True
     kind: Literal["smoother"] = "smoother"
-    walk: float = 0.2
+    walk: float = 0.1
     jump: float = 3.0
     lag: int = 8
 
@@ -151,13 +153,18 @@ def _begun(
     cells: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[list[Data], Array]:
-    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone."""
+    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone, by least squares.
+
+    A loss that forgives wrong readings may forgive those of a cell that jumped, which begins where it was.
+    """
     assert stream.baseline is not None
+    terms = tuple(replace(term, loss=Squared()) for term in stream.estimator.terms)
+    alone = replace(stream, estimator=replace(stream.estimator, terms=terms, formulation="reduced"))
     data = [stream.estimator.data(one.alone(), stream.background) for one in (*resting, *readings)]
     found = [stream.baseline.cell_resistance, *cells] if len(resting) == 1 else []
     for number, one in enumerate(data[len(found) :], len(found)):
         before = found[-1] if found else stream.baseline.cell_resistance
-        step = stream.solve(one, before[None])
+        step = alone.solve(one, before[None])
         found.append(before if step.estimate(0) is None else step.cell_resistance)
         if number >= len(resting):
             on_frame()

@@ -2,11 +2,12 @@
 
 The estimate u with its covariance P has the least of the free energy
 
-    F(u, z, c, P) = misfits + |z|² + Σ c²/τ² + Σ κ² S/(κ² + S) + tr A P − log det P,   S = K E x²/q²,
+    F(u, z, c, P) = misfits + |z|² + Σ c²/τ² + walk(E x²) + tr A P − log det P,
 
-A the misfits' second derivatives, E x² = x² + var x by P: for given P and S a Newton step of `Joint`, for given u the
-inverse of its matrix and new stiffnesses. The walk q begins at several times the noise and is drawn down, so that small
-jumps are seen after large ones. At the end the stiffness is kept and u, z, c are led to where Φ is least.
+A the misfits' second derivatives, E x² = x² + var x by P, the walk that of `lampest.estimate.smoothing.walk`: for given
+P and E x² a Newton step of `Joint`, for given u the inverse of its matrix and new stiffnesses. The walk begins at
+several times the noise and is drawn down as far as still cells allow, so that small jumps are seen after large ones. At
+the end the stiffness is kept and u, z, c are led to where Φ is least.
 Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction, 1987 (q drawn down).
 """
 
@@ -22,8 +23,8 @@ from lampest.panel.panel import Array
 from lampest.posterior.dense import IGNORANCE, positive_inverse
 from lampest.solvers.solution import Settings
 
-WIDE, NARROWED = 3.0, 0.6  # q at the start over the noise, and from round to round: as large jumps as three deviations
-MOST_ROUNDS, MOST_LAST, MOST_HALVINGS = 40, 30, 25  # 8 to 27, and 3 to 15, were needed on simulated lampreys
+WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
+MOST_ROUNDS, MOST_LAST, MOST_HALVINGS = 40, 30, 25  # 15 to 40, and 3 to 15, were needed on simulated lampreys
 SETTLED = 0.3  # of a standard deviation, by which a round may still move a cell
 FROZEN = 12  # rounds after which U stays, so that Φ is one function
 UNKNOWN = 1.0  # variance of log r that no reading tells
@@ -34,9 +35,8 @@ def smoothed(
 ) -> tuple[Joint, int]:
     """(where Φ is least, rounds). alone : log r of every frame alone, (frames, cells).
 
-    walk : its deviation is over the noise of frames alone. until : s on the clock of `time.monotonic`, when rounds end.
-    Raises numpy.linalg.LinAlgError where arithmetic breaks
-    down.
+    walk : its deviation is the least, over the noise of frames alone. until : s on the clock of `time.monotonic`, when
+    rounds end. Raises numpy.linalg.LinAlgError where arithmetic breaks down.
     """
     found = _Round.first(frames, lasting(alone), walk)
     while found.number < MOST_ROUNDS and not found.done and monotonic() < until:
@@ -87,9 +87,10 @@ class _Round:
         if self.number < FROZEN:
             joint = replace(joint, frames=joint.frames.sharing(joint.at))
         moved = np.abs(joint.position - self.joint.position).max(initial=0.0, where=~joint.pressed)
-        walk = replace(self.walk, deviation=max(self.walk.deviation * NARROWED, self.least))
-        joint = replace(joint, stiffness=walk.stiffness(joint.expected_squares()))
-        return replace(self, joint=joint, walk=walk, number=self.number + 1, moved=float(moved))
+        squares = joint.expected_squares()
+        walk, least = self.walk.drawn_down(squares, joint.stiffness, self.least)
+        joint = replace(joint, stiffness=walk.stiffness(squares))
+        return replace(self, joint=joint, walk=walk, least=least, number=self.number + 1, moved=float(moved))
 
     @property
     def done(self) -> bool:
