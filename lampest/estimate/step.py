@@ -1,6 +1,6 @@
 """How one frame was solved."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lampest.loads.recognition.direct import OralDiscFit
 from lampest.panel.panel import Array
@@ -38,6 +38,10 @@ class Step:
     def estimate(self, frame: int) -> Array | None:
         """The cells (rows, columns) ohm of one of its frames; None where the solve failed."""
         return self.solution.cell_resistance[frame] if self.solution.solved else None
+
+    def bare(self) -> "Step":
+        """Without what error bars follow from: it holds compiled functions, and much memory."""
+        return replace(self, solution=replace(self.solution, at=None, dual=None, factor=None))
 
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""

@@ -59,6 +59,8 @@ class Stream:
     prepared : what the method keeps between frames, or None.
     track : what error bars need of earlier frames; None where there are to be none.
     weights, weighed_at : those that the data chose for the terms, and how far that frame was from rest; None, 0 before.
+    hasty : whether frames take the weights that there are, and the minimum nearest to the frame before, without search
+    for lower ones; what that leaves open is told by `due` and `Solution.unsearched`.
     """
 
     estimator: Estimator
@@ -72,6 +74,7 @@ class Stream:
     track: Track | None = None
     weights: tuple[float, ...] | None = None
     weighed_at: float = 0.0
+    hasty: bool = False
 
     @classmethod
     def begin(
@@ -100,7 +103,7 @@ class Stream:
         """
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
-        begun = Stream(self.estimator, self.scene, self.period, resting, track=track)
+        begun = Stream(self.estimator, self.scene, self.period, resting, track=track, hasty=self.hasty)
         return replace(begun, weights=self.weights, weighed_at=self.weighed_at)._rested()
 
     def _rested(self) -> "Stream":
@@ -119,21 +122,33 @@ class Stream:
             return self, self.unsolved(Status.UNREAD)
         if self.estimator.method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        chooses = self.estimator.automatic and self.estimator.auto_weight.per == "recording"
-        return self._pushed_with_weights(readings) if chooses else self.estimator.method.push(self, readings)
+        return self._pushed_with_weights(readings) if self._chooses else self.estimator.method.push(self, readings)
 
     def _pushed_with_weights(self, readings: Readings) -> tuple["Stream", Step]:
         """As `push`, weights chosen anew by frames that differ from rest by a tenth more than any before them.
 
         A recording's weight comes from its strongest frame; of a stream nobody knows yet which that will be.
         """
-        change = mean_change(readings.plain_values, self.resting.value)
-        if self.weights is not None and not change > STRONGER * self.weighed_at:
+        if self.weights is not None and (self.hasty or not self.due(readings)):
             stream = replace(self, estimator=self.estimator.with_weights(self.weights))
             stream, step = self.estimator.method.push(stream, readings)
             return replace(stream, estimator=self.estimator), step
         stream, step = self.estimator.method.push(self, readings)
-        return (replace(stream, weights=step.weights, weighed_at=change) if step.solution.solved else stream), step
+        if not step.solution.solved:
+            return stream, step
+        return replace(stream, weights=step.weights, weighed_at=self._change(readings)), step
+
+    def due(self, readings: Readings) -> bool:
+        """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
+        return self._chooses and self._change(readings) > STRONGER * self.weighed_at
+
+    @property
+    def _chooses(self) -> bool:
+        return self.estimator.automatic and self.estimator.auto_weight.per == "recording"
+
+    def _change(self, readings: Readings) -> float:
+        """How far a frame is from rest."""
+        return mean_change(readings.plain_values, self.resting.value)
 
     def unsolved(self, status: Status) -> Step:
         """A step that was not even tried; for methods."""
@@ -163,7 +178,7 @@ class Stream:
         found = step.estimate(-1)
         track, step = stream._barred(step)
         prepared = self.estimator.method.kept(step.solution, self.prepared)
-        step = replace(step, solution=replace(step.solution, at=None, dual=None, factor=None))
+        step = step.bare()
         return replace(
             stream,
             baseline=step if len(data.measured) == 2 else self.baseline,
@@ -231,7 +246,7 @@ class Stream:
         with delayed_interrupt():
             begin = perf_counter()
             estimator = self.estimator
-            limit = estimator.solver.time_limit_s
+            limit, data = estimator.solver.time_limit_s, replace(data, hasty=True) if self.hasty else data
             if estimator.automatic:
                 noisy = self.resting.sigma is not None
                 estimator = with_chosen_weights(estimator, self.scene, data.limited(limit), previous, noisy)

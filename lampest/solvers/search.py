@@ -43,7 +43,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
     stand in the same minimum; so it does on later frames of small panels. Where these terms are convex in log r and the
     previous frame is known, only one minimum was ever found, and the number of iterations is no sign.
     The starts after the first end with the one that brings them to one solve's limit of iterations, so that no frame
-    takes more than three times that.
+    takes more than three times that. In haste the first start has to do where there is a previous frame and it ends at
+    an optimum; the solution says whether others would have been tried.
     Arithmetic that breaks down costs its start; where it does at every start, the status says so.
 
     kept : the factor that the frame before left, if it did.
@@ -57,7 +58,8 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
         if not scout.solved:
             return scout
         at = evaluated(solver.cost, data, scout.cell_resistance)
-        return replace(solved_from(solver, at), starts=scout.starts, factor=scout.factor)
+        solution = solved_from(solver, at)
+        return replace(solution, starts=scout.starts, factor=scout.factor, unsearched=scout.unsearched)
 
 
 def scouted(cost: Cost, data: Data, previous: Array | None) -> bool:
@@ -99,6 +101,8 @@ def _compared(solver: Newton, data: Data, previous: Array, found: Solution) -> S
     more = _beside(solver, found)
     if found.iterations > EASY_KEPT:
         more += _elsewhere(data, previous)
+    if data.hasty:
+        return replace(found, unsearched=bool(more))
     return _least(found, _others(solver, _evaluable(solver.cost, data, more)))
 
 
@@ -128,6 +132,8 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
         return found
+    if found.solved and data.hasty and previous is not None:
+        return replace(found, unsearched=True)
     if hard or not found.solved:
         more += _elsewhere(data, previous)
     else:

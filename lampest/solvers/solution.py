@@ -96,6 +96,7 @@ class Solution:
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
     factor : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they reached.
+    unsearched : whether others would have been tried had there been time (`Data.hasty`).
     """
 
     cell_resistance: Array
@@ -111,6 +112,7 @@ class Solution:
     dual: Array | None = None
     factor: Factor | None = None
     starts: int = 1
+    unsearched: bool = False
 
     @property
     def solved(self) -> bool:

@@ -7,7 +7,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
@@ -23,12 +23,12 @@ from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.pressure import PressureTrack, water_pressure
+from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
 from lampest.panel.film import Film
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
@@ -36,9 +36,10 @@ from lampest.recording.recording import MEASURED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.carried import ASKED, total_pressure
+from lampest.report.live.carried import ASKED
 from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
 from lampest.report.live.feed import from_recording
+from lampest.report.live.force import total_force
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
 from lampest.report.live.server import PageServer, address, is_local_name, serving
@@ -78,6 +79,55 @@ def test_weights_live_follow_the_strongest_frame_so_far(lamprey: Recording) -> N
     batch = reconstruct(lamprey, METHODS["LSR-gCR"])
     last = ends[-1].relative_change
     assert np.median(np.abs(last - batch.relative_change[-1])) < 0.1 * np.median(np.abs(batch.relative_change[-1]))
+
+
+def test_what_is_left_to_another_process_reaches_the_frames_after(lamprey: Recording) -> None:
+    """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
+    lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
+    (waited,) = live_pictures(METHODS["LSR-gCR"], 3, lambda engine: from_recording(engine, lies, 1e9, None))[-1:]
+    batch = reconstruct(lies, METHODS["LSR-gCR"])
+    assert batch.pressure_errors is not None and batch.pressure is not None
+    with Engine("test", "test", METHODS["LSR-gCR"], 3, beside=True) as engine:
+
+        def found(seconds: float) -> None:
+            until(lambda: engine.shown.thing.deviation_of == engine.shown.thing.frames)
+
+        from_recording(engine, lies, 1e9, None, found)
+        engine.finish()
+        view = engine.shown.thing
+    assert view.picture is not None and view.skipped == 0
+    np.testing.assert_allclose(view.picture.relative_change, waited.relative_change, atol=0.05)
+    told = view.picture.saturated == 0
+    assert view.deviation == pytest.approx(0.1 * np.sqrt(np.sum(batch.pressure_errors[-1][told] ** 2)), rel=0.1)
+    assert json.loads(view_text(view, 0.0))["deviation"] == pytest.approx(view.deviation, abs=1e-4)
+
+
+def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
+    with Engine("test", "test", METHODS["LSR-gCR"], 3, beside=True) as engine:
+
+        def kill(seconds: float) -> None:
+            settle(engine)
+            beside = engine._beside
+            assert beside is not None
+            if engine.shown.thing.frames == 5:
+                until(lambda: beside._worker is not None)
+                assert beside._worker is not None
+                beside._worker.process.kill()
+                until(lambda: beside.gone)
+
+        from_recording(engine, lamprey, 1e9, None, kill)
+        engine.finish()
+        view = engine.shown.thing
+    assert view.picture is not None and view.picture.status == "optimum verified"
+    assert view.deviation_of == view.picture.number, "error bars come with the frame"
+
+
+def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until something is true."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.005)
 
 
 @pytest.mark.parametrize(
@@ -214,9 +264,28 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 def test_total_pressure_is_a_force() -> None:
     """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
     scene = Scene(Panel(10, 10))
-    assert total_pressure(scene, np.full((10, 10), 10.0)) == pytest.approx(100.0)
+    assert total_force(scene, pressed(np.full((10, 10), 10.0))).newton == pytest.approx(100.0)
     half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert total_pressure(scene, half) == pytest.approx(0.0, abs=1e-9)
+    assert total_force(scene, pressed(half)).newton == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_force_is_as_uncertain_as_its_cells_together() -> None:
+    """100 cells of 10 ± 0.5 kPa and 1 cm² are 100 ± 0.5 N; one that the response does not tell is in neither."""
+    scene, kpa = Scene(Panel(10, 10)), np.full((10, 10), 10.0)
+    force = total_force(scene, pressed(kpa), pressed(kpa, 0.5))
+    assert force == pytest.approx((100.0, 0.5))
+    saturated = np.zeros((10, 10), dtype=np.uint8)
+    saturated[2:, :] = 1
+    kept = total_force(
+        scene, dataclasses.replace(pressed(kpa), saturated=saturated), pressed(kpa, np.where(saturated, 99.0, 0.5))
+    )
+    assert kept == pytest.approx((20.0, 0.05 * np.sqrt(20)))
+    assert np.isnan(total_force(scene, pressed(kpa)).deviation), "without error bars it is not known"
+
+
+def pressed(kpa: Array, errors: Any = 0.0) -> Pressure:
+    """So much on every cell."""
+    return Pressure(kpa, kpa, kpa, np.broadcast_to(errors, kpa.shape), np.zeros(kpa.shape, dtype=np.uint8))
 
 
 def test_total_pressure_is_that_of_the_scene() -> None:
@@ -224,12 +293,11 @@ def test_total_pressure_is_that_of_the_scene() -> None:
     wet = Scene(Panel(10, 10), water=Water(500.0))
     depth = water_pressure(wet.panel, wet.water)
     ratio = ratio_from_pressure(depth + 10.0) / ratio_from_pressure(depth)
-    assert total_pressure(wet, PressureTrack.begin(wet).pressure(ratio, ratio, ratio, 0.0).pressure) == pytest.approx(
-        100.0
-    )
+    dry = PressureTrack.begin(wet).pressure(ratio, ratio, ratio, 0.0)
+    assert total_force(wet, dry).newton == pytest.approx(100.0)
     broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
     pressure = np.where(broken.faults.blind(broken.panel), -9.0, 10.0)  # type: ignore[union-attr]
-    assert total_pressure(broken, pressure) == pytest.approx(89.0)
+    assert total_force(broken, pressed(pressure)).newton == pytest.approx(89.0)
 
 
 def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out() -> None:

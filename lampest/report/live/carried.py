@@ -11,7 +11,10 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import PressureTrack
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
+from lampest.report.live.force import read_load
+from lampest.report.live.second_look import SecondLook
 from lampest.report.live.verdict import verdict_of
 from lampest.report.live.view import Picture
 
@@ -24,6 +27,8 @@ class Carried:
 
     stream, load : cells, and pressures from them. recent : the newest readings. missing : frames that still have to
     come for a zero that was asked for; None where none was. zeroed : why the last frame led to a new zero, or ''.
+    track : what error bars of second looks need, where frames are solved in haste. look : what is still to be found out
+    of the last frame, or None.
     """
 
     stream: Stream
@@ -31,11 +36,27 @@ class Carried:
     recent: tuple[Readings, ...] = ()
     missing: int | None = None
     zeroed: str = ""
+    track: Track | None = None
+    look: SecondLook | None = None
 
     @classmethod
-    def begin(cls, estimator: Estimator, scene: Scene, period: float, resting: Readings) -> "Carried":
-        """Against the unloaded readings. Raises InputError as `Stream.begin`."""
-        return cls(Stream.begin(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
+    def begin(
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, hasty: bool = False
+    ) -> "Carried":
+        """Against the unloaded readings; hasty : see `hurried`. Raises InputError as `Stream.begin`."""
+        begun = cls(Stream.begin(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
+        return begun.hurried() if hasty else begun
+
+    def hurried(self) -> "Carried":
+        """Frames take no longer than they must, and say what they leave open.
+
+        The first weights are the baseline's. Error bars are left to second looks, but those that the next frame needs.
+        """
+        stream, baseline = self.stream, self.stream.baseline
+        if stream.weights is None and baseline is not None and len(baseline.weights) == len(stream.estimator.terms):
+            stream = replace(stream, weights=baseline.weights if baseline.solution.solved else None)
+        track = None if stream.estimator.relative else stream.track
+        return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
 
     def asked(self, frames: int) -> "Carried":
         """Once somebody has said that nothing touches the panel, and that so many frames shall be its zero."""
@@ -71,10 +92,12 @@ class Carried:
         """Against the mean of some frames from now on; as it was where too little of them was read."""
         first, *others = frames
         try:
-            stream = self.stream.tared(first.together(*others).mean())
+            stream = replace(self.stream, track=self.track or self.stream.track)
+            stream = stream.tared(first.together(*others).mean())
         except InputError:
             return replace(self, missing=None, recent=())
-        return Carried(stream, self.load.rebased(time), zeroed=why)
+        begun = Carried(stream, self.load.rebased(time), zeroed=why)
+        return begun.hurried() if stream.hasty else begun
 
 
 def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tuple[Carried, Picture]:
@@ -86,16 +109,18 @@ def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tu
         stream, step = carried.stream.push(readings)
     except InputError as error:
         return carried, replace(picture, status=str(error))
-    here, solution = replace(carried, stream=stream), step.solution
+    look = SecondLook.at(picture.number, picture.time, carried.stream, carried.load, readings, step, carried.track)
+    here, solution = replace(carried, stream=stream, look=look), step.solution
     picture = replace(picture, status=solution.status.value, seconds=step.seconds)
     ratio = here.ratio(step)
     if ratio is not None:
-        pressed = here.load.pressure(ratio, ratio, ratio, picture.time)
+        pressed, force = read_load(here.load, ratio, step.bars, picture.time)
         picture = replace(
             picture,
             relative_change=100 * (ratio - 1),
             open_cell=solution.open_cell[-1],
-            total=total_pressure(here.load.scene, np.where(pressed.saturated, 0.0, pressed.pressure)),
+            total=force.newton,
+            total_deviation=force.deviation,
             cell_resistance=solution.cell_resistance[-1],
             pressure=pressed.pressure,
             saturated=pressed.saturated,
@@ -105,14 +130,3 @@ def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tu
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
     return here.after(readings, step, picture.time), picture
-
-
-def total_pressure(scene: Scene, pressure: Array) -> float:
-    """F = Σ p·pitch² over the cells that are not known to be broken, newton; suction counts as negative.
-
-    pressure : (rows, columns) kPa.
-    """
-    if scene.faults is not None:
-        broken = scene.faults.open_cells(scene.panel) | scene.faults.shorted_cells(scene.panel)
-        pressure = np.where(broken, 0.0, pressure)
-    return float(np.sum(pressure) * scene.panel.pitch_mm**2 * 1e-3)  # kPa · mm² = mN

@@ -4,19 +4,23 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from queue import SimpleQueue
 from threading import Event
+from typing import Any
 
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check.check import model_check
+from lampest.estimate.model_check.check import ModelCheck, model_check
 from lampest.estimate.noise.seen import without_leaps
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.report.live.beside import Beside, Question
 from lampest.report.live.carried import Carried, solved_picture
 from lampest.report.live.newest import Newest
+from lampest.report.live.second_look import Findings, SecondLook
 from lampest.report.live.view import POINTS, Picture, Point, View
 
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
@@ -57,10 +61,12 @@ class FrameSource:
 class Engine:
     """Takes frames from one thread, solves the newest in another, and keeps what is to be shown in `shown`.
 
-    One thread solves, because a CasADi solver must not be shared between threads.
+    One thread solves, because a CasADi solver must not be shared between threads. beside : whether what takes longer
+    than a frame, weights, searches for lower minima, error bars and the check of the circuit, is left to another
+    process; else every frame waits for its own.
     """
 
-    def __init__(self, name: str, method: str, estimator: Estimator, baseline: int) -> None:
+    def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:
         self.shown = Newest(View(name, method, "starting"))
         self._estimator = estimator
         self._baseline = baseline
@@ -69,6 +75,8 @@ class Engine:
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
         self._zero_asked = Event()
+        self._beside = Beside() if beside else None
+        self._found: SimpleQueue[Any] = SimpleQueue()
 
     def __enter__(self) -> "Engine":
         return self
@@ -76,6 +84,8 @@ class Engine:
     def __exit__(self, *error: object) -> None:
         self._arrivals.close()
         self._pool.shutdown()
+        if self._beside is not None:
+            self._beside.close()
 
     def finish(self) -> None:
         """Solve the frame that waits; no other may come. Raises what stopped the solver."""
@@ -129,42 +139,76 @@ class Engine:
 
         The circuit is held against the unloaded frames, and once more with the first frame that shows a load.
         """
-        # Nobody sees error bars here, but terms may need them.
-        estimator = replace(self._estimator, error_bars=self._estimator.weighs_previous)
-        carried = Carried.begin(estimator, source.scene, source.period, resting)
+        carried = Carried.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
         self._check(source.scene, unloaded)
         seen, checked = 0, False
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
+            carried = self._with_findings(carried)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
                 carried = carried.asked(self._baseline)
             carried, picture = solved_scan(carried, news.thing, len(self._unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=carried.zeroed))
+            self._look_again(carried.look)
             if not checked and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
                 checked = True
                 self._check(source.scene, unloaded, news.thing)
+
+    def _with_findings(self, carried: Carried) -> Carried:
+        """With what second looks have found meanwhile; without them from here on, should their process have died."""
+        assert self._solving is not None
+        while not self._found.empty():
+            found = self._found.get()
+            if isinstance(found, Exception):
+                raise found
+            carried = replace(carried, stream=found.into(carried.stream))
+        if self._beside is not None and self._beside.gone and carried.stream.hasty:
+            track = carried.track or carried.stream.track
+            return replace(carried, stream=replace(carried.stream, hasty=False, track=track), track=None)
+        return carried
+
+    def _look_again(self, look: SecondLook | None) -> None:
+        """Once the other process is free; weights and searches are not pushed aside by what only lacks error bars."""
+        if look is not None and self._beside is not None:
+            self._beside.ask("look", Question(look.findings, self._take_findings, look.due))
+
+    def _take_findings(self, found: "Findings | Exception") -> None:
+        self._found.put(found)
+        if isinstance(found, Findings) and found.force is not None:
+            force, number = found.force, found.number
+            self.shown.change(lambda view: replace(view, deviation=force.deviation, deviation_of=number))
 
     def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
         """Show what speaks against the scene's circuit, if anything does."""
         scans, noises = (*unloaded, *loaded), [scan.sigma for scan in (*unloaded, *loaded)]
         told = [noise for noise in noises if noise is not None]
         frames = np.arange(len(scans))
-        found = model_check(
+        check = partial(
+            model_check,
             scene,
             np.stack([scan.recorded for scan in scans]),
             np.stack(told) if len(told) == len(scans) else None,
             frames[: len(unloaded)],
             frames[len(unloaded) :],
         )
+        if self._beside is None or self._beside.gone:
+            self._take_check(check())
+        else:
+            self._beside.ask("check", Question(check, self._take_check))
+
+    def _take_check(self, found: "ModelCheck | Exception") -> None:
+        if isinstance(found, Exception):
+            self._found.put(found)
+            return
         said = "" if found.mark == "yes" else found.sentence
         self.shown.change(lambda view: replace(view, model=said))
 
 
 def solved_scan(carried: Carried, scan: Scan, number: int, skipped: int) -> tuple[Carried, Picture]:
     """Solve one frame; where that cannot be, the picture holds NaN and says why."""
-    scene = carried.stream.scene
+    carried, scene = replace(carried, look=None), carried.stream.scene
     nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
     try:
@@ -180,4 +224,7 @@ def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
     point = Point(picture.number, picture.time, picture.total)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped, history = view.skipped + picture.skipped, (*view.history, point)[-POINTS:]
-    return replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
+    view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
+    if np.isnan(picture.total_deviation):
+        return view
+    return replace(view, deviation=picture.total_deviation, deviation_of=picture.number)

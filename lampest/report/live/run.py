@@ -92,7 +92,7 @@ def live(
     port = source.port or only_port() if isinstance(source, LiveBoard) else ""
     ways = [publish_at(where, token) for where in publish]
     with (
-        Engine(port if recording is None else recording.name, name, estimator, source.baseline) as engine,
+        Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
         serving(*address(http), engine.shown, token, engine.tare) as server,
     ):

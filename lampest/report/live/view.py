@@ -32,7 +32,8 @@ class Picture:
     whose pressure the response tells, NaN where it failed.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
     cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
-    where the response does not tell the pressure. verdict : one of `verdict.VERDICTS`.
+    where the response does not tell the pressure. verdict : one of `verdict.VERDICTS`. total_deviation : newton,
+    standard deviation of the total; NaN where it is not known, or comes later.
     """
 
     number: int
@@ -49,6 +50,7 @@ class Picture:
     pressure: Array | None = None
     saturated: NDArray[np.uint8] | None = None
     verdict: str = "unsolved"
+    total_deviation: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,8 @@ class View:
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
     model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
     zero : when zero was taken anew last and why, a sentence; empty: it never was.
-    frames, lost, skipped : frames that arrived, were lost on the way here, and were not reconstructed.
+    deviation, deviation_of : of the total force, newton, and the number of the frame whose it is, the newest of which
+    it is known. frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
     """
 
     source: str
@@ -72,6 +75,8 @@ class View:
     history: tuple[Point, ...] = ()
     model: str = ""
     zero: str = ""
+    deviation: float = float("nan")
+    deviation_of: int = 0
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
@@ -88,6 +93,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         "state": view.state,
         "model": view.model,
         "zero": view.zero,
+        "deviation": _number(view.deviation, 4),
         "sent": sent_at,
         "panel": panel and {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm},
         "frames": view.frames,

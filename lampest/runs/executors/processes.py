@@ -1,19 +1,13 @@
 """Calls in processes of this machine, each told its next task when it has sent its last result."""
 
-import pickle
-import signal
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
 
-from lampest.files.interrupts import ENDING
-from lampest.files.log import libraries_to_the_log
-from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
+from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores
+from lampest.runs.executors.process import Worker
 
 
 @dataclass(frozen=True)
@@ -38,8 +32,8 @@ class Processes:
         """In the order in which they are finished."""
         waiting = deque(range(len(arguments)))
         tries = Counter[int]()
-        idle = [_Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments)))]
-        busy: dict[Connection, tuple[_Worker, int]] = {}
+        idle = [Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments)))]
+        busy: dict[Connection, tuple[Worker, int]] = {}
         try:
             while waiting or busy:
                 while waiting and idle:
@@ -53,7 +47,7 @@ class Processes:
                         outcome = worker.connection.recv()
                     except (EOFError, OSError):
                         worker.stop()
-                        idle.append(_Worker.start(function))
+                        idle.append(Worker.start(function))
                         tries[number] += 1
                         if tries[number] < MOST_TRIES:
                             waiting.appendleft(number)
@@ -65,63 +59,3 @@ class Processes:
         finally:
             for worker in (*idle, *(worker for worker, _ in busy.values())):
                 worker.stop()
-
-
-@dataclass(frozen=True, eq=False)
-class _Worker:
-    """A process and this end of the pipe to it."""
-
-    process: SpawnProcess
-    connection: Connection
-
-    @classmethod
-    def start(cls, function: Function) -> "_Worker":
-        context = get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(function, theirs))
-        with one_thread(), without_interrupts():
-            process.start()
-        theirs.close()
-        return cls(process, ours)
-
-    def send(self, argument: Any) -> None:
-        """Hand over a task; a process that is dead already shows when its result is awaited."""
-        with suppress(BrokenPipeError):
-            self.connection.send(argument)
-
-    def stop(self) -> None:
-        """Wait until the process has ended what it is at."""
-        self.connection.close()
-        self.process.join()
-
-
-@contextmanager
-def without_interrupts() -> Iterator[None]:
-    """Processes started here never see Ctrl-C and its kin, not even while they import; here it comes a moment later."""
-    # Starting the tracker unblocks them again, so it must be running before.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _work(function: Function, connection: Connection) -> None:
-    """The life of a worker: until nobody is at the other end."""
-    with suppress(EOFError, OSError), libraries_to_the_log():
-        while True:
-            connection.send_bytes(_answer(function, connection.recv()))
-
-
-def _answer(function: Function, argument: Any) -> bytes:
-    """The pickled result, or the pickled exception; where that cannot travel, its text."""
-    try:
-        return pickle.dumps(function(argument))
-    except Exception as error:
-        try:
-            text = pickle.dumps(error)
-            pickle.loads(text)
-        except Exception:
-            text = pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
-        return text

@@ -50,7 +50,8 @@ class LslPublish(Publish):
             picture = message.picture
             numbers = (picture.number, picture.total, VERDICTS.index(picture.verdict), message.solved)
             maps = (picture.relative_change, message.pressure, message.cells)
-            sample = np.concatenate([np.array(numbers, dtype=float), *(held.ravel() for held in maps)])
+            held = (*(one.ravel() for one in maps), [message.view.deviation])
+            sample = np.concatenate([np.array(numbers, dtype=float), *held])
             outlets[0].push_sample(sample.astype(np.float32), pylsl.local_clock() - (time.time() - picture.arrived))
 
         yield f"lsl://{self.name}", send
@@ -67,6 +68,7 @@ class LslPublish(Publish):
             for label, unit in MAPS
             for row, column in np.ndindex(panel.shape)
         ]
+        described.append(("force_sd", "newton", None))
         info = pylsl.StreamInfo(self.name, "Pressure", len(described), pylsl.IRREGULAR_RATE, "float32", self.name)
         about = info.desc()
         about.append_child_value("format", FORMAT).append_child_value("verdicts", ",".join(VERDICTS))

@@ -59,6 +59,8 @@ class Message:
             "change": _numbers(picture.relative_change, 3),
             "pressure": _numbers(self.pressure, 4),
             "force": _number(picture.total, 4),
+            "force_sd": _number(view.deviation, 4),
+            "force_sd_of": view.deviation_of or None,
             "verdict": picture.verdict,
             "health": {
                 "solved": self.solved,

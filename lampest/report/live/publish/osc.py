@@ -50,7 +50,7 @@ class OscPublish(Publish):
             yield where, send
 
     def _bundle(self, message: Message) -> Any:
-        """sequence i, time d, size ii; cells, change, pressure f…; force f, verdict s, solved T or F, status s."""
+        """Sequence i, time d, size ii, status s, verdict s, solved T or F; maps, force and force_sd f."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import OscMessageBuilder
 
@@ -62,6 +62,7 @@ class OscPublish(Publish):
             "size": [(message.panel.rows, "i"), (message.panel.columns, "i")],
             **{name: [(value, "f") for value in held.ravel().tolist()] for name, held in maps.items()},
             "force": [(picture.total, "f")],
+            "force_sd": [(message.view.deviation, "f")],
             "verdict": [(picture.verdict, "s")],
             "solved": [(message.solved, "T" if message.solved else "F")],
             "status": [(picture.status, "s")],
