@@ -260,9 +260,10 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
     assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
     beside.join()
     info, sample = came["info"], np.array(came["sample"])
-    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 304, pylsl.cf_float32)
+    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 305, pylsl.cf_float32)
     assert info.get_channel_labels()[:5] == ["sequence", "force", "verdict", "solved", "change_0_0"]
     assert info.get_channel_units()[1:5:3] == ["newton", "percent"]
+    assert (info.get_channel_labels()[-1], info.get_channel_units()[-1]) == ("force_sd", "newton")
     cell = info.desc().child("channels").first_child()
     while cell.child_value("label") != "pressure_3_4":
         cell = cell.next_sibling()

@@ -1,7 +1,9 @@
 """MQTT: the message as JSON to a topic of a broker."""
 
+import socket
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult, unquote
@@ -14,6 +16,7 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 PORT = 1883
 CONNECT_SECONDS = 5.0
 LONGEST_PAUSE_SECONDS = 10  # between attempts to reach a broker that went away
+CLOSE_SECONDS = 1.0  # for a broker to take the last message
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class MqttPublish(Publish):
         finally:
             client.on_disconnect = None
             client.disconnect()
+            _hang_up(client)
             client.loop_stop()
 
     def _connect(self, client: Any, where: str) -> None:
@@ -80,3 +84,12 @@ class MqttPublish(Publish):
         if not answers or answers[0].is_failure:
             said = answers[0] if answers else "it hung up"
             raise InputError(f"--publish: {where}: the broker refuses ({said})")
+
+
+def _hang_up(client: Any) -> None:
+    """Once what was said has gone out; a broker that does not read would keep the library waiting for ever."""
+    until = time.monotonic() + CLOSE_SECONDS
+    while client.socket() is not None and time.monotonic() < until:
+        time.sleep(0.01)
+    with suppress(OSError, AttributeError):  # it has gone meanwhile
+        client.socket().shutdown(socket.SHUT_RDWR)

@@ -18,7 +18,7 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 from lampest.report.live.server import MOST_STREAMS
 
 T = TypeVar("T")
-Listeners = set[asyncio.Queue[str]]
+Listeners = dict[Any, asyncio.Queue[str]]  # connection → what it has not got yet
 PORT = 8138
 CLOSE_SECONDS = 1.0
 MOST_BYTES_IN = 1024  # nobody has anything to say
@@ -53,7 +53,7 @@ class WebsocketPublish(Publish):
         loop = asyncio.new_event_loop()
         thread = Thread(target=loop.run_forever, name="lampest-websocket", daemon=True)
         thread.start()
-        listeners: Listeners = set()
+        listeners: Listeners = {}
         try:
             server, where = _done(self._listening(listeners), loop)
             try:
@@ -107,7 +107,7 @@ def _offer(loop: asyncio.AbstractEventLoop, listeners: Listeners, text: str) -> 
     """From any thread: the text takes the place of one that a listener has not got yet."""
 
     def put() -> None:
-        for waiting in listeners:
+        for waiting in listeners.values():
             if waiting.full():
                 waiting.get_nowait()
             waiting.put_nowait(text)
@@ -126,12 +126,12 @@ async def _told(connection: Any, listeners: Listeners) -> None:
             while True:
                 await connection.send(await waiting.get())
 
-    listeners.add(waiting)
+    listeners[connection] = waiting
     sender = asyncio.create_task(sending())
     try:
         await connection.wait_closed()
     finally:
-        listeners.discard(waiting)
+        listeners.pop(connection)
         sender.cancel()
 
 
@@ -139,7 +139,13 @@ async def _closed(server: Any, listeners: Listeners) -> None:
     """Say goodbye once whoever listens has the last text, or is too slow for it."""
     with suppress(TimeoutError):
         async with asyncio.timeout(CLOSE_SECONDS):
-            while not all(waiting.empty() for waiting in listeners):
+            while not all(waiting.empty() for waiting in listeners.values()):
                 await asyncio.sleep(0.01)
     server.close()
-    await server.wait_closed()
+    try:
+        async with asyncio.timeout(2 * CLOSE_SECONDS):
+            await server.wait_closed()
+    except TimeoutError:
+        for connection in tuple(listeners):  # they do not read, and what they were sent keeps them open
+            connection.transport.abort()
+        await server.wait_closed()

@@ -1,0 +1,122 @@
+"""Listeners that never read: frames go on, nothing piles up, and the end is not held up."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from lampest.panel.panel import Panel
+from lampest.report.live.publish import publish_at
+from lampest.report.live.publish.message import Message
+from lampest.report.live.publish.publish import Send
+from lampest.report.live.view import Picture, View
+
+FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
+PATIENCE_SECONDS = 30.0
+SMALL_BUFFER = 4096
+HANDSHAKE = (
+    "GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+
+
+def message(number: int) -> Message:
+    """A frame of 64 × 64 cells."""
+    panel = Panel(64, 64)
+    cells, no = np.full(panel.shape, 1000.123 + number), np.zeros(panel.shape, dtype=bool)
+    status, saturated = "optimum verified", np.zeros(panel.shape, dtype=np.uint8)
+    picture = Picture(number, 0.0, 0.0, cells, cells, no, 1.0, status, 0.0, 0, cells, cells, saturated, "pressing")
+    return Message(panel, picture, View("here", "LSM", "receiving", panel))
+
+
+def small_socket() -> socket.socket:
+    """An end that holds little of what it has not read."""
+    end = socket.socket()
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER)
+    return end
+
+
+def sent(send: Send) -> None:
+    """All frames, from a thread that must not hang."""
+
+    def every() -> None:
+        for number in range(1, FRAMES + 1):
+            send(message(number))
+            time.sleep(0.002)
+
+    within(every)
+
+
+def within(work: Callable[[], object]) -> None:
+    """Do something that must come to an end."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_SECONDS)
+    assert not thread.is_alive(), "it hangs"
+
+
+def read_all(end: socket.socket) -> int:
+    """How many bytes a peer gets that wakes up at last."""
+    end.settimeout(2.0)
+    count = 0
+    try:
+        while piece := end.recv(1 << 20):
+            count += len(piece)
+    except OSError:
+        pass
+    return count
+
+
+def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the_end() -> None:
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    came: list[int] = []
+    way = publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None)
+    where, send = way.__enter__()
+    port = int(where.split(":")[2].strip("/"))
+    with closing(small_socket()) as asleep, connect(where, max_size=None) as awake:
+        asleep.connect(("127.0.0.1", port))
+        asleep.sendall(HANDSHAKE.format(port=port).encode())
+
+        def listening() -> None:
+            try:
+                for text in awake:
+                    came.append(json.loads(text)["sequence"])
+            except ConnectionClosed:
+                pass
+
+        ear = threading.Thread(target=listening, daemon=True)
+        ear.start()
+        sent(send)
+        within(lambda: way.__exit__(None, None, None))
+        ear.join(PATIENCE_SECONDS)
+        assert came[-1] == FRAMES and came == sorted(set(came)), "who listens gets the newest frame, in order"
+        assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, "what it did not take is not kept for it"
+
+
+def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None:
+    taken: list[socket.socket] = []
+    with closing(small_socket()) as door:
+        door.bind(("127.0.0.1", 0))
+        door.listen()
+
+        def deaf() -> None:
+            end, _ = door.accept()
+            end.recv(1024)
+            end.sendall(bytes([0x20, 2, 0, 0]))  # CONNACK: accepted
+            taken.append(end)
+
+        threading.Thread(target=deaf, daemon=True).start()
+        way = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(lambda sentence: None)
+        _, send = way.__enter__()
+        sent(send)
+        within(lambda: way.__exit__(None, None, None))
+        with closing(taken[0]):
+            assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
