@@ -81,8 +81,11 @@ def test_weights_live_follow_the_strongest_frame_so_far(lamprey: Recording) -> N
     assert np.median(np.abs(last - batch.relative_change[-1])) < 0.1 * np.median(np.abs(batch.relative_change[-1]))
 
 
-def test_what_is_left_to_another_process_reaches_the_frames_after(lamprey: Recording) -> None:
+def test_what_is_left_to_another_process_reaches_the_frames_after(
+    lamprey: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
+    monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
     (waited,) = live_pictures(METHODS["LSR-gCR"], 3, lambda engine: from_recording(engine, lies, 1e9, None))[-1:]
     batch = reconstruct(lies, METHODS["LSR-gCR"])

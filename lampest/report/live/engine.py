@@ -1,5 +1,6 @@
 """Frames in, pictures out: the baseline from the first frames, then always the newest frame, in one solving thread."""
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -23,6 +24,7 @@ from lampest.report.live.newest import Newest
 from lampest.report.live.second_look import Findings, SecondLook
 from lampest.report.live.view import POINTS, Picture, Point, View
 
+BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
 
 
@@ -75,6 +77,7 @@ class Engine:
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
         self._zero_asked = Event()
+        self._looked = 0.0
         self._beside = Beside() if beside else None
         self._found: SimpleQueue[Any] = SimpleQueue()
 
@@ -171,7 +174,9 @@ class Engine:
 
     def _look_again(self, look: SecondLook | None) -> None:
         """Once the other process is free; weights and searches are not pushed aside by what only lacks error bars."""
-        if look is not None and self._beside is not None:
+        now = time.monotonic()
+        if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
+            self._looked = now
             self._beside.ask("look", Question(look.findings, self._take_findings, look.due))
 
     def _take_findings(self, found: "Findings | Exception") -> None:
