@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from lampest.runs.executors.process import Worker
 
 
-class Question(NamedTuple):
+class Errand(NamedTuple):
     """ask : computes the answer, in the other process. then : takes the answer, or the exception, in a thread here.
 
     urgent : whether it may not be pushed aside by one that is not.
@@ -28,7 +28,7 @@ class Beside:
 
     def __init__(self) -> None:
         self._changed = Condition()
-        self._waiting: dict[str, Question] = {}
+        self._waiting: dict[str, Errand] = {}
         self._closed = self._gone = False
         self._worker: Worker | None = None
         self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)
@@ -38,7 +38,7 @@ class Beside:
         """Whether nothing is answered any more."""
         return self._gone
 
-    def ask(self, kind: str, question: Question) -> None:
+    def ask(self, kind: str, question: Errand) -> None:
         """Never waits; the question takes the place of one of its kind that waits, unless that is urgent and it not."""
         with self._changed:
             waiting = self._waiting.get(kind)
@@ -62,7 +62,7 @@ class Beside:
     def _serve(self) -> None:
         with ExitStack() as end:
             try:
-                worker = Worker.start(answered)
+                worker = Worker.start(done_beside)
                 end.callback(worker.kill)
                 with self._changed:
                     self._worker = worker
@@ -72,13 +72,13 @@ class Beside:
             except (EOFError, OSError):
                 self._gone = True
 
-    def _next(self) -> Question | None:
+    def _next(self) -> Errand | None:
         with self._changed:
             self._changed.wait_for(lambda: self._closed or bool(self._waiting))
             return None if self._closed else self._waiting.pop(next(iter(self._waiting)))
 
 
-def answered(ask: Callable[[], Any]) -> Any:
+def done_beside(ask: Callable[[], Any]) -> Any:
     """The answer, by a process that lets others go first."""
     with suppress(AttributeError, OSError):  # Linux alone has it
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

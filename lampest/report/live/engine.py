@@ -18,7 +18,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.report.live.beside import Beside, Question
+from lampest.report.live.beside import Beside, Errand
 from lampest.report.live.carried import Carried, solved_picture
 from lampest.report.live.newest import Newest
 from lampest.report.live.second_look import Findings, SecondLook
@@ -177,7 +177,7 @@ class Engine:
         now = time.monotonic()
         if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
             self._looked = now
-            self._beside.ask("look", Question(look.findings, self._take_findings, look.due))
+            self._beside.ask("look", Errand(look.findings, self._take_findings, look.due))
 
     def _take_findings(self, found: "Findings | Exception") -> None:
         self._found.put(found)
@@ -201,7 +201,7 @@ class Engine:
         if self._beside is None or self._beside.gone:
             self._take_check(check())
         else:
-            self._beside.ask("check", Question(check, self._take_check))
+            self._beside.ask("check", Errand(check, self._take_check))
 
     def _take_check(self, found: "ModelCheck | Exception") -> None:
         if isinstance(found, Exception):
