@@ -16,11 +16,12 @@ NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
 
-    Raises InputError as `check_output`, and where the folder cannot be written or the disk is full; nothing is left
-    behind then.
+    durable : False for a file that can be made again, and that whoever reads it knows to be whole: nobody waits for the
+    disk then, and a power failure may cost it. Raises InputError as `check_output`, and where the folder cannot be
+    written or the disk is full; nothing is left behind then.
     """
     check_output(path)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
@@ -30,8 +31,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666))
         made = True
         yield unfinished
-        with unfinished.open("rb") as handle:
-            os.fsync(handle.fileno())
+        if durable:
+            with unfinished.open("rb") as handle:
+                os.fsync(handle.fileno())
         unfinished.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error

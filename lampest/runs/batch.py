@@ -17,7 +17,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor
 from lampest.runs.filling import case_result
-from lampest.runs.results import CaseResult, read_results, write_results
+from lampest.runs.results import CaseResult, read_case_ids, read_kept, write_kept, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
@@ -92,7 +92,7 @@ def _put_aside(path: Path, done: Sequence[CaseResult]) -> Path | None:
     if path.is_symlink() or not path.is_file():
         return None
     with suppress(InputError):
-        if {case.case_id for case in read_results(path).cases} <= {case.case_id for case in done}:
+        if read_case_ids(path) <= {case.case_id for case in done}:
             return None
     kept = next(
         name for number in count(1) if not os.path.lexists(name := path.with_name(f"{path.stem}_{number}{path.suffix}"))
@@ -106,7 +106,7 @@ def solve_case(task: Task) -> CaseResult:
     recording = _recording(task.case.path, task.case.sha256)
     result = case_result(task.case, reconstruct(recording, task.case.estimator))
     inner_folder(task.folder, CASES)
-    write_results(task.file, [result])
+    write_kept(task.file, result)
     return result
 
 
@@ -153,6 +153,6 @@ def _result(task: Task) -> CaseResult | None:
     if not task.file.is_file():
         return None
     try:
-        return next((case for case in read_results(task.file).cases if case.case_id == task.case.case_id), None)
+        return read_kept(task.file, task.case.case_id)
     except InputError:
         return None

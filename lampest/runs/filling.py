@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from functools import cache
 from importlib.metadata import version
 
 from lampest.cost.terms import term_kind
@@ -48,7 +49,7 @@ def _filled(
         estimator=name,
         case_id=case_id,
         case_yaml=resolved,
-        versions={library: version(library) for library in LIBRARIES},
+        versions=_versions(),
         scene=estimates.recording.scene,
         baseline_status=estimates.baseline.status,
         baseline_solve_time=estimates.baseline.seconds,
@@ -63,3 +64,8 @@ def _filled(
     )
     result.check(table)
     return result
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {library: version(library) for library in LIBRARIES}

@@ -14,6 +14,7 @@ from unittest.mock import patch
 import h5py
 
 from lampest import cli
+from lampest.runs.results import read_results, write_results
 
 HERE = Path(__file__).parent
 RECORDING = "recording.h5"
@@ -40,12 +41,10 @@ def reconstructed(recording: Path, folder: Path) -> dict[str, Path]:
     for source in (recording, HERE / "run.yaml"):
         shutil.copy(source, folder / source.name)
     lampest("run", folder / "run.yaml", "--out", folder / "out", "--jobs", "1")
-    files = {}
-    for file in sorted((folder / "out" / "cases").glob("*.h5")):
-        with h5py.File(file) as content:
-            (name,) = content[f"entry/{recording.stem}"].keys() - {"recording"}
-        files[name] = file
-    return files
+    cases = read_results(folder / "out" / "results.h5").cases
+    for number, case in enumerate(cases):
+        write_results(folder / f"{number}.h5", [case])
+    return {case.estimator: folder / f"{number}.h5" for number, case in enumerate(cases)}
 
 
 def keep(results: Path, target: Path) -> None:

@@ -46,14 +46,27 @@ def read_results(path: str | Path, columns: Sequence[Column] = ()) -> Results:
     """
     path, table = Path(path), all_columns(columns)
     with hdf5.existing_file(path) as file:
-        form = hdf5.read_attribute(file, "/", "lampest_format")
-        if not isinstance(form, str) or form != FORMAT:
-            raise InputError(f"{path}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
+        _check_format(file)
         published = _read_published(file)
         cases: list[CaseResult] = []
         for recording in _in_order(file, "/entry"):
             cases += _read_recording(file, recording, table)
         return Results(tuple(cases), published)
+
+
+def read_case_ids(path: Path) -> frozenset[str]:
+    """The identities of the cases of a results file, without what they found. Raises InputError as `read_results`."""
+    with hdf5.existing_file(path) as file:
+        _check_format(file)
+        groups = [f"/entry/{name}" for name in hdf5.child_groups(file, "/entry")]
+        cases = [f"{group}/{name}" for group in groups for name in hdf5.child_groups(file, group) if name != SHARED]
+        return frozenset(str(hdf5.read_attribute(file, case, "case_id")) for case in cases)
+
+
+def _check_format(file: h5py.File) -> None:
+    form = hdf5.read_attribute(file, "/", "lampest_format")
+    if not isinstance(form, str) or form != FORMAT:
+        raise InputError(f"{file.filename}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
 
 
 def _in_order(file: h5py.File, path: str) -> list[str]:

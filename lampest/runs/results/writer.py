@@ -79,15 +79,15 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
     scene = fullest(case.scene for case in cases)
     start_time = next((case.start_time for case in cases if case.start_time), "")
     table = [column.of(scene.circuit) for column in table]
-    given = _frames_group(group, SHARED, MEASURED.of(scene.circuit).path, cases[0])
+    given = _group_of_data(group, SHARED, MEASURED.of(scene.circuit).path)
     write_scene(given, scene)
     if start_time:
         hdf5.write_dataset(
             given, "start_time", hdf5.ascii_array(start_time), "1", "date and time at 0 s of the time axis, ISO 8601"
         )
-    _write_columns(given, cases[0], [column for column in table if column.shared and column != TIME])
+    _write_datasets(given, cases[0], [column for column in table if column.shared and column != TIME])
     for number, case in enumerate(cases):
-        estimate = _frames_group(group, case.estimator, "cell_resistance", case)
+        estimate = _group_of_data(group, case.estimator, "cell_resistance")
         hdf5.set_attributes(estimate, order=number, case_id=case.case_id, case=case.case_yaml)
         hdf5.set_attributes(estimate, **{f"{library}_version": text for library, text in sorted(case.versions.items())})
         hdf5.set_attributes(
@@ -104,36 +104,55 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
             hdf5.set_attributes(estimate, noise_learned=case.noise_learned)
         if case.film_sentence:
             hdf5.set_attributes(estimate, film=case.film_sentence)
-        _write_columns(estimate, case, [*(column for column in table if not column.shared), FRAME])
-        for folder in FIGURES:
-            _write_figures(estimate, folder, getattr(case, folder.name))
+        own = [*(column for column in table if not column.shared), FRAME]
+        _write_datasets(estimate, case, own, FIGURES)
 
 
-def _frames_group(parent: h5py.Group, name: str, signal: str, case: CaseResult) -> h5py.Group:
+def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
     group = parent.create_group(name)
     hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=list(MAPS))
+    return group
+
+
+def _write_datasets(
+    group: h5py.Group, case: CaseResult, columns: Sequence[Column], folders: Sequence[Figures] = ()
+) -> None:
+    """Axes, positions, columns and figures of a case in a group, and then which of them lie along which axes."""
+    _write_axes(group, case)
+    axes = _write_columns(group, case, columns)
+    for folder in folders:
+        axes |= _write_figures(group, folder, getattr(case, folder.name))
+    hdf5.attach_scales(group, {"y": CELLS[:1], "x": CELLS[1:]} | axes)
+
+
+def _write_axes(group: h5py.Group, case: CaseResult) -> None:
     hdf5.write_scale(group, TIME.path, np.asarray(case.time, dtype=float), TIME.units, TIME.long_name)
     for axis, lines in zip(CELLS, case.scene.panel.shape, strict=True):
         hdf5.write_scale(group, axis, np.arange(lines), "1", f"{axis} line")
     x, y = case.scene.panel.centres_mm()
-    hdf5.write_dataset(group, "y", y, "mm", "position of the row", ("row",))
-    hdf5.write_dataset(group, "x", x, "mm", "position of the column", ("column",))
-    return group
+    hdf5.write_dataset(group, "y", y, "mm", "position of the row")
+    hdf5.write_dataset(group, "x", x, "mm", "position of the column")
 
 
-def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> None:
+def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> dict[str, tuple[str, ...]]:
+    """Dataset → its axes, of those that were written."""
+    axes: dict[str, tuple[str, ...]] = {}
     for column in columns:
         values = case.column(column.name)
         if values is not None:
-            seen = {"coordinates": POSITIONS} if column.axes != FRAMES else {}
-            hdf5.write_dataset(
-                group, column.path, column.stored(values), scales=column.axes, **column.attributes, **seen
-            )
+            seen: dict[str, Any] = {"coordinates": POSITIONS} if column.axes != FRAMES else {}
+            hdf5.write_dataset(group, column.path, column.stored(values), **column.attributes, **seen)
+            axes[column.path] = column.axes
+    return axes
 
 
-def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> None:
+def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
+    """Dataset → its axes, of a folder."""
+    axes: dict[str, tuple[str, ...]] = {}
     for name, values in figures.items():
         path, data = f"{folder.folder}/{name}", np.asarray(values, dtype=float)
-        hdf5.write_dataset(group, path, data, folder.units(name), folder.long_name(name), FRAMES)
+        hdf5.write_dataset(group, path, data, folder.units(name), folder.long_name(name))
+        axes[path] = FRAMES
     if figures:
         hdf5.set_attributes(group[folder.folder], NX_class="NXcollection")
+    return axes

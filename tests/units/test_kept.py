@@ -1,0 +1,117 @@
+"""What a batch keeps of a finished case: all of it, in one short file, and no waiting for the disk."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from support import invented_case
+
+from lampest.files.errors import InputError
+from lampest.files.hdf5 import attach_scales
+from lampest.runs.case import CaseResult
+from lampest.runs.results import read_case_ids, read_kept, read_results, write_kept, write_results
+from lampest.runs.results.kept import MOST_PACKED
+
+Command = Callable[..., SimpleNamespace]
+
+
+def same(ours: Any, theirs: Any) -> bool:
+    """Whether two values of a case's field are equal to the last bit, type and shape included."""
+    if isinstance(ours, np.ndarray):
+        return (ours.dtype, ours.shape, ours.tobytes()) == (theirs.dtype, theirs.shape, theirs.tobytes())
+    if isinstance(ours, dict):
+        return ours.keys() == theirs.keys() and all(same(ours[name], theirs[name]) for name in ours)
+    return bool(ours == theirs) or (ours != ours and theirs != theirs)
+
+
+def case(**changes: Any) -> CaseResult:
+    return invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), case_id="abc", **changes)
+
+
+def test_every_field_comes_back(tmp_path: Path) -> None:
+    ours = case(baseline_solve_time=float("nan"), film_sentence="weiß", tared=("", "taken", ""))
+    write_kept(tmp_path / "a.h5", ours)
+    theirs = read_kept(tmp_path / "a.h5", "abc")
+    assert theirs is not None
+    different = [
+        field.name
+        for field in dataclasses.fields(CaseResult)
+        if not same(getattr(ours, field.name), getattr(theirs, field.name))
+    ]
+    assert different == []
+    for name, one in (("ours", ours), ("theirs", theirs)):
+        write_results(tmp_path / f"{name}.h5", [one])
+    assert (tmp_path / "ours.h5").read_bytes() == (tmp_path / "theirs.h5").read_bytes()
+    assert read_kept(tmp_path / "a.h5", "another") is None
+
+
+def test_one_that_lost_its_checksums_or_says_nonsense_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    write_kept(path, case())
+    whole = path.read_bytes()
+    with h5py.File(path, "a") as file:
+        file.attrs["touched"] = 1
+    with pytest.raises(InputError, match="lost its checksums"):
+        read_kept(path, "abc")
+    for damaged in (whole[:-1000], whole[: len(whole) // 2], b"", bytes(len(whole))):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.h5"):
+            read_kept(path, "abc")
+
+
+def test_a_large_one_is_a_results_file(tmp_path: Path) -> None:
+    frames = MOST_PACKED // (8 * 20)
+    large = invented_case("LSM", "mouth", (frames, 4, 5), case_id="abc")
+    write_kept(tmp_path / "a.h5", large)
+    assert [one.case_id for one in read_results(tmp_path / "a.h5").cases] == ["abc"]
+    theirs = read_kept(tmp_path / "a.h5", "abc")
+    assert theirs is not None and np.array_equal(theirs.cell_resistance, large.cell_resistance)
+    assert read_case_ids(tmp_path / "a.h5") == {"abc"}
+
+
+def test_a_batch_waits_for_the_disk_once(disk: SimpleNamespace, lampest: Command, monkeypatch: Any) -> None:
+    waited: list[int] = []
+    sync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda descriptor: (waited.append(descriptor), sync(descriptor)))
+    assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder / "out", "--jobs", "1").code == 0
+    assert len(waited) == 1
+
+
+def test_scales_are_those_of_the_library(tmp_path: Path) -> None:
+    """Of both ways the same lists, of the same types, and another program's function agrees."""
+    for name in ("ours", "theirs"):
+        with h5py.File(tmp_path / name, "w") as file:
+            for axis in ("time", "row"):
+                file[axis] = np.arange(2.0)
+                file[axis].make_scale(axis)
+            file["map"], file["in/line"] = np.zeros((2, 2, 3)), np.zeros(2)
+            if name == "ours":
+                attach_scales(file["/"], {"map": ("time", "row", "")})
+                attach_scales(file["/"], {"in/line": ("time",)})
+            else:
+                file["map"].dims[0].attach_scale(file["time"])
+                file["map"].dims[1].attach_scale(file["row"])
+                file["in/line"].dims[0].attach_scale(file["time"])
+    found = [described(tmp_path / name) for name in ("ours", "theirs")]
+    assert found[0] == found[1]
+
+
+def described(path: Path) -> Any:
+    with h5py.File(path) as file:
+        lists = {}
+        for axis in ("time", "row"):
+            held = h5py.h5a.open(file[axis].id, b"REFERENCE_LIST")
+            members = [held.get_type().get_member_name(number) for number in range(2)]
+            places = [(file[reference].name, int(number)) for reference, number in file[axis].attrs["REFERENCE_LIST"]]
+            lists[axis] = (members, held.get_type().get_size(), places, h5py.h5ds.is_scale(file[axis].id))
+        axes = {
+            name: [[scale.name for scale in dim.values()] for dim in file[name].dims] for name in ("map", "in/line")
+        }
+        attached = h5py.h5ds.is_attached(file["map"].id, file["row"].id, 1)
+        return lists, axes, attached
