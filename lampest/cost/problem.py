@@ -19,6 +19,8 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Wiring
 
+ROUNDING = 1e-15  # of what a residual would be off by were every digit wrong: some four last bits of each
+
 
 @dataclass(frozen=True, eq=False)
 class Data:
@@ -202,9 +204,23 @@ class Evaluation:
         """Residuals x with an absolute loss."""
         return self.call(self.cost.functions.rough, self._no_dual) if len(self.cost.slope) else np.zeros(0)
 
+    @cached_property
+    def rough_reach(self) -> Array:
+        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: what they would be off by were every digit wrong."""
+        rows, columns = self.cost.functions.rough_jacobian.pattern
+        slopes = self.call(self.cost.functions.rough_jacobian, self._no_dual)
+        at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
+        return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.rough)), dtype=float)
+
+    @property
+    def rounding(self) -> float:
+        """What φ may be off by where residuals that are zero hold their last bits, times their weight."""
+        return float(np.sum(self.cost.slope * ROUNDING * self.rough_reach)) if len(self.cost.slope) else 0.0
+
     def dual_gap(self, dual: Array) -> float:
-        """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient."""
-        return float(np.sum(self.cost.slope * (np.abs(self.rough) - dual * self.rough)))
+        """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient. Rounding of x counts for none."""
+        rounding = ROUNDING * self.rough_reach
+        return float(np.sum(self.cost.slope * np.maximum(np.abs(self.rough) - dual * self.rough - rounding, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.

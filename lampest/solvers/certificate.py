@@ -20,6 +20,7 @@ from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, preconditioner
+from lampest.solvers.newton.kinks import Kinks, Straight, standing
 from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, Squares
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
@@ -105,6 +106,9 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     free = np.flatnonzero(free_cells(curvature.at, gradient))
     if not len(free):
         return Certificate(Bend.UP, np.zeros(len(gradient)), 0.0, 0.0)
+    if isinstance(curvature.smoothing, Straight) and len(curvature.smoothing.dual):
+        kinks = Kinks.of(curvature, standing(curvature.at, curvature.smoothing.dual), free)
+        return at_kinks(curvature, gradient, free, kinks)
     if factor is not None and factor.solid and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif curvature.factored:
@@ -139,14 +143,32 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     return Certificate.at(curvature, Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement)
 
 
+def at_kinks(curvature: Curvature, gradient: Array, free: NDArray[np.intp], kinks: Kinks) -> Certificate:
+    """Where rows of absolute losses stay at their kink: over moves that keep them there, after one that brings them.
+
+    Along all others the cost has a corner.
+    """
+    along = kinks.along
+    matrix, slope = kinks.reduced(curvature.matrix[np.ix_(free, free)], gradient[free])
+    usual = np.einsum("ij,i,ij->j", along, _usual_bend(curvature)[free], along)
+    bend, part = _bent(matrix, slope, ROUNDING * usual)
+    decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
+    return Certificate.at(curvature, bend, _within_bounds(curvature.at, free, kinks.back + along @ part), decrement)
+
+
 def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
-    """Where it cannot be factored, the step leaves out what is flat."""
     matrix = curvature.matrix[np.ix_(free, free)]
-    least = ROUNDING * _usual_bend(curvature)[free]
+    return _bent(matrix, slope, ROUNDING * _usual_bend(curvature)[free])
+
+
+def _bent(matrix: Array, slope: Array, least: Array) -> tuple[Bend, Array]:
+    """(how the cost bends, Newton's step); where it cannot be factored, the step leaves out what is flat."""
+    if not len(slope):
+        return Bend.UP, slope
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
     unit = matrix / size[:, None] / size
     if not np.all(np.isfinite(unit)):
-        return Bend.FLAT, np.full(len(free), np.inf)
+        return Bend.FLAT, np.full(len(slope), np.inf)
     if np.all(np.diag(matrix) > least):
         triangle, step, failed = lapack.dposv(unit, -slope / size)
         if not failed and clear_of_rounding(triangle, unit):

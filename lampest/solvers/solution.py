@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import Data, Evaluation, within_one
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import Bend, Certificate, certificate
+from lampest.solvers.certificate import Bend, Certificate, certificate, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor
+from lampest.solvers.newton.kinks import Straight
 from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, runs_off
 
 VERIFIED = 1e-6
 OPEN_FRACTION = 0.99
@@ -37,6 +39,7 @@ class Status(Enum):
     ROUNDED = (
         "double precision cannot tell: one term outweighs the others by more than its sixteen digits; lower its weight"
     )
+    DRIFT = "no optimum within reach: the cost falls ever less along a valley in which some cells run off"
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
@@ -153,7 +156,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     evaluation = start.elsewhere(cells)
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
-    worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale
+    worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale + evaluation.rounding
     late = outcome.status is Status.TIME
     if not worse and (residual <= VERIFIED or (not late and _rounded(evaluation, gradient, outcome))):
         certified = _certified(evaluation, gradient, outcome)
@@ -180,11 +183,17 @@ def _limit(evaluation: Evaluation, gradient: Array, outcome: Outcome, fault: Sta
     """The fault, or that digits were lost: where the solver got no further and second derivatives are rounding."""
     if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
         return fault
-    lost = certificate(Curvature(evaluation, _sharp(evaluation, outcome)), gradient.ravel()).bend is Bend.FLAT
-    return Status.ROUNDED if lost else fault
+    curvature = Curvature(evaluation, _sharp(evaluation, outcome))
+    if certificate(curvature, gradient.ravel()).bend is not Bend.FLAT:
+        return fault
+    free = np.flatnonzero(free_cells(evaluation, gradient.ravel()))
+    return Status.DRIFT if runs_off(curvature, free) else Status.ROUNDED
 
 
 def _sharp(evaluation: Evaluation, outcome: Outcome) -> Smoothing:
+    """Kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
+    if evaluation.cell_resistance.size <= ORTHOGONAL_UNKNOWNS:
+        return Straight(0.0, within_one(outcome.dual))
     return Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
 
 

@@ -22,6 +22,8 @@ from lampest.solvers.newton.smoothing import Smoothing
 # each of which ends a solve by conjugate gradients: these failed after 300 iterations at 16 × 16. A factor takes 0.1 s
 # here.
 DENSE_JOINT_UNKNOWNS = 2048
+# Kinks of absolute losses make second derivatives that conjugate gradients gropes along, and are taken exactly here.
+DENSE_KINKED_UNKNOWNS = 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,9 @@ class Curvature:
     def factored(self) -> bool:
         """Whether ∇²φ is made and factorised, rather than only multiplied with vectors."""
         cells = self.at.cell_resistance
-        return bool(cells.size <= (DENSE_UNKNOWNS if len(cells) == 1 else DENSE_JOINT_UNKNOWNS))
+        if len(cells) > 1:
+            return bool(cells.size <= DENSE_JOINT_UNKNOWNS)
+        return bool(cells.size <= (DENSE_KINKED_UNKNOWNS if len(self.at.cost.slope) else DENSE_UNKNOWNS))
 
     @property
     def only_misfit(self) -> bool:

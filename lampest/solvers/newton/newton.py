@@ -16,6 +16,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
+from lampest.solvers.newton.exactly import exactly
 from lampest.solvers.newton.groping import advanced
 from lampest.solvers.newton.inside import from_inside
 from lampest.solvers.newton.smoothing import Smoothing
@@ -23,6 +24,8 @@ from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
 from lampest.solvers.solution import Outcome, Settings, Status
 
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
+
+STALLED = 1e-11  # of the cost with absolute losses rounded: steps that lower it by less follow the rounding's valleys
 
 
 @dataclass(frozen=True)
@@ -57,25 +60,32 @@ class Newton:
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
         unsettled = 0
-        stands = False
+        stands = stalled = False
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return outcome(point, Status.TIME, iteration)
             residual, gap = point.residual(), point.gap()
             near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.converged)
-            if near and not point.sharp(self.settings.tolerance):
-                point, iteration, stands = point.sharpened(), iteration + 1, False
+            flat = near and (unsettled == MOST_UNSETTLED or not point.falls)
+            if (stalled or flat) and not point.sharp(self.settings.tolerance):
+                if (ended := exactly(point, data)) is not None:
+                    return certified(ended, iteration + 1)
+                point, iteration, unsettled, stands, stalled = point.sharpened(), iteration + 1, 0, False, False
                 continue
+            if stalled and not near:
+                return outcome(point, Status.BREAKDOWN, iteration)
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
                 return certified(point, iteration)
             unsettled += near
             moved = (certain_step(point, data, residual) if near else None) or advanced(point, data, residual)
             if moved is None:
+                if (ended := exactly(point, data)) is not None:
+                    return certified(ended, iteration + 1)
                 if not near and not stands and point.converged:
                     stands = True
                     continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
-            stands = False
+            stands, stalled = False, _stalled(point, moved)
             again = moved.factor is not None and moved.factor is point.factor and moved.factor.exact
             point, iteration = moved, iteration if again else iteration + 1
         return outcome(point, Status.ITERATIONS, self.settings.max_iterations)
@@ -94,6 +104,11 @@ class Newton:
         known = replace(point, factor=self.factor, promised=np.inf)
         moved = by_kept_factor(known, data, point.residual(), free)
         return point if moved is None else replace(moved, factor=None)
+
+
+def _stalled(point: Iterate, moved: Iterate) -> bool:
+    """Whether a step led along a valley of the rounded kinks alone."""
+    return len(point.at.rough) > 0 and point.objective - moved.objective <= STALLED * point.objective
 
 
 def outcome(point: Iterate, status: Status, iterations: int) -> Outcome:

@@ -16,6 +16,7 @@ from scipy import linalg, sparse
 from lampest.cost.residuals import Part, residuals
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature, block_diagonal
+from lampest.solvers.newton.ways import LONGEST_STEP
 
 ORTHOGONAL_UNKNOWNS = 600  # beyond, an orthogonal factorisation takes more than a second
 EPSILON = float(np.finfo(float).eps)
@@ -90,6 +91,13 @@ class Squares:
         step = np.zeros(len(order))
         step[order] = -inverse @ (vectors @ (along / values))
         return float(values[0]), lost, np.asarray(step / self.size), float(np.sqrt(np.sum(along**2 / values)))
+
+
+def runs_off(curvature: Curvature, free: NDArray[np.intp]) -> bool:
+    """Whether least squares, which bear more digits than second derivatives, would still move cells by factors."""
+    if not 0 < len(free) <= ORTHOGONAL_UNKNOWNS:
+        return False
+    return bool(np.abs(Squares.of(curvature, free).step(0.0)).max() > LONGEST_STEP)
 
 
 def _factored(matrix: Array, right: Array) -> tuple[Array, Array, NDArray[np.intp]]:

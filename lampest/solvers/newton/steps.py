@@ -69,6 +69,11 @@ class Iterate:
         return certificate(self.curvature, self.curvature.gradient, self.factor)
 
     @property
+    def falls(self) -> bool:
+        """Whether second derivatives show a way down."""
+        return self.curvature.factored and self.factor is None and self.certificate.bend is Bend.DOWN
+
+    @property
     def converged(self) -> bool:
         """Whether one more step would do nothing: see `Certificate.converged`."""
         return self.certificate.converged(self.at.cost_scale)
