@@ -37,6 +37,7 @@ def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Po
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            cwd=folder,
             env=os.environ | ONE_THREAD,
         ) as process,
     ):
@@ -186,6 +187,37 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
     found = Recording.load(out)
     assert found.acquisition is not None and found.acquisition.session[-1] >= 1
     assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
+
+
+def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
+    """With the unloaded frames first, into the folder where lampest was begun; a second one is another file."""
+    cells, _ = truth_of(LAMPREY)
+    said = "return document.getElementById('recorded').innerText"
+    press = "document.getElementById('record').click()"
+    with (
+        bench(tmp_path, cells, "--real-time", "--loop") as board,
+        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25) as (window, process),
+    ):
+        window.until(NUMBER, lambda number: number > 8)
+        window.run(f"document.getElementById('name').value = '../mine'; {press}")
+        window.until(said, lambda text: text == "a name has letters, digits, - and _")
+        window.run(f"document.getElementById('name').value = 'mine'; {press}")
+        window.until(said, lambda text: text.endswith(f"{tmp_path}/mine.h5: 8 frames"))
+        assert window.text("record") == "stop recording"
+        window.run(press)
+        window.until(said, lambda text: text.startswith("recorded ") and text.endswith(f"frames: {tmp_path}/mine.h5"))
+        window.run(press)
+        window.until(said, lambda text: "mine.h5: exists already" in text)
+        window.run(f"document.getElementById('name').value = ''; {press}")
+        window.until(said, lambda text: text.endswith(".h5: 6 frames"))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+        window.complaints()
+    mine = Recording.load(tmp_path / "mine.h5")
+    assert mine.role[:4].tolist() == [0, 0, 0, 1] and len(mine.time) >= 8
+    assert mine.sigma is not None and mine.time[3] - mine.time[2] > 1, "the unloaded frames are those of the beginning"
+    (other,) = tmp_path.glob("live_*.h5")
+    assert Recording.load(other).role[:4].tolist() == [0, 0, 0, 1], "Ctrl-C leaves a clean file"
 
 
 def check_thirty_frames_a_second(folder: Path, seconds: float) -> None:

@@ -42,7 +42,7 @@ from lampest.report.live.feed import from_recording
 from lampest.report.live.force import total_force
 from lampest.report.live.newest import Newest
 from lampest.report.live.run import METHODS, Replay, chosen, live
-from lampest.report.live.server import PageServer, address, is_local_name, serving
+from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
 from lampest.report.live.verdict import verdict_of
 from lampest.report.live.view import POINTS, Picture, View, view_text
 from lampest.solvers.solution import Settings
@@ -426,7 +426,7 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
 def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
     asked: list[str] = []
     shown = Newest(View("here", "LSM", "receiving"))
-    with serving("127.0.0.1", 0, shown, tare=lambda: asked.append("zero")) as server:
+    with serving("127.0.0.1", 0, shown, asks=Asks(lambda: asked.append("zero"))) as server:
 
         def posted(path: str, **headers: str) -> int:
             with closing(http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)) as connection:
@@ -438,6 +438,32 @@ def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
         assert not asked
         assert posted("/zero", X_Lampest="zero") == 200
         assert asked == ["zero"]
+        assert posted("/record", X_Lampest="record") == 404, "there is nothing to record"
+
+
+def test_a_recording_is_for_the_page_itself_to_ask_for_and_needs_the_token() -> None:
+    asked: list[str] = []
+
+    def record(name: str) -> None:
+        if "." in name:
+            raise InputError("that is no name")
+        asked.append(name)
+
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving("127.0.0.1", 0, shown, "0123456789abcdef", Asks(record=record)) as server:
+
+        def posted(path: str, **headers: str) -> int:
+            with closing(http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)) as connection:
+                connection.request("POST", path, headers={name.replace("_", "-"): of for name, of in headers.items()})
+                return connection.getresponse().status
+
+        told = {"Authorization": "Bearer 0123456789abcdef"}
+        assert posted("/record", X_Lampest="record") == posted("/record", X_Lampest="zero", **told) == 403
+        assert posted("/record?name=x", **told) == 403, "a foreign page's form has no such header"
+        assert posted("/record?name=../x", X_Lampest="record", **told) == 400
+        assert not asked
+        assert posted("/record?name=x", X_Lampest="record", **told) == posted("/record", X_Lampest="record", **told)
+        assert asked == ["x", ""]
 
 
 def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:

@@ -120,8 +120,8 @@ def record(
                 journal: Journal | None = None
                 for batch in wanted:
                     if batch:
-                        journal = journal or stack.enter_context(_journal(out, batch[0], scene))
-                        _append(journal, batch, scene, baseline - count.frames)
+                        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
+                        appended(journal, batch, scene, baseline - count.frames)
                         state = ""
                         for sample in batch:
                             for key in keys():
@@ -139,19 +139,20 @@ def record(
             raise
         finally:
             # However it ended: what was recorded is left as a clean file.
-            finished = _finish(out) if count.frames else None
-        if finished is None:
+            made = finished(out) if count.frames else None
+        if made is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        recording, noise = finished
+        recording, noise = made
         return Recorded(path=out, scene=recording.scene, ended_by=asked(), noise_lsb=noise, **asdict(count))
 
 
-def _journal(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
+def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
+    """A file that grows, for samples like that one. Raises InputError as `Journal.create`."""
     agreed, _ = agreed_and_recorded(sample, scene)
     return Journal.create(out, agreed, sample.hello.readings)
 
 
-def _append(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, unloaded: int) -> None:
+def appended(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, unloaded: int) -> None:
     """Write samples of which the first so many are unloaded."""
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
@@ -190,10 +191,10 @@ def repair(path: Path) -> int:
         return len(Recording.load(path).time)
     if is_being_written(path):
         raise InputError(f"{path}: still being recorded")
-    return len(_finish(path)[0].time)
+    return len(finished(path)[0].time)
 
 
-def _finish(path: Path) -> tuple[Recording, float | None]:
+def finished(path: Path) -> tuple[Recording, float | None]:
     """Rewrite a journal as a clean recording, whatever signals come; that, and the noise that its baseline shows."""
     with deaf():
         recording = Recording.load(path)

@@ -101,6 +101,10 @@ class Engine:
         """Show a state of the port or the recording."""
         self.shown.change(lambda view: replace(view, state=sentence))
 
+    def say_of_recording(self, sentence: str, on: bool) -> None:
+        """Show where the recording stands that the page may begin and end, and whether it runs."""
+        self.shown.change(lambda view: replace(view, recording=(sentence, on)))
+
     def tare(self) -> None:
         """Nothing is on the panel: the mean of the next frames, as many as the first baseline had, is the new one.
 

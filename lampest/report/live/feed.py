@@ -16,8 +16,15 @@ from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource, Scan
 
 
-def from_board(engine: Engine, url: str, scene: Scene | None, period: float | None, frames: int | None) -> None:
-    """Every frame of a board, until `frames` have come or for ever.
+def from_board(
+    engine: Engine,
+    url: str,
+    scene: Scene | None,
+    period: float | None,
+    frames: int | None,
+    on_sample: Callable[[Sample], None] = lambda sample: None,
+) -> None:
+    """Every frame of a board, until `frames` have come or for ever; on_sample : given each of them, too.
 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
@@ -27,6 +34,7 @@ def from_board(engine: Engine, url: str, scene: Scene | None, period: float | No
         for batch in samples:
             for sample in batch:
                 take_sample(engine, sample, scene)
+                on_sample(sample)
                 came += 1
                 if came == frames:
                     return

@@ -1,6 +1,7 @@
 """`lampest live`: a source of frames, an engine and a server, put together."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -17,12 +18,13 @@ from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
 from lampest.recording.board.record import Recorded
+from lampest.recording.board.recorder import Recorder
 from lampest.recording.recording import Recording
 from lampest.report.live.engine import Engine
 from lampest.report.live.feed import from_board, from_recording, recorded_from_board
 from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.publishing import publishing
-from lampest.report.live.server import address, serving
+from lampest.report.live.server import Asks, address, serving
 from lampest.runs.config import RunFile, resolve
 
 METHODS = {
@@ -94,7 +96,8 @@ def live(
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
-        serving(*address(http), engine.shown, token, engine.tare) as server,
+        recorder_of(source, engine) as recorder,
+        serving(*address(http), engine.shown, token, asked_of(engine, recorder)) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
@@ -104,7 +107,8 @@ def live(
                 assert recording is not None
                 from_recording(engine, recording, source.speed, frames)
             elif source.out is None:
-                from_board(engine, port, source.scene, source.period, frames)
+                assert recorder is not None
+                from_board(engine, port, source.scene, source.period, frames, recorder.take)
             else:
                 done = recorded_from_board(
                     engine, port, source.out, source.scene, source.baseline, source.period, frames
@@ -118,6 +122,29 @@ def live(
             Event().wait()
         engine.say("lampest has ended")
         return done
+
+
+@contextmanager
+def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[Recorder | None]:
+    """What the page's button records with, into the folder where lampest was begun; None where it has nothing to do."""
+    if isinstance(source, Replay) or source.out is not None:
+        yield None
+        return
+    engine.say_of_recording("", False)
+    with closing(Recorder(Path(), source.scene, source.baseline, engine.say_of_recording)) as recorder:
+        yield recorder
+
+
+def asked_of(engine: Engine, recorder: Recorder | None) -> Asks:
+    """What the page may ask for: a new zero, and a recording where there is something to record."""
+    if recorder is None:
+        return Asks(engine.tare)
+
+    def tare() -> None:
+        recorder.zero()
+        engine.tare()
+
+    return Asks(tare, recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:

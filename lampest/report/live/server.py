@@ -1,4 +1,4 @@
-"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of a new zero, no more."""
+"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of two wishes, no more."""
 
 import ipaddress
 import os
@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -13,7 +14,7 @@ from threading import BoundedSemaphore, Thread
 from urllib.parse import urlsplit
 
 from lampest.files.errors import InputError
-from lampest.report.live.access import Access
+from lampest.report.live.access import Access, query
 from lampest.report.live.newest import Newest
 from lampest.report.live.view import View, view_text
 
@@ -22,16 +23,24 @@ HEARTBEAT_SECONDS = 2.0
 FAREWELL_SECONDS = 1.0
 # Scripts and styles stand in the page; nothing is loaded from elsewhere.
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
-ZERO = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
+WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
 POLICY = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
-def nothing() -> None:
-    """What a new zero asks of views that nobody makes anew."""
+@dataclass(frozen=True)
+class Asks:
+    """What whoever sees the page may ask for; called from any thread.
+
+    tare : a new zero. record : a recording of that name, or '', or its end; raises InputError where that is no name.
+    None where there is nothing to record.
+    """
+
+    tare: Callable[[], None] = lambda: None
+    record: Callable[[str], None] | None = None
 
 
 class PageServer(ThreadingHTTPServer):
-    """Shows the views of `shown` to whoever comes; `tare` is called where one of them asks for a new zero."""
+    """Shows the views of `shown` to whoever comes, and passes on what they ask for."""
 
     daemon_threads = True
     block_on_close = False
@@ -40,9 +49,9 @@ class PageServer(ThreadingHTTPServer):
     allow_reuse_address = os.name == "posix"
 
     def __init__(
-        self, host: str, port: int, shown: Newest[View], token: str | None = None, tare: Callable[[], None] = nothing
+        self, host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
     ) -> None:
-        self.shown, self.tare = shown, tare
+        self.shown, self.asks = shown, asks or Asks()
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats = BoundedSemaphore(MOST_STREAMS)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -113,14 +122,22 @@ class PageHandler(BaseHTTPRequestHandler):
                 self.server.seats.release()
 
     def do_POST(self) -> None:
-        """A new zero at /zero, for the page's own script alone; all else is not there."""
-        if urlsplit(self.path).path != "/zero":
+        """A new zero at /zero, a recording or its end at /record, for the page's own script alone."""
+        asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
+        if wish not in ("zero", "record") or (wish == "record" and asks.record is None):
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif self.headers.get(ZERO) != "zero" or self.headers.get("Content-Length", "0") != "0":
+        elif self.headers.get(WISH) != wish or self.headers.get("Content-Length", "0") != "0":
             self.send_error(HTTPStatus.FORBIDDEN)
         else:
-            self.server.tare()
-            self._start("text/plain; charset=utf-8", 0)
+            try:
+                if wish == "zero":
+                    asks.tare()
+                elif asks.record is not None:
+                    asks.record(dict(query(self.path)).get("name", ""))
+            except InputError:
+                self.send_error(HTTPStatus.BAD_REQUEST)
+            else:
+                self._start("text/plain; charset=utf-8", 0)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Say what a number means and nothing of what was asked."""
@@ -191,17 +208,17 @@ def address(text: str) -> tuple[str, int]:
 
 @contextmanager
 def serving(
-    host: str, port: int, shown: Newest[View], token: str | None = None, tare: Callable[[], None] = nothing
+    host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
 ) -> Iterator[PageServer]:
     """A server that runs beside; at the end everybody gets the last view.
 
-    tare : called, from any thread, where somebody asks for a new zero.
+    asks : what they may ask for; None: nothing.
     token : what whoever looks must bring; None for one that is made up, or for none on the loopback address. Raises
     InputError where it cannot listen, or the token is too short.
     """
     Access(token or "")
     try:
-        server = PageServer(host, port, shown, token, tare)
+        server = PageServer(host, port, shown, token, asks)
     except OSError as error:
         raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
     with server:

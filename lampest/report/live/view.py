@@ -60,6 +60,7 @@ class View:
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
     model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
     zero : when zero was taken anew last and why, a sentence; empty: it never was.
+    recording : where one stands that the page may begin and end, a sentence, and whether it runs; None: there is no port.
     deviation, deviation_of : of the total force, newton, and the number of the frame whose it is, the newest of which
     it is known. frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
     """
@@ -77,6 +78,7 @@ class View:
     zero: str = ""
     deviation: float = float("nan")
     deviation_of: int = 0
+    recording: tuple[str, bool] | None = None
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
@@ -94,6 +96,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
         "model": view.model,
         "zero": view.zero,
         "deviation": _number(view.deviation, 4),
+        "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
         "sent": sent_at,
         "panel": panel and {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm},
         "frames": view.frames,

@@ -1,0 +1,126 @@
+"""Recordings of what a port delivers, begun and ended at any time while somebody watches it."""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+
+from lampest.files.errors import InputError
+from lampest.files.interrupts import deaf
+from lampest.panel.scene import Scene
+from lampest.recording.board.journal import Journal
+from lampest.recording.board.record import appended, finished, journal_of
+from lampest.recording.board.sample import Sample
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A recording that grows: its file, and its frames so far; the first ones are unloaded."""
+
+    path: Path
+    journal: Journal
+    open: ExitStack
+    frames: int = 0
+
+
+class Recorder:
+    """Takes every sample from one thread; any other may ask for the next recording's beginning or end.
+
+    The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file. What it
+    holds is its only state. folder : where files are made. baseline : so many frames are unloaded. say : told where
+    recording stands, a sentence.
+    """
+
+    def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:
+        self._folder, self._scene, self._say = folder.absolute(), scene, say
+        self._baseline, self._unloaded = baseline, deque[Sample](maxlen=baseline)
+        self._asked: deque[str] = deque(maxlen=1)
+        self._zeroed = Event()
+        self._begun: Begun | None = None
+        self._finishing: list[Thread] = []
+
+    def ask(self, name: str) -> None:
+        """Begin a recording of that name, or, where one runs, end it; '' for a name that tells the time.
+
+        From any thread; it takes effect with the next sample. Raises InputError where it is no name.
+        """
+        if name and not NAME.fullmatch(name):
+            raise InputError("a recording's name has up to 64 letters, digits, - and _")
+        self._asked.append(name)
+
+    def zero(self) -> None:
+        """The next frames are unloaded: those of the next recordings, and an event in one that runs."""
+        self._zeroed.set()
+
+    def take(self, sample: Sample) -> None:
+        """A sample has come; a recording begins once there are unloaded ones."""
+        try:
+            if self._zeroed.is_set():
+                self._zeroed.clear()
+                self._unloaded.clear()
+                if self._begun is not None:
+                    self._begun.journal.mark(sample.time, "zero")
+            if len(self._unloaded) < self._baseline:
+                self._unloaded.append(sample)
+            if self._asked and (self._begun is not None or len(self._unloaded) == self._baseline):
+                self._turned(self._asked.popleft(), sample)
+            elif self._begun is not None:
+                self._grown((sample,), 0)
+        except InputError as error:
+            self._end(str(error))
+
+    def close(self) -> None:
+        """End what runs; every file is closed then, whatever signals come."""
+        if self._begun is not None:
+            self._end()
+        with deaf():
+            for thread in self._finishing:
+                thread.join()
+
+    def _turned(self, name: str, sample: Sample) -> None:
+        if self._begun is not None:
+            self._end()
+            return
+        path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
+        if path.exists():
+            raise InputError(f"{path}: exists already; a recording is never written over")
+        with ExitStack() as stack:
+            journal = stack.enter_context(journal_of(path, sample, self._scene))
+            self._begun = Begun(path, journal, stack.pop_all())
+        self._grown(tuple(self._unloaded), self._baseline)
+        if sample is not self._unloaded[-1]:
+            self._grown((sample,), 0)
+
+    def _grown(self, samples: tuple[Sample, ...], unloaded: int) -> None:
+        begun = self._begun
+        assert begun is not None
+        if samples:
+            appended(begun.journal, samples, self._scene, unloaded)
+        self._begun = Begun(begun.path, begun.journal, begun.open, begun.frames + len(samples))
+        self._say(f"recording {begun.path}: {self._begun.frames} frames", True)
+
+    def _end(self, trouble: str = "") -> None:
+        """Close the journal here, and make a clean file of it beside: frames go on."""
+        begun, self._begun = self._begun, None
+        if begun is None:
+            self._say(f"not recorded: {trouble}", False)
+            return
+        begun.open.close()
+        self._say(f"closing {begun.path}", False)
+
+        def finish() -> None:
+            try:
+                finished(begun.path)
+                self._say(f"recorded {begun.frames} frames: {begun.path}" + (f"; {trouble}" if trouble else ""), False)
+            except InputError as error:
+                self._say(f"{error}; lampest repair makes a clean file of it", False)
+
+        thread = Thread(target=finish, name="lampest-recorder")
+        thread.start()
+        self._finishing = [*(one for one in self._finishing if one.is_alive()), thread]
