@@ -192,10 +192,9 @@ def _results_lines(results: Results) -> list[str]:
 
 def _starts(case: CaseResult) -> str:
     """'', or of how many starts the estimates of the solved frames are the lowest local optimum."""
-    optima = np.array([status.startswith(("optimum", "an optimum,")) for status in case.status])
-    if case.starts is None or not optima.any():
+    if case.local_optima is None:
         return ""
-    least, most = (int(end(case.starts[optima])) for end in (np.min, np.max))
+    _, least, most = case.local_optima
     if most == 1:
         return ", local optima from one start a frame"
     return f", local optima, the lowest from {least if least == most else f'{least} to {most}'} starts a frame"

@@ -142,6 +142,14 @@ class CaseResult:
         self.check(COLUMNS)
 
     @property
+    def local_optima(self) -> tuple[int, int, int] | None:
+        """How many frames end at a local optimum, and from how few and how many starts; None where that is not told."""
+        optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
+        if self.starts is None or not optima.any():
+            return None
+        return int(optima.sum()), int(self.starts[optima].min()), int(self.starts[optima].max())
+
+    @property
     def valued(self) -> NDArray[np.bool_]:
         """(frames, rows, columns) whether a reading is a value, neither a bound nor missing."""
         valued = np.isfinite(self.measured)

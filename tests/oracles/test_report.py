@@ -39,7 +39,7 @@ def cohort(recordings: int, **methods: tuple[Sequence[float], float]) -> Batch:
     """method → (error in every recording, ms)."""
     return batch(
         *(
-            case_with(name, f"r{number}", errors[number], milliseconds)
+            case_with(name, chr(ord("A") + number), errors[number], milliseconds)  # no two have the same readings
             for number in range(recordings)
             for name, (errors, milliseconds) in methods.items()
         )

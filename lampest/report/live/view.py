@@ -60,7 +60,7 @@ class View:
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
     model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
     zero : when zero was taken anew last and why, a sentence; empty: it never was.
-    recording : where one stands that the page may begin and end, a sentence, and whether it runs; None: there is no port.
+    recording : where one stands that the page may begin and end, a sentence, and whether it runs; None: without a port.
     deviation, deviation_of : of the total force, newton, and the number of the frame whose it is, the newest of which
     it is known. frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
     """

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -102,16 +103,40 @@ def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
     return all((a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
 
 
+def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], tuple[str, ...]]:
+    """The recordings that tell something of their own, and a sentence on each of the others.
+
+    One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
+    single precision: its frames would count twice.
+    """
+    kept: list[tuple[Subject, set[bytes]]] = []
+    told: list[str] = []
+    for subject in subjects:
+        own = _digests(subject.cases[0])
+        before = next((one.name for one, seen in kept if sum(digest in seen for digest in own) > len(own) / 2), None)
+        if before is None:
+            kept.append((subject, set(own)))
+        else:
+            told.append(f"{subject.name}, whose readings are those of {before}: a copy does not count again")
+    return [subject for subject, _ in kept], tuple(told)
+
+
+def _digests(case: CaseResult) -> list[bytes]:
+    """Of the readings of every frame that has some."""
+    return [sha256(np.float32(frame).tobytes()).digest() for frame in case.measured if np.isfinite(frame).any()]
+
+
 def matched(subjects: Sequence[Subject]) -> Matched:
     """Who can be compared on what: as many estimators on as many recordings as possible, each on all of them.
 
     One that failed in more than a twentieth of the frames is left out, so that it does not profit from having skipped
     what is hard; of the others, the frames count that all of them solved.
     """
+    subjects, copies = without_copies(subjects)
     names, common = _shared(subjects)
     every = dict.fromkeys(case.estimator for subject in subjects for case in subject.cases)
     fewer = [name for name in every if name not in names]
-    left_out = [f"{listed(fewer)}, for want of results of the same recordings"] if fewer else []
+    left_out = [*copies, *([f"{listed(fewer)}, for want of results of the same recordings"] if fewer else [])]
     if len(common) < len(subjects):
         left_out.append(f"{len(subjects) - len(common)} of {len(subjects)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():

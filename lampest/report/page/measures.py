@@ -31,7 +31,8 @@ class Measures:
     coverage : share of true values within their intervals, percent. free_coverage : of cells away from bounds.
     share : median share of an estimate that the data decide, percent.
     time : median time per frame, ms. open, low, saturated : so many cells.
-    missing, bounds : so many readings. pressure : smallest and largest, kPa.
+    optima : how many frames end at a local optimum, and from how few and how many starts. missing, bounds : so many
+    readings. pressure : smallest and largest, kPa.
     """
 
     frames: int
@@ -55,6 +56,7 @@ class Measures:
     missing: int | None
     bounds: int | None
     pressure: tuple[float, float] | None
+    optima: tuple[int, int, int] | None = None
 
 
 @np.errstate(over="ignore")
@@ -99,6 +101,7 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
         pressure=None
         if none or case.pressure is None
         else (float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))),
+        optima=case.local_optima,
     )
 
 

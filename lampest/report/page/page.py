@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.files.whole import write_whole
 from lampest.report.page.advice import Advice, advise, doubts
-from lampest.report.page.batch import Batch, Subject, read_batch
+from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Comparison, compared
 from lampest.report.page.measures import Measures, measures
 from lampest.report.page.section import Section, section
@@ -54,6 +54,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     """The page as HTML; on_recording as `write_report` has it."""
     generator = np.random.default_rng(SEED)
     over_all, each = generator.spawn(2)
+    own, _ = without_copies(batch.subjects)
     comparison = compared(batch, over_all)
     advice = advise(batch, comparison)
     found = {
@@ -78,7 +79,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         advice=advice,
         missing=missing(batch),
         standing=standing,
-        together=batch_sheet(batch, found) if len(batch.subjects) > 1 else None,
+        together=batch_sheet(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
         whole=[part for part in sections if part.name in whole],
         others=[part for part in sections if part.name not in whole],
         chosen=(*_why_whole(comparison, advice, len(batch.subjects)), *_why_drawn(comparison, len(batch.estimators))),

@@ -71,6 +71,15 @@ def _count(count: int | None) -> str:
     return NONE if count is None else f"{count:,}"
 
 
+def _optima(all_: Sequence[Measures]) -> str:
+    """'21 (1 to 7)': how many frames end at a local optimum, the lowest that so many starts reached."""
+    told = [own.optima for own in all_ if own.optima is not None]
+    if not told:
+        return NONE
+    least, most = min(one[1] for one in told), max(one[2] for one in told)
+    return f"{sum(one[0] for one in told):,} ({least if least == most else f'{least} to {most}'})"
+
+
 LINES = (
     Line(
         "median cell error [%] (95 % interval)",
@@ -113,6 +122,8 @@ LINES = (
 def recording_sheet(found: Mapping[str, Measures]) -> Sheet:
     """Every figure of one recording, a column for each estimator; lines of which nothing is known are left out."""
     rows = [("frames solved", *(f"{own.solved} of {own.frames}" for own in found.values()))]
+    if any(own.optima for own in found.values()):
+        rows.append(("of them local optima (starts of a frame)", *(_optima([own]) for own in found.values())))
     rows.append(("weights", *(weights_text([own.weights]) or NONE for own in found.values())))
     for line in LINES:
         known = [line.value(own) for own in found.values()]
@@ -131,14 +142,17 @@ def recording_sheet(found: Mapping[str, Measures]) -> Sheet:
 
 def batch_sheet(batch: Batch, found: Mapping[str, Mapping[str, Measures]]) -> Sheet:
     """All recordings together: medians of their figures, means of coverages, sums of cells and frames."""
-    own = {name: [case[name] for case in found.values() if name in case] for name in batch.estimators}
+    counted = [found[subject.name] for subject in batch.subjects]
+    own = {name: [case[name] for case in counted if name in case] for name in batch.estimators}
     rows = [
         (
             "frames solved",
             *(f"{sum(one.solved for one in all_):,} of {sum(one.frames for one in all_):,}" for all_ in own.values()),
         ),
-        ("weights", *(weights_text([one.weights for one in all_]) or NONE for all_ in own.values())),
     ]
+    if any(one.optima for all_ in own.values() for one in all_):
+        rows.append(("of them local optima (starts of a frame)", *(_optima(all_) for all_ in own.values())))
+    rows.append(("weights", *(weights_text([one.weights for one in all_]) or NONE for all_ in own.values())))
     for line in LINES:
         values = [[value for one in all_ if (value := line.value(one)) is not None] for all_ in own.values()]
         if not any(values):
