@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 Array = NDArray[np.float64]
 
@@ -231,6 +231,23 @@ class LeastCost:
         for smooth in max(rough) * 10.0 ** -np.arange(1, 9):
             place = self._nearer(place, float(smooth), max(most // 8, 10))
         return place
+
+    def descended(self, start: Array, most: int = 300) -> Array:
+        """u from SciPy's L-BFGS-B, which asks for gradients alone; absolute losses hardly rounded."""
+        bounds = list(zip(np.log(self.lower).ravel(), np.log(self.upper).ravel(), strict=True))
+        rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(start) if term.loss == "absolute"]
+        smooth = 1e-6 * max(rough, default=0.0)
+
+        def both(place: Array) -> tuple[float, Array]:
+            total, gradient = 0.0, np.zeros(len(place))
+            for term, x, rows in self.blocks(place):
+                value, slope = loss(term, x, smooth)
+                total += term.weight * float(np.sum(value))
+                gradient += term.weight * (rows.T @ slope)
+            return total, gradient
+
+        options = {"maxiter": most, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
+        return np.asarray(minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
 
     def _nearer(self, place: Array, smooth: float, most: int) -> Array:
         """One run of it; cells that bounds leave no room stay."""

@@ -1,6 +1,7 @@
 """The region solver with readings that are wild: they neither cost blocks of cells nor pull at a load's cells."""
 
 import numpy as np
+import pytest
 
 from lampest import two_point_resistance
 from lampest.cost.terms import Misfit
@@ -40,8 +41,10 @@ def solved(still: Array, measured: Array, formulation: str) -> Array:
     return np.asarray(stream.push(frame)[1].cell_resistance)
 
 
-def test_wild_readings_are_left_out() -> None:
-    still, measured, struck, truth = frames(wild=30)
+@pytest.mark.parametrize("wild", [3, 12, 30])
+def test_wild_readings_are_left_out(wild: int) -> None:
+    """Few as well as many, beside the load as well as far from it: one of the three is."""
+    still, measured, struck, truth = frames(wild)
     error = np.abs(solved(still, measured, "region") / truth - 1)
     assert error[struck].max() < 0.05
     assert np.median(error[LOAD]) < 0.01
@@ -49,9 +52,11 @@ def test_wild_readings_are_left_out() -> None:
     assert np.abs(solved(still, measured, "reduced") / truth - 1)[struck].max() > 0.5
 
 
-def test_a_few_loads_of_one_cell_are_loads() -> None:
-    still, measured, _, truth = frames(wild=0, lone=5)
+@pytest.mark.parametrize(("wild", "lone"), [(0, 5), (3, 3), (0, 9)])
+def test_loads_of_one_cell_are_loads(wild: int, lone: int) -> None:
+    """Their rows and columns have moved with them, which those of wild readings have not."""
+    still, measured, _, truth = frames(wild, lone)
     found = solved(still, measured, "region")
-    for number in range(5):
+    for number in range(lone):
         place = (4 * number + 2, 3)
         assert abs(found[place] / truth[place] - 1) < 0.05

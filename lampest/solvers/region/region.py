@@ -17,6 +17,7 @@ from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.region.blocks import alone_among, area, covered_by, grown, widened
+from lampest.solvers.region.footprint import moved_lines
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
 
@@ -28,7 +29,7 @@ LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
 MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
 SHARPEST = 4
-MOST_ALONE = 8  # readings: more loads of one cell at once are taken for a converter's errors
+MOST_ALONE = 8  # readings: of more at once that stand out alone, those that noise leaves open are taken for errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +56,19 @@ class RegionSolver:
         wild = np.zeros_like(plain)
         blocks: tuple[Block, ...] = ()
         for _ in range(MOST_GROWTHS):
-            left = np.where(wild, np.nan, change - np.log(network.reading() / self._exact.reading()))
-            wild = self._wild(left, noise, plain & ~covered_by(blocks, plain.shape), wild)
-            found = grown(self._outstanding(np.where(wild, np.nan, left), noise) & plain, blocks)
+            left = change - np.log(network.reading() / self._exact.reading())
+            covered = covered_by(blocks, plain.shape)
+            wild = self._wild(network, data, np.where(wild & covered, np.nan, left), noise, plain & ~covered)
+            outstanding = self._outstanding(np.where(wild, np.nan, left), noise) & plain
+            found = grown(outstanding, blocks)
             large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
             if large or (found == blocks and self._moved(left, noise)):
                 return best_solution(Newton(cost, self.settings), data, previous[None])
             if found == blocks:
-                break
+                if not outstanding.any():
+                    break
+                # No cells of a block give this reading: without it, from the beginning.
+                wild, network = wild | outstanding, self._exact
             blocks = found
             for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
                 chosen = (plain & ~wild)[block]
@@ -71,14 +77,22 @@ class RegionSolver:
         return self._minimised(cost, data, _repaired(data, wild, network), previous, network, blocks)
 
     def _wild(
-        self, change: Array, noise: Array, asked: NDArray[np.bool_], wild: NDArray[np.bool_]
+        self, network: Network, data: Data, change: Array, noise: Array, asked: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Readings that are no load's: too many stand out alone for each to be a load of its own.
+        """Readings that are no load's: NaN already, or standing out alone without their cells' footprint.
 
-        asked : those that may be; wild : those that are known to be.
+        asked : those that may be. The strongest hide weaker ones, which are asked in turn.
         """
-        alone = wild | (alone_among(np.nan_to_num(_apart(change)), SHARE) & self._outstanding(change, noise) & asked)
-        return alone if np.count_nonzero(alone) > MOST_ALONE else wild
+        wild = np.isnan(change)
+        for _ in range(MOST_GROWTHS):
+            left = np.where(wild, np.nan, change)
+            alone = alone_among(np.nan_to_num(_apart(left)), SHARE) & self._outstanding(left, noise) & asked & ~wild
+            many = bool(np.count_nonzero(alone | (wild & asked)) > MOST_ALONE)
+            found = alone & ~moved_lines(network, data, left, noise, alone, many)
+            if not found.any():
+                break
+            wild |= found
+        return wild
 
     @cached_property
     def _exact(self) -> Network:
