@@ -5,16 +5,18 @@ import os
 import sys
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from lampest.cli import board, estimation, results, start, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, say
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
 from lampest.files.errors import InputError
 from lampest.files.interrupts import ending_signals
 from lampest.files.log import libraries_to_the_log
 from lampest.files.memory import allow_memory
+from lampest.files.whole import refuse_input, sparing
 from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
@@ -73,21 +75,31 @@ def _about(
     """What stands before a command."""
 
 
-def _with_memory(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --memory."""
+def _guarded(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --memory; it writes over no file that it was told to read."""
+    signature = inspect.signature(command, eval_str=True)
+    outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 
     @wraps(command)
     def called(memory: str | None = None, **options: Any) -> None:
         if memory is not None:
             allow_memory(memory)
-        command(**options)
+        places = {name: _paths(value) for name, value in options.items()}
+        with sparing([path for name, paths in places.items() if name not in outputs for path in paths]):
+            for path in (path for name in outputs for path in places.get(name, ())):
+                refuse_input(path)
+            command(**options)
 
-    signature = inspect.signature(command, eval_str=True)
     kind = Annotated[str | None, _MEMORY]
     memory = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
     signature = signature.replace(parameters=[*signature.parameters.values(), memory])
     called.__signature__ = signature  # type: ignore[attr-defined]
     return called
+
+
+def _paths(value: object) -> list[Path]:
+    """What an option names of files and folders."""
+    return [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, Path)]
 
 
 for _command in (
@@ -120,7 +132,7 @@ for _command in (
     _small = _command in (results.terms, results.schema, board.ports)
     _name = _command.__name__.rstrip("_")
     _epilog = f"Example: {EXAMPLES[_name]}" if _name in EXAMPLES else None
-    app.command(_name, epilog=_epilog)(_command if _small else _with_memory(_command))
+    app.command(_name, epilog=_epilog)(_command if _small else _guarded(_command))
 
 
 def main() -> None:

@@ -161,7 +161,7 @@ def import_(
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
     frames: Annotated[str, typer.Option("--frames", help="FIRST:END of frames without a load: 40:50 is 40 to 49.")],
-    out: Annotated[Path, typer.Option("--out", help="The recording that is written.")],
+    out: Annotated[Path, written("--out", "The recording that is written.")],
 ) -> None:
     """Make other frames the unloaded ones; all others count as measured, and no reading changes."""
     from lampest.recording.recording import Recording

@@ -37,6 +37,11 @@ def written(name: str, text: str) -> Any:
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
 
 
+def is_written(annotation: Any) -> bool:
+    """Whether an option is one of `written`: no other has a parser of its own."""
+    return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
+
+
 Assign = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of the file: formulation=reduced. Repeatable."),

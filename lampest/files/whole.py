@@ -3,8 +3,9 @@
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from lampest.files.errors import InputError
@@ -13,6 +14,31 @@ from lampest.files.errors import InputError
 KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has no such flag
 NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+
+_READ: ContextVar[tuple[Path, ...]] = ContextVar("what is read", default=())
+
+
+@contextmanager
+def sparing(inputs: Sequence[Path]) -> Iterator[None]:
+    """Within it no file that is written takes the place of one of these, under whatever name; see `refuse_input`."""
+    before = _READ.set((*_READ.get(), *inputs))
+    try:
+        yield
+    finally:
+        _READ.reset(before)
+
+
+def refuse_input(path: Path) -> None:
+    """Raise InputError where what stands at `path` is one of the files that `sparing` was told."""
+    if any(_same(path, read) for read in _READ.get()):
+        raise InputError(f"{path}: is what is read; give what is written another name")
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.is_file() and path.samefile(other)
+    except (OSError, ValueError):  # the other is not there, or one of them is no name at all
+        return False
 
 
 @contextmanager
@@ -53,12 +79,16 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def check_output(path: Path) -> None:
-    """Raise InputError unless a file may appear at `path`: nothing stands there, or a regular file that it replaces."""
+    """Raise InputError unless a file may appear at `path`: nothing stands there, or a regular file that it replaces.
+
+    None of the files that are read may be replaced, see `sparing`.
+    """
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
     kind = _kind(path)
     if kind not in (None, "-"):
         raise InputError(f"{path}: is {KINDS[kind]}; what is written is a regular file, and replaces nothing else")
+    refuse_input(path)
 
 
 def output_folder(folder: Path) -> Path:

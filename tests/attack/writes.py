@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,11 @@ WRITERS: tuple[tuple[str, ...], ...] = (
     ("detect", "results.h5", "--out"),
     ("calibrate", "small.h5", "--known", "1000", "--out"),
     ("record", "--port", "loop://", "--frames", "1", "--out"),
+)
+OVER_INPUTS = (
+    ("tare", "small.h5", "--frames", "0:1", "--out"),
+    ("export", "results.h5", "--to", "csv", "--out"),
+    ("plot", "results.h5", "--out"),
 )
 FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "detect"))
 
@@ -53,6 +59,21 @@ def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
         for index in rng.permutation(len(tries))[:count]:
             writer, kind = tries[index]
             yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
+
+
+def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """What a command reads as what it writes: by its name, in another way, through another name of the same file."""
+    made = small_folder(folder / "work")
+    shutil.copy(made / "results.h5", made / "detections.h5")
+    tries = [(*writer, way) for writer in (*FILES, *OVER_INPUTS) if writer[0] != "record" for way in ("", "./", "hard")]
+    for index in rng.permutation(len(tries))[:count]:
+        *writer, way = tries[index]
+        place = way + writer[1]
+        if way == "hard":
+            place = f"again{index}{Path(writer[1]).suffix}"
+            (made / place).hardlink_to(made / writer[1])
+        yield _untouched(made, (*writer, place), "what is read")
+    yield _untouched(made, ("detect", "detections.h5", "--noise", "1"), "what is read")
 
 
 def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
@@ -118,19 +139,20 @@ def _precious(folder: Path) -> str:
     return HELD if (folder / "precious").read_text() == "precious" else "precious is lost"
 
 
-def _untouched(folder: Path, arguments: tuple[str, ...]) -> str:
+def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     """HELD where the command refuses in one sentence and leaves the folder as it is; locks that are empty may stay."""
     before = everything(folder)
     ended = called(*arguments, folder=folder)
     after = everything(folder)
     changed = [name for name in before | after if before.get(name) != after.get(name)]
-    fault = ended.refused() or ("" if not changed else f"{changed} changed")
+    fault = ended.refused(*words) or ("" if not changed else f"{changed} changed")
     return f"{' '.join(arguments)}: {fault}" if fault else HELD
 
 
 ATTACKS = (
     Attack("writes", "nothing and / as outputs", _no_place, 18, 18),
     Attack("writes", "devices, pipes, sockets, folders and links as outputs", _no_file, 12, 30),
+    Attack("writes", "what is read as what is written", _over_inputs, 6, 30),
     Attack("writes", "a lock that is a link or a pipe", _lock_that_is_a_link),
     Attack("writes", "cases that link to another's folder", _cases_elsewhere),
     Attack("writes", "unfinished files of others", _parts_of_others),

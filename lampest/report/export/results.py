@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from lampest.files.errors import InputError
-from lampest.files.whole import whole_file
+from lampest.files.whole import refuse_input, sparing, whole_file
 from lampest.report.export import Export, export_of
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
@@ -31,8 +31,8 @@ def export_results(
     export = export_of(to) if isinstance(to, str) else to
     source = Path(results)
     path = source.with_suffix(export.suffix) if out is None else Path(out)
-    if path.resolve() == source.resolve():
-        raise InputError(f"{path}: the export would replace the results it is made of")
+    with sparing((source,)):
+        refuse_input(path)
     read = read_results(source)
     cases = _started(read.cases if recording is None else read.of(recording), start)
     if not cases:
