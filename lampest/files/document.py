@@ -6,7 +6,7 @@ import itertools
 import json
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,10 @@ MOST_VALUES = 100_000
 MOST_BYTES = 100_000  # which take up to 4 s
 DEEPEST = 50
 MOST_BITS = 1000
+# In any unit: what is smaller or larger is no measure of anything, and loses its digits as soon as it is squared.
+SMALLEST, LARGEST = 1e-30, 1e30
+EXACT = (0, float("inf"), float("-inf"))
+WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
@@ -167,7 +171,12 @@ def adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def validated(document: Document, kind: Any) -> Any:
-    """The document's content as an object of `kind`; unknown keys and wrong types are errors. Raises InputError."""
+    """The document's content as an object of `kind`.
+
+    Raises InputError where a key is unknown, a type is wrong, or a number measures nothing.
+    """
+    if out := next(_out_of_range(document.content, ()), None):
+        raise document.error(out, f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign")
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
@@ -175,6 +184,19 @@ def validated(document: Document, kind: Any) -> Any:
         if message == UNKNOWN:
             message += meant(str(location[-1]), _keys(kind))
         raise document.error(location, message) from error
+
+
+def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
+    """Where numbers stand that are finite, not zero, and larger or smaller than any measure."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if key not in WITHOUT_UNIT:
+                yield from _out_of_range(value, (*place, key))
+    elif isinstance(content, list):
+        for index, value in enumerate(content):
+            yield from _out_of_range(value, (*place, index))
+    elif isinstance(content, int | float) and not (SMALLEST <= abs(content) <= LARGEST or content in EXACT):
+        yield place
 
 
 def _keys(kind: Any) -> set[str]:

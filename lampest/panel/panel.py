@@ -6,11 +6,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.document import LARGEST, SMALLEST
 from lampest.files.memory import check_memory
 
 Array = NDArray[np.floating[Any]]
 LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
-SMALLEST, LARGEST = 1e-30, 1e30  # in any unit
 MANY_LINES = 2000  # fewer fit into 100 MB
 
 

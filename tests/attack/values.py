@@ -14,7 +14,7 @@ from support import invented_case
 from lampest.recording.recording import Recording
 from lampest.runs.results import write_results
 
-EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
+EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
 # Words of the libraries behind; a user's panel has none of them.
 FOREIGN = (
     "LinAlgError", "eigenvalue", "SVD", "leading minor", "out of bounds", "division by zero", "singular matrix",
@@ -33,6 +33,7 @@ SCENES = (
     ("series_resistance_ohm: 140", "systematic: {wire_ohm_per_cell: VALUE}"),
     ("series_resistance_ohm: 140", "lines: {row_ohm_per_cell: VALUE}"),
     ("noise_lsb: 0.7", "noise_lsb: VALUE"),
+    ("noise_lsb: 0.7", "noise_lsb: 0.7, input_ohm: VALUE"),
     ("noise_lsb: 0.7", "noise_lsb: 0.7, reference_ohm: VALUE"),
     ("noise_lsb: 0.7", "noise_lsb: 0.7, supply_volt: VALUE"),
     ("seed: 1", "seed: 1\nframe_period_s: VALUE"),

@@ -22,7 +22,7 @@ from lampest.files.tagged import ByKind
 NUMBERS: dict[type, tuple[Any, ...]] = {
     bool: (True, False),
     int: (2, 3, 8, 1, 5, 12, 0, 64),
-    float: (0.25, 2.0, 1 / 3, 8.0, 25.0, 1e-3, -2.5, -12.0, 60.0, 0.0, 1e16, 5e-324),
+    float: (0.25, 2.0, 1 / 3, 8.0, 25.0, 1e-3, -2.5, -12.0, 60.0, 0.0, 1e16, 1.7e-29),
 }
 # Names, and words that YAML would take for something else than a text.
 TEXTS = ("LSM", "a b", "yes", "null", "1e-3", "007", "12:30", "~", "a: b # c", "λ", "", " led", "two\nlines", "'\"")

@@ -72,6 +72,33 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 
 @EVERY
+def test_numbers_that_measure_nothing_are_refused_wherever_they_stand(kind: type) -> None:
+    """Every number of every example: a sentence with line, column and key, before anything computes with it."""
+    where = {path: document for _, document in documents(kind) for path in numbers(document.content, ())}
+    for (path, document), extreme in zip(where.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
+        with pytest.raises(InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"):
+            loaded(to_yaml(replaced(document.content, path, extreme)), kind)
+
+
+def numbers(content: Any, path: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    """Where in a document numbers stand; a seed measures nothing."""
+    inner = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, value in inner:
+        if isinstance(value, int | float) and not isinstance(value, bool) and key != "seed":
+            yield (*path, key)
+        yield from numbers(value, (*path, key))
+
+
+def replaced(content: Any, path: tuple[Any, ...], value: float) -> Any:
+    """The content with another value at a path."""
+    if not path:
+        return value
+    changed = content.copy()
+    changed[path[0]] = replaced(content[path[0]], path[1:], value)
+    return changed
+
+
+@EVERY
 def test_missing_key_is_refused_and_named(kind: type) -> None:
     content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 LEAST_SHARE = 1e-3  # of a load: what a reading at its end leaves of the apparent resistance
 SHORT_SHARE = 1e-6  # of the apparent resistance: from here to a dead short readings move by a millionth
 USUAL_NOISE_LSB = 0.7  # enough to dither: what the shipped boards show, and what averaging needs
+LEAST_VOLT, MOST_VOLT = 1e-3, 1e5  # a thermocouple's, a transmission line's
 HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
 
@@ -75,12 +76,14 @@ class Readout(ABC):
     noise_lsb: PerLine | Literal["estimated"] | None = None
 
     def __post_init__(self) -> None:
-        check_positive("supply_volt", self.supply_volt)
+        check_supply(self.supply_volt)
         if not 1 <= self.adc_bits <= 32:
             raise ValueError("adc_bits must lie between 1 and 32")
         if not 1 <= self.readings <= 65535:
             raise ValueError("readings must lie between 1 and 65535")
         check_lines("noise_lsb", self.assumed_noise)
+        if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
+            raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
 
     def check(self, scene: "Scene") -> None:
         """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
@@ -367,7 +370,9 @@ class Readout(ABC):
         return float(ends.min()), float(ends.max())
 
 
-def check_positive(name: str, value: float) -> None:
-    """Raise ValueError unless a number is positive and finite."""
-    if not (isfinite(value) and value > 0):
-        raise ValueError(f"{name} must be positive and finite")
+def check_supply(volt: float) -> None:
+    """Raise ValueError unless a supply is positive, finite, and one that a circuit can have."""
+    if not (isfinite(volt) and volt > 0):
+        raise ValueError("supply_volt must be positive and finite")
+    if not LEAST_VOLT <= volt <= MOST_VOLT:
+        raise ValueError(f"supply_volt must lie between {LEAST_VOLT:g} and {MOST_VOLT:g} V")

@@ -11,7 +11,7 @@ from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import LineNumber, along, check_resistors
-from lampest.panel.readouts.readout import Readout, check_positive
+from lampest.panel.readouts.readout import Readout, check_supply
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
@@ -53,7 +53,7 @@ class TwoPointReadout(Readout):
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
-        check_positive("supply_volt", self.supply_volt)
+        check_supply(self.supply_volt)
         check_resistors("reference_ohm", self.reference_ohm)
         if self.input_ohm is not None:
             check_resistors("input_ohm", self.input_ohm, most=inf)
