@@ -271,6 +271,8 @@ def weighed(readings: Readings, scene: Scene, stand_ins: bool) -> Readings:
 
     readings : (frames, rows, columns).
     """
+    if not readings.partial:
+        return readings
     missing = readings.missing(scene) if stand_ins else np.zeros(readings.seen.shape, dtype=bool)
     told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
     if not np.any(missing | told):

@@ -1,6 +1,6 @@
 """Frames as they come: each solved after the last, with the baseline where the method asks for that."""
 
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -199,8 +199,7 @@ class Stream:
 
     def _barred(self, step: Step) -> tuple[Track | None, Step]:
         """The step with error bars, where they are wanted and can be had."""
-        model = step.surroundings()
-        if self.track is None or model is None:
+        if self.track is None or (model := step.surroundings()) is None:
             return self.track, step
         begin = perf_counter()
         with suppress(*BROKEN):
@@ -243,7 +242,7 @@ class Stream:
 
     def solve(self, data: Data, previous: Array | None) -> Step:
         """One solve, with the weights that are left to the data; for methods."""
-        with delayed_interrupt():
+        with nullcontext() if self.estimator.method.delays and not self.estimator.automatic else delayed_interrupt():
             begin = perf_counter()
             estimator = self.estimator
             limit, data = estimator.solver.time_limit_s, replace(data, hasty=True) if self.hasty else data

@@ -10,6 +10,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
+from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.kernel.following import from_previous, serves, swift
 from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
@@ -52,14 +53,15 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
     with np.errstate(all="ignore"):
         if isinstance(solver, Newton):
             return _by_newton(solver.following(kept), data, previous)
-        if not scouted(solver.cost, data, previous):
-            return _best(solver, data, previous)
-        scout = _by_newton(Newton(solver.cost, solver.settings, kept), data, previous)
-        if not scout.solved:
-            return scout
-        at = evaluated(solver.cost, data, scout.cell_resistance)
-        solution = solved_from(solver, at)
-        return replace(solution, starts=scout.starts, factor=scout.factor, unsearched=scout.unsearched)
+        with delayed_interrupt():
+            if not scouted(solver.cost, data, previous):
+                return _best(solver, data, previous)
+            scout = _by_newton(Newton(solver.cost, solver.settings, kept), data, previous)
+            if not scout.solved:
+                return scout
+            at = evaluated(solver.cost, data, scout.cell_resistance)
+            solution = solved_from(solver, at)
+            return replace(solution, starts=scout.starts, factor=scout.factor, unsearched=scout.unsearched)
 
 
 def scouted(cost: Cost, data: Data, previous: Array | None) -> bool:
@@ -72,12 +74,21 @@ def scouted(cost: Cost, data: Data, previous: Array | None) -> bool:
 
 
 def _by_newton(solver: Newton, data: Data, previous: Array | None) -> Solution:
-    """The same by the reduced solver; of a later frame by machine code, where there is some."""
-    if previous is None:
-        return _best(solver, data, None)
-    quick = swift(solver)
-    found = _followed(quick, data, previous)
-    return _best(quick, data, previous) if found is None else _compared(quick, data, previous, found)
+    """The same by the reduced solver; of a later frame by machine code, where there is some.
+
+    That alone is not kept from Ctrl-C, which costs a tenth of a frame; CasADi would take it for a failed evaluation.
+    """
+    found = None if previous is None else _followed(solver, data, previous)
+    more = [] if found is None else _compared_with(solver, data, previous, found)
+    if found is not None and not more:
+        return found
+    with delayed_interrupt():
+        quick = solver if previous is None else swift(solver)
+        if found is None:
+            return _best(quick, data, previous)
+        if data.hasty:
+            return replace(found, unsearched=True)
+        return _least(found, _others(quick, _evaluable(quick.cost, data, more)))
 
 
 def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
@@ -94,16 +105,11 @@ def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
     return found
 
 
-def _compared(solver: Newton, data: Data, previous: Array, found: Solution) -> Solution:
-    """The least minimum of that and, where there may be several, of those from starts elsewhere."""
+def _compared_with(solver: Newton, data: Data, previous: Array | None, found: Solution) -> list[Array]:
+    """Starts beside an estimate that may be one of several minima, and, where it was hard to find, elsewhere."""
     if _one_minimum(solver.cost, data) or data.overdue:
-        return found
-    more = _beside(solver, found)
-    if found.iterations > EASY_KEPT:
-        more += _elsewhere(data, previous)
-    if data.hasty:
-        return replace(found, unsearched=bool(more))
-    return _least(found, _others(solver, _evaluable(solver.cost, data, more)))
+        return []
+    return _beside(solver, found) + (_elsewhere(data, previous) if found.iterations > EASY_KEPT else [])
 
 
 def _one_minimum(cost: Cost, data: Data) -> bool:

@@ -17,6 +17,7 @@ from lampest.files.tagged import members_by_kind
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
 SHAPE = (4, 5)
@@ -118,3 +119,19 @@ def test_one_false_infinity_costs_its_cell_and_not_its_frame() -> None:
     error = np.abs(found.cell_resistance / made.truth_cell_resistance[2:] - 1)
     error[:, 1, 2] = 0.0
     assert np.median(error) < 0.1 and error.max() < 1.0
+
+
+@pytest.mark.parametrize("readout", READOUTS)
+def test_a_frame_of_values_reads_the_same_beside_one_with_holes(readout: AnyReadout) -> None:
+    """What most frames are is read in fewer steps; the number is that of the general way, which holes ask for."""
+    scene = Scene(Panel(*SHAPE), readout, series_resistance_ohm=20.0 if readout.unit == "ohm" else 0.0)
+    recorded = recording(scene).recorded
+    together = Readings.of(scene, recorded[1:3])
+    alone = Readings.of(scene, recorded[1])
+    assert together.partial and not alone.partial
+    assert_array_equal(alone.value, together.value[0])
+    assert_allclose(alone.sigma, together.sigma[0], rtol=1e-15)
+    assert_array_equal(alone.seen, together.seen[0])
+    assert_array_equal(alone.side, together.side[0])
+    with pytest.raises(InputError, match="panel is 4 × 5"):
+        Readings.of(scene, recorded[1, :3])

@@ -5,15 +5,19 @@ Solves are later frames of a rod on a square panel, 12 bits, noise known, each b
 those of the processor, of each solve the least of several turns, then the median. The wheels bring MUMPS and SPRAL;
 HSL's ma27 and ma57 and Pardiso are the user's own to install, and are named as missing where they are not. ma77, ma86
 and ma97 are not asked for: where they are missing, the loader of HSL ends the process.
+--programs asks CasADi's other solvers of nonlinear programs for the same frames, from the estimate of the frame before.
 """
 
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
 from time import process_time
 from typing import Any
 from unittest import mock
 
+import casadi
 import numpy as np
 
 import lampest
@@ -21,16 +25,37 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.recording.readings import Readings
 from lampest.solvers.ipopt import ipopt
 from lampest.solvers.ipopt.ipopt import Ipopt
+from lampest.solvers.ipopt.program import Program
+from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Outcome, Status, check
 from tests.studies.speed import METHODS, begun, simulated
 
-TURNS = 5
+TURNS, LONGEST_S = 5, 20.0
 ORDERS = {"approximate minimum degree": 0, "METIS": 5, "what MUMPS takes": 7}
 LINEAR_SOLVERS: dict[str, dict[str, Any]] = {
     **{f"mumps, {name}": {"linear_solver": "mumps", "mumps_pivot_order": order} for name, order in ORDERS.items()},
     **{name: {"linear_solver": name} for name in ("spral", "ma27", "ma57", "pardiso")},
 }
 Solve = tuple[Ipopt, Data, Evaluation]
+QUIET = {"print_time": False, "print_header": False, "print_iteration": False, "print_status": False}
+QP: dict[str, dict[str, Any]] = {
+    "qrqp": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    "osqp": {"osqp": {"verbose": False}, "error_on_fail": False},
+    "qpoases": {"printLevel": "none", "error_on_fail": False, "sparse": True},
+    "highs": {"highs": {"output_flag": False}, "error_on_fail": False},
+    "ipqp": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    "proxqp": {"error_on_fail": False},
+    "daqp": {"error_on_fail": False},
+}
+PROGRAMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "fatrop": ("fatrop", {"print_time": False, "structure_detection": "none", "fatrop": {"print_level": 0}}),
+    **{
+        f"sqpmethod, {name}": ("sqpmethod", QUIET | {"qpsol": name, "qpsol_options": options, "max_iter": 30})
+        for name, options in QP.items()
+    },
+    "feasiblesqpmethod": ("feasiblesqpmethod", {"print_time": False, "qpsol": "qrqp", "max_iter": 30}),
+    "bonmin": ("bonmin", {"print_time": False, "bonmin": {"print_level": 0}}),
+}
 
 
 @contextmanager
@@ -111,8 +136,65 @@ def compared(side: int, method: str) -> Iterator[str]:
     ipopt._built.cache_clear()
 
 
-def main(side: int, formulations: list[str], method: str) -> None:
-    """Print where frames go, and the linear solvers."""
+class Noted:
+    """A solver that notes what it is called with."""
+
+    def __init__(self, solver: Any) -> None:
+        self.solver, self.given = solver, {}
+
+    def __call__(self, **given: Any) -> Any:
+        self.given = given
+        return self.solver(**given)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.solver, name)
+
+
+def programs(side: int, method: str) -> Iterator[str]:
+    """A line for each of CasADi's solvers, IPOPT first; every frame is begun at the estimate of the one before."""
+    solves = later_solves(side, method, "nodal")
+    asked, built = [], solves[0][0]._built
+    noted = Noted(built.solver)
+    with mock.patch.object(ipopt, "_built", lambda *given: replace(built, solver=noted)):
+        for (solver, _, before), (_, data, _) in pairwise(solves):
+            one = Ipopt(solver.cost, solver.readout, solver.formulation, solver.settings)
+            one.solve(data, evaluated(one.cost, data, before.cell_resistance))
+            asked.append(noted.given)
+    program = Program.build(solver.cost.unweighted, solver.readout, solver.formulation)
+    least_cost = [float(built.solver(**given)["f"]) for given in asked]
+    yield program_line("ipopt", built.solver, asked, least_cost)
+    for name, (plugin, options) in PROGRAMS.items():
+        needed = [plugin] if "qpsol" not in options else [plugin, options["qpsol"]]
+        try:
+            found = casadi.nlpsol("program", plugin, program.nlp, options | {"error_on_fail": False})
+            yield program_line(name, found, asked, least_cost)
+        except (RuntimeError, NotImplementedError) as error:
+            yield f"{name:28s} not to be had: {' '.join(needed)}: {str(error).splitlines()[-1][:100]}"
+
+
+def program_line(name: str, solver: Any, asked: list[dict[str, Any]], least_cost: list[float]) -> str:
+    """Milliseconds of the median frame, how many reach IPOPT's cost, and the largest violation among these."""
+    spent, reached, broken = [], 0, []
+    for given, least in zip(asked, least_cost, strict=True):
+        begin = process_time()
+        found = solver(**given)
+        spent.append(process_time() - begin)
+        away = float(np.abs(np.asarray(found["g"])).max())
+        if float(found["f"]) <= least * (1 + 1e-6) and away < 1e-6:
+            reached += 1
+            broken.append(away)
+        if sum(spent) > LONGEST_S:
+            break
+    told = f"{reached} of {len(spent)} reach the optimum, balance {max(broken, default=np.nan):.0e}"
+    return f"{name:28s} {1e3 * float(np.median(spent)):9.2f} ms, {told}"
+
+
+def main(side: int, formulations: list[str], method: str, others: bool) -> None:
+    """Print where frames go, and the linear solvers; or the other solvers alone."""
+    if others:
+        for line in programs(side, method):
+            print(line, flush=True)
+        return
     print(f"{side} x {side}, later frames")
     for formulation in formulations:
         for name in METHODS:
@@ -127,5 +209,6 @@ if __name__ == "__main__":
     parser.add_argument("--side", type=int, default=10)
     parser.add_argument("--formulations", nargs="*", default=["nodal", "per_pixel"])
     parser.add_argument("--method", choices=METHODS, default="LSR-gCR")
+    parser.add_argument("--programs", action="store_true")
     chosen = parser.parse_args()
-    main(chosen.side, chosen.formulations, chosen.method)
+    main(chosen.side, chosen.formulations, chosen.method, chosen.programs)

@@ -27,6 +27,7 @@ class OptimalMethod(Method):
 
     optimum: ClassVar[bool] = True
     joint: ClassVar[bool] = True
+    delays: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
 
     def check_scene(self, scene: Scene) -> None:

@@ -354,7 +354,11 @@ class Readout(ABC):
 
     def sigma_volt(self) -> Array:
         """σ of a mean reading at the converter, to be broadcast to (rows, columns)."""
-        return self._of_driven_lines(self.sigma_code()) * self.lsb_volt
+        return self._sigma_volt
+
+    @cached_property
+    def _sigma_volt(self) -> Array:
+        return np.asarray(self._of_driven_lines(self.sigma_code()) * self.lsb_volt)
 
     def rails(self) -> tuple[float, float]:
         """(least, largest) recorded reading that a code between the first and the last one can mean.

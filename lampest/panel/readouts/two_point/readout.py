@@ -238,7 +238,7 @@ class TwoPointReadout(Readout):
         `recorded` is what the divider sees, series resistance included. Source: error propagation of equation (1).
         """
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        return np.asarray(total**2 / self.reference_ohm * self.sigma_volt() / self.supply_volt)
+        return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))
 
 
 def resolution_limit(two_point_resistance: Array, sigma: Array) -> Array:
