@@ -36,9 +36,27 @@ def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Arr
     torn = np.zeros(readings.value.shape)
     if len(measured) > 1:
         torn[measured] = np.gradient(readings.value[measured], axis=0)
+    return torn * _late(scene, readings)
+
+
+def swept(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """|τ| times the larger of a reading's steps from the frame before and to the one after, as `passing`.
+
+    A load that has come and gone from one frame to the next but one leaves no difference between these.
+    """
+    step = np.zeros(readings.value.shape)
+    if len(measured) > 1:
+        steps = np.abs(np.diff(readings.value[measured], axis=0))
+        step[measured[1:]] = steps
+        step[measured[:-1]] = np.maximum(step[measured[:-1]], steps)
+    return step * np.abs(_late(scene, readings))
+
+
+def _late(scene: Scene, readings: Readings) -> Array:
+    """τ (1, rows, columns) of each reading: how late it is taken, from the middle of its frame, in periods."""
     channels = readings.value[0].size
     late = (np.arange(channels) + 0.5) / channels - 0.5
-    return torn * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
+    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
 def scan_share(

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise.motion import passing, said_of_motion, scan_share
+from lampest.estimate.noise.motion import said_of_motion, scan_share, swept
 from lampest.estimate.noise.outliers import LEAST_FRAMES, SHARE, leaps, pair_scale
 from lampest.estimate.noise.scatter import Scatter, scatter
 from lampest.estimate.noise.unseen import said_of_readings, unseen
@@ -102,7 +102,7 @@ def with_torn_frames(scene: Scene, seen: NoiseSeen, share: float, measured: NDAr
     """With wider σ where readings were taken while loads moved."""
     if not share or seen.readings.sigma is None:
         return seen
-    torn = share * passing(scene, seen.readings, measured)
+    torn = share * swept(scene, seen.readings, measured)
     wider = replace(seen.readings, sigma=np.hypot(seen.readings.sigma, torn))
     said = said_of_motion(share, torn, seen.readings.sigma)
     return replace(seen, readings=wider, sentence=joined([seen.sentence, said]))
