@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
+from lampest.estimate.noise.motion import passing, swept
 from lampest.estimate.noise.outliers import leaps
 from lampest.estimate.noise.scatter import scatter
 from lampest.estimate.noise.seen import noise_seen
@@ -17,6 +19,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.report.info import describe
 
@@ -201,6 +204,32 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
     recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
     hidden = noise_seen(recording).hidden
     assert hidden is not None and hidden.sizes.reading_error == 0.02
+
+
+def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_for_that() -> None:
+    """Neighbours in time say nothing of such readings but how far they may be off."""
+    mouth, held = lampest.OralDisc((35.0, 35.0), 30.0, 6.0, pressure_kpa=-12.0, rim_kpa=90.0), []
+    scene, moving = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(load_speed_mm_s=25.0)
+    for seed in (1, 2):
+        made = lampest.simulate(
+            lampest.Simulation(1, seed, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
+        )
+        assert "loads move while a frame is scanned" in noise_seen(made).sentence
+        found = reconstruct(made, LSM)
+        truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
+        assert truth is not None and lower is not None and upper is not None
+        held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
+    assert np.mean(held) > 0.8
+
+
+def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
+    scene = Scene(Panel(2, 2), TwoPointReadout(noise_lsb=0.7), 140.0)
+    value = np.full((3, 2, 2), 800.0)
+    value[1] = 400.0
+    readings = Readings.of(scene, value)
+    late = np.array([[0.375, 0.125], [0.125, 0.375]])  # of a period, from the middle of the scan
+    assert_allclose(swept(scene, readings, np.arange(3)), 400 * late * np.ones((3, 1, 1)))
+    assert not passing(scene, readings, np.arange(3))[1].any()
 
 
 def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:

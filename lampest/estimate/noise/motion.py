@@ -2,9 +2,9 @@
 
 A reading that is taken τ of a frame period away from the frame's middle differs by Δ·τ, with Δ half the difference of
 the frames before and after. If no cells explain the readings, but some do once s·Δ·τ is taken off, or if cells that
-nobody touched seem to move with s·Δ·τ, a scan takes the share s of the period. Where no share helps, and none of the
-frames that move most is explained while the unloaded panel is, loads move too far from frame to frame for Δ, and s is 1.
-Error bars then reach as far as |τ| s times the larger of a reading's steps to the frames beside.
+nobody touched seem to move with s·Δ·τ, a scan takes the share s of the period. Where no share helps, and most of the
+frames that move most are unexplained though the unloaded panel is not, loads move too far from frame to frame for Δ,
+and s is 1. Error bars then reach as far as |τ| s times the larger of a reading's steps to the frames beside.
 """
 
 from dataclasses import replace
@@ -86,7 +86,7 @@ def scan_share(
     fits = [explained(scene, readings[frame], torn[frame], 0.0) for frame in moving]
     if min(tail for _, tail in fits) < UNEXPLAINED:
         found = _share_that_explains(scene, readings, torn, moving, [cost for cost, _ in fits])
-        return found or float(max(tail for _, tail in fits) < UNEXPLAINED)  # the whole period, or nothing
+        return found or float(np.median([tail for _, tail in fits]) < UNEXPLAINED)  # the whole period, or nothing
     here = asked(scene, readings[moving[0]], base.fit.cells, sizes, noise, resting=False)
     return 0.0 if here is None else _share(base, here, torn[moving[0]])
 

@@ -18,8 +18,8 @@ from lampest.posterior.dense import IGNORANCE
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Change
 
-# Squared errors of channels and reference were 0.6 to 1.8 times what the joint cost says on simulated lampreys, and nine
-# times in the direction that matters to a mouth whose inside is nearly open.
+# Squared errors of channels and reference were 0.6 to 1.8 times what the joint cost says on simulated lampreys, and up
+# to nine times in the direction that matters to a mouth whose inside is nearly open.
 BELIEVED = 0.25
 
 
