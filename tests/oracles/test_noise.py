@@ -208,7 +208,8 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
 
 def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_for_that() -> None:
     """Neighbours in time say nothing of such readings but how far they may be off."""
-    mouth, held = lampest.OralDisc((35.0, 35.0), 30.0, 6.0, pressure_kpa=-12.0, rim_kpa=90.0), []
+    place, held = (35.0, 35.0), []
+    mouth = lampest.OralDisc(centre_mm=place, diameter_mm=30.0, rim_width_mm=6.0, pressure_kpa=-12.0, rim_kpa=90.0)
     scene, moving = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(load_speed_mm_s=25.0)
     for seed in (1, 2):
         made = lampest.simulate(
