@@ -166,7 +166,7 @@ def test_hidden_suction_counts_less() -> None:
     verdict = seen(frames_of(recorded(MOUTH)))[-1]
     assert verdict.best.change.max() > 1 and hidden_cost(verdict.best) == pytest.approx(0)
     hidden = replace(
-        verdict.best, explained=Explained(np.minimum(verdict.best.change, 0), verdict.best.explained.edges)
+        verdict.best, explained=verdict.best.explained._replace(change=np.minimum(verdict.best.change, 0))
     )
     assert hidden_cost(hidden) == HIDDEN
     assert hidden_cost(replace(hidden, candidate=Ring.candidate)) == 0

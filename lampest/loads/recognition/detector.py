@@ -31,6 +31,7 @@ ROUNDS = 3
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 ALIVE = 12.0  # ln of a likelihood ratio within which a candidate is fitted at all levels
 REFINED = 8
+ENOUGH = 1.0  # ln of a likelihood ratio within which two kinds are the same fit
 FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left out until the panel is searched again
 CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
 STILL = 0.02  # relative change of readings below which a panel is not searched again
@@ -190,7 +191,7 @@ class Detector:
         fits: list[Fit] = []
         for disc in discs:
             least = min((fit.score for fit in fits), default=np.inf)
-            fits.append(fitting.best(load.start(disc), COARSE_STEPS, least + HOPELESS))
+            fits.append(fitting.best(load.start(disc), COARSE_STEPS, least + HOPELESS, rough=True))
         return fits
 
     def _settled(self, frame: Observation, starts: tuple[Fit, ...], field: Fit | None) -> Verdict:
@@ -212,14 +213,30 @@ class Detector:
             frame, starts = without(frame, far), tuple(sorted(fits, key=_score))
         limit = best.score + ALIVE
         fits = tuple(self._at_all_levels(frame, fit) if fit.score < limit else fit for fit in fits)
+        fits = self._from_each_other(frame, fits)
         others = () if field is None else (field,)
         return self._judged(frame, (*self._uniform(frame, Whitening.at_rest(frame)), *fits, *others))
+
+    def _from_each_other(self, frame: Observation, fits: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Hollow kinds once more from where the best of all came to lie: between patches lie many minima."""
+        best = max(fits, key=lambda fit: fit.evidence)
+        found = list(fits)
+        for place, fit in enumerate(fits):
+            begin = None if fit is best else fit.candidate.like(best.candidate, best.parameters)
+            if begin is None or not fit.candidate.hollow or fit.evidence > best.evidence - ENOUGH:
+                continue
+            again = replace(best, candidate=fit.candidate, parameters=begin)
+            again = self._from(frame, again, best.scatter / self.response, best.score + HOPELESS)
+            if again.score < best.score + ALIVE:
+                found[place] = max(fit, self._at_all_levels(frame, again), key=lambda one: one.evidence)
+        return tuple(found)
 
     def _at_all_levels(self, frame: Observation, fit: Fit) -> Fit:
         """The fit with the film's deviation that suits it best, and its evidence over all of them, alike beforehand."""
         mean, sd = fit.candidate.mean(self.panel), fit.candidate.sd(self.panel)
         uncertain, scatters = Uncertain.of(frame, fit.explained), [level * self.response for level in LEVELS]
         whitenings = [uncertain.whitening(scatter) for scatter in scatters]
+        fit = self._fitting(fit.candidate, frame, whitenings[scatters.index(fit.scatter)]).widened(fit)
         evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
         here, best = scatters.index(fit.scatter), int(np.argmax(evidence))
         if best != here:
@@ -243,13 +260,13 @@ class Detector:
             least = min((fit.score for fit in fits.values()), default=np.inf)
             fits[start.candidate.label] = self._from(frame, start, level, least + HOPELESS)
         best = min(fits.values(), key=_score)
-        disc = best.candidate.disc(best.parameters)
         for load in self.loads:
             before = fits.get(load.label)
             enough = before is not None and before.score < best.score + HIGHER
-            if disc is None or not load.hollow or enough:
+            begin = load.like(best.candidate, best.parameters)
+            if begin is None or not load.hollow or enough:
                 continue
-            again = replace(best, candidate=load, parameters=load.start(disc))
+            again = replace(best, candidate=load, parameters=begin)
             again = self._from(frame, again, level, best.score + HOPELESS)
             fits[load.label] = again if before is None else min(before, again, key=_score)
         return tuple(fits.values())
@@ -260,7 +277,7 @@ class Detector:
         for _ in range(2):
             before = start.change
             whitening = Whitening.of(frame, start.explained, scatter)
-            start = self._fitting(start.candidate, frame, whitening).best(start.parameters, STEPS, hopeless)
+            start = self._fitting(start.candidate, frame, whitening).best(start.parameters, STEPS, hopeless, rough=True)
             if start.score > hopeless or np.abs(start.change - before).max() < FAR:
                 break
         return start

@@ -48,7 +48,7 @@ def field_fit(frame: Observation, start: Array) -> Fit:
         FIELD,
         np.zeros(0),
         np.zeros((0, 0)),
-        Explained(change, np.zeros_like(change)),
+        Explained(change, np.zeros_like(change), np.zeros_like(change)),
         left,
         np.zeros((sd.size, 0)),
         float(misfit @ misfit),

@@ -15,6 +15,8 @@ LARGEST_DAMPING = 1e8
 FARTHEST = 5.0  # standard deviations of the prior: beyond, nothing is looked for
 TRIAL = 4
 LOOSE = 0.3
+LARGER = 0.02  # of a patch's edge, for a difference
+NONE = np.zeros(0, dtype=np.intp)
 LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs are: its evidence hardly counts
 
 
@@ -57,7 +59,7 @@ class _Linearisation:
     """The model about φ: errors of unit variance of readings and priors, their slopes by φ, and half their square."""
 
     parameters: Array
-    explained: Explained
+    change: Array
     residual: Array
     by_parameter: Array
     errors: Array
@@ -75,6 +77,13 @@ class Fitting:
     frame: Observation
     whitening: Whitening
 
+    def cost(self, parameters: Array) -> float:
+        """Half the square of errors of unit variance, of readings and priors."""
+        pressure, _ = self.candidate.pressure(self.panel, self.patch_mm, parameters)
+        errors = self.whitening @ self.frame.missed(self.frame.change(pressure)[0], NONE)[0]
+        prior = (parameters - self._prior[0]) / self._prior[1]
+        return float(errors @ errors + prior @ prior) / 2
+
     def at(self, parameters: Array) -> _Linearisation:
         """Errors of unit variance, of readings and priors, and their slopes by φ."""
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, parameters)
@@ -89,7 +98,7 @@ class Fitting:
         errors = np.concatenate([whitened[:, 0], prior])
         return _Linearisation(
             parameters,
-            Explained(change, self._edges(response, by_parameter)),
+            change,
             residual,
             of_readings,
             errors,
@@ -108,14 +117,20 @@ class Fitting:
         names = list(self.candidate.priors(self.panel))
         return [number for number, name in enumerate(names) if name.split(".")[-1] in ("x", "y")]
 
-    def _edges(self, response: Array, by_parameter: Array) -> Array:
-        """What a shift of the load by 1 mm does to ln r, (rows, columns); nothing where it has no place."""
-        return np.asarray(np.abs(response) * np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0)))
+    def _explained(self, here: _Linearisation) -> Explained:
+        """What the load does to ln r, what a shift of it by 1 mm adds, and what larger patches do."""
+        if not self._centre:
+            return Explained(here.change, np.zeros_like(here.change), np.zeros_like(here.change))
+        pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, here.parameters)
+        larger, _ = self.candidate.pressure(self.panel, self.patch_mm * (1 + LARGER), here.parameters)
+        edges = np.abs(self.frame.change(pressure)[1]) * np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0))
+        return Explained(here.change, edges, (self.frame.change(larger)[0] - here.change) / LARGER)
 
-    def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf) -> Fit:
+    def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf, rough: bool = False) -> Fit:
         """Damped Gauss-Newton steps from φ = `start` until they gain less than ENOUGH.
 
-        They also end after `steps`, and soon where the score stays above `hopeless`.
+        They also end after `steps`, and soon where the score stays above `hopeless`. rough : troughs are as wide as
+        slopes at their bottom promise; see `widened`.
         """
         damping, hopeless = 1e-3, hopeless - self.whitening.volume
         mean, reach = self._prior[0], FARTHEST * self._prior[1]
@@ -141,15 +156,19 @@ class Fitting:
                 damping = max(10 * damping, 1e-3)
                 if damping > LARGEST_DAMPING:
                     break
-        return self._fit(here, count, here.cost > hopeless - LOST)
+        return self._fit(here, count, rough or here.cost > hopeless - LOST)
 
-    def _fit(self, here: _Linearisation, count: int, hopeless: bool) -> Fit:
+    def widened(self, fit: Fit) -> Fit:
+        """A rough fit, with troughs as wide as they are."""
+        return self._fit(self.at(fit.parameters), fit.steps + 1, False)
+
+    def _fit(self, here: _Linearisation, count: int, rough: bool) -> Fit:
         """The result where steps no longer improve it; see `_widths`."""
         sd = self._prior[1]
         precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
         stiffness, axes = np.linalg.eigh(precision)
         widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # that of the priors is 1
-        if not hopeless:
+        if not rough:
             widths, tried = self._widths(here, widths, sd[:, None] * axes)
         spread = sd[:, None] * axes * widths
         cells = here.residual.size
@@ -157,7 +176,7 @@ class Fitting:
             self.candidate,
             here.parameters,
             spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2),
-            here.explained,
+            self._explained(here),
             here.residual,
             here.by_parameter,
             float(here.errors[:cells] @ here.errors[:cells]),
@@ -178,7 +197,7 @@ class Fitting:
         widths = widths.copy()
         for axis in loose:
             step = widths[axis] * axes[:, axis]
-            rises = [self.at(here.parameters + sign * step).cost - here.cost for sign in (1, -1)]
+            rises = [self.cost(here.parameters + sign * step) - here.cost for sign in (1, -1)]
             widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
         return widths, 2 * len(loose)
 

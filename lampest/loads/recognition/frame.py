@@ -18,6 +18,7 @@ STEP_KPA = 1e-3
 ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
+PATCH_SD = 0.1  # relative, of the patches' edge: they are cut by hand, square or round; an assumption
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 
@@ -165,10 +166,18 @@ class TwoStep(Observation):
 
 
 class Explained(NamedTuple):
-    """What a load explains: (rows, columns) ln r/r0, and by how much a shift of the load by 1 mm changes that."""
+    """What a load explains, (rows, columns) ln r/r0.
+
+    edges, patches : by how much a shift of the load by 1 mm changes that, and patches that are larger by their edge.
+    """
 
     change: Array
     edges: Array
+    patches: Array
+
+    def shared(self, bent: float) -> Array:
+        """(2, cells) ln r of one standard deviation of what all cells share: a bent film, and patches' sizes."""
+        return np.stack([bent * self.change.ravel(), PATCH_SD * self.patches.ravel()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +223,9 @@ class Uncertain:
     @classmethod
     def of(cls, frame: Observation, explained: Explained) -> "Uncertain":
         """Of one frame."""
-        return cls(frame.covariance(explained.change), frame.film(explained))
+        slope = frame.slope(explained.change)
+        shared = slope @ explained.shared(frame.baseline.model_errors.bent).T
+        return cls(frame.covariance(explained.change) + shared @ shared.T, frame.film(explained))
 
     def whitening(self, scatter: float) -> Whitening:
         """Where cells answer with a relative deviation of `scatter`."""

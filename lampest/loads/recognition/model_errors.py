@@ -35,6 +35,7 @@ class ModelErrors:
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     response: float = RESPONSE_SD
+    bent: float = 0.15
     cell_spread: float = 0.4
     drift_per_minute: float = 0.01
     settled: float = 0.002

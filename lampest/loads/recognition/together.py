@@ -31,8 +31,8 @@ class Together:
             for load in others:
                 own = split(best)
                 kinds, begin = list(several_of(best).parts), [*own]
-                disc = kinds[place].disc(own[place]) or discs[place]
-                kinds[place], begin[place] = load, load.start(disc)
+                alike = load.like(kinds[place], own[place])
+                kinds[place], begin[place] = load, load.start(discs[place]) if alike is None else alike
                 other = self._fit(kinds, begin, best.score)
                 if other.evidence > best.evidence + CLEARLY:
                     best = other
@@ -50,9 +50,9 @@ def twins(fit: Fit, loads: Sequence[Candidate]) -> list[Fit]:
     for load in loads:
         kinds, begin = list(fit.candidate.parts), split(fit)
         for number, (part, numbers) in enumerate(zip(kinds, begin, strict=True)):
-            disc = part.disc(numbers)
-            if part.sucks and part is not load and disc is not None:
-                kinds[number], begin[number] = load, load.start(disc)
+            alike = load.like(part, numbers)
+            if part.sucks and part is not load and alike is not None:
+                kinds[number], begin[number] = load, alike
         if tuple(kinds) != fit.candidate.parts:
             twin = replace(fit, candidate=Several.of(tuple(kinds)), parameters=np.concatenate(begin))
             found.append(targets_first(twin))

@@ -5,7 +5,7 @@ from math import log
 from typing import ClassVar, Literal
 
 from lampest.loads.shapes.disc import Disc, annular_pressure, annulus_mm2, contact_of_weight
-from lampest.loads.shapes.round import DIAMETER, TILT, WIDTH, RoundCandidate, disc_of
+from lampest.loads.shapes.round import DIAMETER, MADE, TILT, WIDTH, RoundCandidate, disc_of
 from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
@@ -28,6 +28,7 @@ class Ring(Shape):
         templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
         # An assumption: 95 % of rings press with 4 to 220 kPa.
         numbers={"diameter": DIAMETER, "width": WIDTH, "rim": Prior(log(30), 1.0)} | TILT,
+        uneven=MADE,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"

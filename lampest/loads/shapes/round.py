@@ -21,6 +21,8 @@ SUCTION = Prior(log(8), 0.75)
 TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
 # Assumptions: 95 % have axes within a ratio of 1.22, and press within ±34 % along themselves.
 UNEVEN = (0.05, 0.05, 0.17, 0.17)
+# An assumption: what is made stands as round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
+MADE = (0.02, 0.02, 0.08, 0.08)
 # An assumption: films are cut to a millimetre and rims are rounded, so that both edges of a disc may seem that far off.
 EDGE_MM = 0.7
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
@@ -150,6 +152,14 @@ class RoundCandidate(Candidate):
         }
         others = (values.get(name, prior.mean) for name, prior in self.numbers.items())
         return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
+
+    def like(self, other: Candidate, parameters: Array) -> Array | None:
+        """That of the disc, as uneven where the other is round, too."""
+        begin = super().like(other, parameters)
+        if begin is not None and isinstance(other, RoundCandidate):
+            form = len(Unevenness._fields)
+            begin[-form:] = parameters[-form:]
+        return begin
 
     def margin(self, parameters: Array) -> tuple[float, Array] | None:
         """That of `bound`."""

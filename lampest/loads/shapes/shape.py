@@ -83,6 +83,11 @@ class Candidate(ABC):
         """The disc that is most like it, from which other kinds may start; None: there is none."""
         return None
 
+    def like(self, other: "Candidate", parameters: Array) -> Array | None:
+        """φ where a fit begins that another kind's φ suggests, (parameters); None where that is like no disc."""
+        disc = other.disc(parameters)
+        return None if disc is None else self.start(disc)
+
     def margin(self, parameters: Array) -> tuple[float, Array] | None:
         """How far φ lies within a bound, positive inside, and its slopes (parameters); None: there is no bound."""
         return None

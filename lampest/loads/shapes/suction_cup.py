@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.loads.shapes.disc import Disc, annular_pressure
-from lampest.loads.shapes.round import DIAMETER, SUCKING, SUCTION, TILT, WIDTH, RoundCandidate, sucking_disc
+from lampest.loads.shapes.round import DIAMETER, MADE, SUCKING, SUCTION, TILT, WIDTH, RoundCandidate, sucking_disc
 from lampest.loads.shapes.shape import Prior, Shape
 from lampest.panel.panel import Array
 
@@ -42,6 +42,7 @@ class SuctionCup(Shape):
         templates=SUCKING,
         # An assumption: most cups bear themselves, 95 % are pushed by less than 18 kPa.
         numbers={"diameter": DIAMETER, "width": WIDTH, "suction": SUCTION, "push": Prior(log(0.5), 1.8)} | TILT,
+        uneven=MADE,
         bound=pushed_by_hand,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
