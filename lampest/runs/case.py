@@ -55,6 +55,8 @@ class CaseResult:
     where an older file does not say), and the sentence that says so.
     noise_sentence : what the recording's own frames say against the noise that its scene tells; ''.
     noise_learned : what they told of it, contradiction or not; ''.
+    reading_error : standard deviation of the logarithm of a factor on each reading, the same in all frames, as still
+        cells told it; 0 where they told none.
     film_sentence : what the scene leaves open of the film, and what pressures take it for; ''.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
@@ -99,6 +101,7 @@ class CaseResult:
     model_sentence: str = ""
     noise_sentence: str = ""
     noise_learned: str = ""
+    reading_error: float = 0.0
     film_sentence: str = ""
     start_time: str = ""
     sigma: Array | None = None

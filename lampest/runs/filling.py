@@ -58,6 +58,7 @@ def _filled(
         model_sentence=estimates.model_check.sentence,
         noise_sentence=estimates.noise.sentence,
         noise_learned=estimates.noise.learned,
+        reading_error=estimates.noise.reading_error,
         start_time=estimates.recording.start_time or "",
         film_sentence="" if estimates.film is None else estimates.film.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},

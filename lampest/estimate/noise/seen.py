@@ -56,6 +56,11 @@ class NoiseSeen:
     hidden: Possible | None = None
 
     @property
+    def reading_error(self) -> float:
+        """Standard deviation of the logarithm of a factor on each reading, the same in all frames; 0 where not seen."""
+        return 0.0 if self.hidden is None else self.hidden.sizes.reading_error or 0.0
+
+    @property
     def learned(self) -> str:
         """What the frames told, contradiction or not, in one line; '' where the noise is unknown."""
         if np.isnan(self.factor):

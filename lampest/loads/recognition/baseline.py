@@ -27,8 +27,8 @@ SCALE_SD = 3.0  # of the mean of ln r0: a prior that says next to nothing
 class Baseline:
     """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
 
-    logarithm : (rows, columns) mean of ln r0. offsets : (rows + columns + 1) in their standard deviations.
-    covariance : of both together, (cells + rows + columns + 1)².
+    logarithm : (rows, columns) mean of ln r0. offsets : those of `ModelErrors.offsets`, in standard deviations.
+    covariance : of both together, (cells + offsets)².
     series_ohm : what was taken off the readings, to be broadcast to them. model_errors : the errors that are assumed.
     response : the scene's own; None: the published one.
     """
@@ -70,13 +70,13 @@ class Baseline:
             raise ValueError("recognition knows neither lines, contacts nor faults.joined_rows and joined_columns")
         series_ohm = scene.series_ohm
         rows, columns = measured.shape
-        cells, lines = measured.size, rows + columns + 1
-        prior = np.zeros((cells + lines,) * 2)
-        prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * model_errors.cell_spread**2
-        prior[cells:, cells:] = np.eye(lines)
-        mean = np.zeros(cells + lines)
-        mean[:cells] = np.log(np.median(CIRCUIT.uniform_start(measured)))
         spread = model_errors.offsets(measured + series_ohm)
+        cells, offsets = spread.shape
+        prior = np.zeros((cells + offsets,) * 2)
+        prior[:cells, :cells] = SCALE_SD**2 + np.eye(cells) * model_errors.cell_spread**2
+        prior[cells:, cells:] = np.eye(offsets)
+        mean = np.zeros(cells + offsets)
+        mean[:cells] = np.log(np.median(CIRCUIT.uniform_start(measured)))
         noise, state = sigma.ravel() ** 2, mean
         for step in range(STEPS):
             network = network_of(state[:cells].reshape(rows, columns))

@@ -11,6 +11,7 @@ from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
 from lampest.loads.recognition.frame import Observation, Uncertain, Whitening, outliers, without
 from lampest.loads.recognition.memory import Remembered
+from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
 from lampest.loads.recognition.together import Together, twins
 from lampest.loads.recognition.verdict import Verdict, judged
@@ -18,7 +19,7 @@ from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
-FAR = 1.0  # difference of ln r/r0 beyond which errors are weighed anew
+FAR, SETTLED = 1.0, 0.1  # difference of ln r/r0 beyond which errors are weighed anew: roughly, and in the end
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
 # Of ln r: while a load is looked for, cells are compared as coarsely as that, and then step by step more sharply.
@@ -34,6 +35,7 @@ REFINED = 8
 ENOUGH = 1.0  # ln of a likelihood ratio within which two kinds are the same fit
 FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left out until the panel is searched again
 CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
+NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
 STILL = 0.02  # relative change of readings below which a panel is not searched again
 MOST_AT_ONCE = 3
 NONE = np.zeros(0, dtype=np.intp)
@@ -110,7 +112,7 @@ class Detector:
             if self._doubtful(verdicts[-1]):
                 verdicts += self._several(calm, verdicts[-1], field)
             searched = calm.measured
-        verdict = max(verdicts, key=lambda one: max(fit.evidence for fit in one.fits))
+        verdict = max(verdicts, key=lambda one: one.evidence)
         return replace(self, previous=verdict, searched=searched, changed=field.change), verdict
 
     def _tracked(self, frame: Observation, loads: tuple[Fit, ...]) -> Verdict:
@@ -124,7 +126,9 @@ class Detector:
 
     def _clear(self, verdict: Verdict) -> bool:
         """Whether a shape explains so much, on a film that is not at its worst, that no field need stand against it."""
-        return verdict.goodness < CLEAR and verdict.best.scatter < LEVELS[-1] * self.response
+        best = verdict.best
+        likely = verdict.goodness < CLEAR and best.scatter < LEVELS[-1] * self.response
+        return likely and outline_cost(self.panel, best) < NO_DOUBT
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate fitted whether or not anything else would do; from everywhere, unless a start fits."""
@@ -232,19 +236,24 @@ class Detector:
         return tuple(found)
 
     def _at_all_levels(self, frame: Observation, fit: Fit) -> Fit:
-        """The fit with the film's deviation that suits it best, and its evidence over all of them, alike beforehand."""
+        """The fit with the film's deviation that suits it best, and its evidence over all of them, alike beforehand.
+
+        Weighed by what it explains itself: by what it began at, the errors of two kinds would differ by that alone.
+        """
         mean, sd = fit.candidate.mean(self.panel), fit.candidate.sd(self.panel)
-        uncertain, scatters = Uncertain.of(frame, fit.explained), [level * self.response for level in LEVELS]
-        whitenings = [uncertain.whitening(scatter) for scatter in scatters]
-        fit = self._fitting(fit.candidate, frame, whitenings[scatters.index(fit.scatter)]).widened(fit)
-        evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
-        here, best = scatters.index(fit.scatter), int(np.argmax(evidence))
-        if best != here:
-            there = self._fitting(fit.candidate, frame, whitenings[best]).best(fit.parameters, REFINED)
-            evidence += there.evidence - evidence[best]
-            fit = there
-        else:
-            evidence += fit.evidence - evidence[here]
+        scatters = [level * self.response for level in LEVELS]
+        here = scatters.index(fit.scatter)
+        for _ in range(ROUNDS):
+            uncertain, before = Uncertain.of(frame, fit.explained), (here, fit.change)
+            whitenings = [uncertain.whitening(scatter) for scatter in scatters]
+            evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
+            here = int(np.argmax(evidence))
+            fitting = self._fitting(fit.candidate, frame, whitenings[here])
+            fit = fitting.best(fit.parameters, REFINED, rough=True)
+            if here == before[0] and np.abs(fit.change - before[1]).max() < SETTLED:
+                break
+        fit = fitting.widened(fit)
+        evidence += fit.evidence - evidence[here]
         return replace(fit, evidence=float(logsumexp(evidence)) - float(np.log(len(LEVELS))))
 
     def _uniform(self, frame: Observation, whitening: Whitening) -> tuple[Fit, ...]:
@@ -290,7 +299,7 @@ class Detector:
             fit = together.about(discs[:count])
             verdict = self._settled(frame, (fit, *single.loads[:1]), field)
             before = found[-1] if found else single
-            if max(one.evidence for one in verdict.fits) <= max(one.evidence for one in before.fits):
+            if verdict.evidence <= before.evidence:
                 break
             found.append(verdict)
             if not self._doubtful(verdict):
@@ -307,7 +316,8 @@ class Detector:
         return Together(self.loads, fit)
 
     def _judged(self, frame: Observation, fits: tuple[Fit, ...]) -> Verdict:
-        return judged(self.panel, UNIFORM + self.loads, fits, frame.measured.size)
+        response = frame.baseline.response
+        return judged(self.panel, UNIFORM + self.loads, fits, frame.measured.size, response)
 
     def _fitting(self, candidate: Candidate, frame: Observation, whitening: Whitening) -> Fitting:
         return Fitting(self.panel, self.patch_mm, candidate, frame, whitening)

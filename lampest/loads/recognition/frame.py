@@ -93,7 +93,7 @@ class Observation(ABC):
 
     @cached_property
     def _offsets(self) -> Array:
-        """E (cells, rows + columns + 1) ohm: what every offset's standard deviation adds to the readings."""
+        """E (cells, offsets) ohm: what every offset's standard deviation adds to the readings."""
         return self.baseline.model_errors.offsets(self.measured + self.baseline.series_ohm)
 
     @cached_property

@@ -19,6 +19,7 @@ class ModelErrors:
     ----------
     response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently. Recognition finds it
         in the readings, between 0.5 and 2.5 times this.
+    bent : of the same, alike in all cells: bent film answers less, by half where it is bent sharply.
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
     drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
     settled : of the logarithm of a cell's resistance at rest, apart from drift.
@@ -28,6 +29,8 @@ class ModelErrors:
     remanence_sd : of the part of its largest answer of late that a film keeps for minutes; see `memory`.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames; `lampest detect` takes what
+        the recording's own frames told of it.
 
     Source of the others: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
     creep by a few percent for each decade of time. Raises ValueError where one is negative or not finite.
@@ -44,6 +47,7 @@ class ModelErrors:
     remanence_sd: float = 0.12
     channel_ohm: float = 3.0
     reference: float = 0.006
+    reading_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -55,12 +59,14 @@ class ModelErrors:
         return hypot(self.drift_per_minute * seconds / 60, self.settled)
 
     def offsets(self, total: Array) -> Array:
-        """E·sd (cells, rows + columns + 1) ohm: what one standard deviation of every offset adds to the readings.
+        """E·sd (cells, offsets) ohm: what one standard deviation of every offset adds to the readings.
 
+        Offsets are those of rows, of columns, of the reference, and where there are such errors, of each reading.
         total : (rows, columns) ohm, what the divider sees, series resistance included.
         """
         rows, columns = total.shape
         by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
         by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
         channels = self.channel_ohm * np.hstack([by_row, by_column])
-        return np.hstack([channels, self.reference * total.reshape(-1, 1)])
+        own = [np.diag(self.reading_error * total.ravel())] if self.reading_error else []
+        return np.hstack([channels, self.reference * total.reshape(-1, 1), *own])

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -10,17 +9,15 @@ from scipy.special import log_ndtr, logsumexp
 from lampest.loads.recognition.candidates import UNIFORM
 from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.prior import prior_cost
 from lampest.loads.recognition.several import Several
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
+from lampest.panel.response import Response
 
 SURE, SURE_OF_TARGET = 0.99, 0.999  # an alarm that is false costs more than one that says "or"
 OR = " or "
 AS_GOOD = 3.0  # of the logarithm of the posterior
-RARER = log(20)  # ln of how much rarer every further load is; an assumption
-
-# An assumption about outlines that are no candidates; and ln r/r0 that a panel shows clearly, a suction of half a kPa.
-HIDDEN, SHOWN = 20.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +27,8 @@ class Verdict:
     fits : those of UNIFORM first; of these alone where nothing stood out. shares : (fits) how probable each is.
     probabilities : by kind, in the order of the candidates that were asked for, then 'unlike any'; several loads count
     as their first. Both sum up to 1. goodness : χ² per reading of the best fit.
-    label : its name, or several joined by 'or', the likeliest first.
+    label : its name, or several joined by 'or', the likeliest first. evidence : ln of the frame's probability under the
+    best fit and of that beforehand, up to what all fits to the same frame share.
     """
 
     fits: tuple[Fit, ...]
@@ -38,6 +36,7 @@ class Verdict:
     probabilities: tuple[float, ...]
     goodness: float
     label: str
+    evidence: float
 
     @property
     def best(self) -> Fit:
@@ -51,7 +50,13 @@ class Verdict:
         return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
 
 
-def judged(panel: Panel, candidates: Sequence[Candidate], fits: tuple[Fit, ...], readings: int) -> Verdict:
+def judged(
+    panel: Panel,
+    candidates: Sequence[Candidate],
+    fits: tuple[Fit, ...],
+    readings: int,
+    response: Response | None = None,
+) -> Verdict:
     """P(fit) ∝ evidence: all are alike beforehand, but every further load at once, and hidden suction, are rarer.
 
     The label names those that share 99 % of the probability. A target that explains the readings as well as the
@@ -63,10 +68,10 @@ def judged(panel: Panel, candidates: Sequence[Candidate], fits: tuple[Fit, ...],
     of the baseline and of the response are the same in all of them, and would be taken for evidence.
     """
     within = np.array([bounded(panel, fit) for fit in fits])
-    before = np.array([RARER * further(fit.candidate) + hidden_cost(fit) for fit in fits])
-    evidence = np.array([fit.evidence for fit in fits]) + within - before
-    goodness = fits[int(np.argmax(evidence))].chi2 / readings
-    tempered = evidence / max(1.0, goodness)
+    before = np.array([prior_cost(panel, fit, response) for fit in fits])
+    evidence = np.array([fit.evidence for fit in fits]) + within
+    goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
+    tempered = evidence / max(1.0, goodness) - before
     shares = np.exp(tempered - logsumexp(tempered))
     kinds = [candidate.label for candidate in (*candidates, FIELD)]
     probabilities = [0.0] * len(kinds)
@@ -82,7 +87,9 @@ def judged(panel: Panel, candidates: Sequence[Candidate], fits: tuple[Fit, ...],
         least = score[int(np.argmax(shares))] + AS_GOOD
         as_good = [fit.candidate for fit, high in zip(fits, score, strict=True) if high < least]
         named += [one.label for one in as_good if one.target and one.label not in named]
-    return Verdict(fits, tuple(map(float, shares)), tuple(probabilities), goodness, OR.join(named))
+    return Verdict(
+        fits, tuple(map(float, shares)), tuple(probabilities), goodness, OR.join(named), float(max(evidence - before))
+    )
 
 
 def _named(by_label: dict[str, float], enough: float) -> list[str]:
@@ -90,22 +97,6 @@ def _named(by_label: dict[str, float], enough: float) -> list[str]:
     order = sorted(by_label, key=lambda label: -by_label[label])
     needed = int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1
     return order[:needed]
-
-
-def further(candidate: Candidate) -> int:
-    """How many loads it has beside the first."""
-    return len(candidate.parts) - 1 if isinstance(candidate, Several) else 0
-
-
-def hidden_cost(fit: Fit) -> float:
-    """By how much ln P of what sucks falls where it raises no cell: by HIDDEN, and by nothing where one clearly rises.
-
-    Between patches suction can be made to cancel a rim, so that a mouth fits what any line on the panel does. Of such
-    outlines there are many more than candidates.
-    """
-    parts = fit.candidate.parts if isinstance(fit.candidate, Several) else (fit.candidate,)
-    sucks = any(part.sucks for part in parts)
-    return HIDDEN * float(np.exp(-((max(fit.change.max(), 0.0) / SHOWN) ** 2))) if sucks else 0.0
 
 
 def bounded(panel: Panel, fit: Fit) -> float:

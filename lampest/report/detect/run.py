@@ -107,8 +107,8 @@ class GivenRecording:
         measured, unloaded = np.stack([_complete(frame) for frame in case.measured]), _complete(case.measured_baseline)
         sigma = np.where(case.valued, _noise(case, case.sigma, measured, settings), counting(np.zeros(1), measured))
         resting = _noise(case, case.sigma_baseline, unloaded, settings)
-        errors = _model_errors(settings, scene)
         try:
+            errors = _model_errors(settings, scene, case.reading_error)
             baseline = Baseline.of(unloaded, resting, scene, errors)
         except ValueError as error:
             raise InputError(f"{case.recording}: {told_reason(error, case.recording)}") from error
@@ -149,11 +149,15 @@ def _compared(frame: Direct, estimate: Array) -> Observation:
     return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
 
 
-def _model_errors(settings: RecognitionSettings, scene: Scene) -> ModelErrors:
-    """What the settings assume; where they leave it as published, what the scene says of errors and of the film."""
+def _model_errors(settings: RecognitionSettings, scene: Scene, reading_error: float) -> ModelErrors:
+    """What the settings assume; where they leave it as published, what scene and frames say of errors and of the film.
+
+    reading_error : of the logarithm of each reading, the same in all frames, as the frames told.
+    """
     errors = settings.model_errors
     if errors != AS_PUBLISHED.model_errors:
         return errors
+    errors = replace(errors, reading_error=reading_error)
     if scene.film is not None:
         creep = scene.film.told_creep
         errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)

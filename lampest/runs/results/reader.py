@@ -117,6 +117,7 @@ def _read_case(
             model_sentence=str(texts.get("model_check", "")),
             noise_sentence=str(texts.get("noise_check", "")),
             noise_learned=str(texts.get("noise_learned", "")),
+            reading_error=hdf5.read_number(file, base, "reading_error", 0.0),
             film_sentence=str(texts.get("film", "")),
             start_time=_start_time(file, recording),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
