@@ -228,16 +228,13 @@ def bubbles(rng: np.random.Generator, panel: Panel) -> Scene:
 
 
 def apart(rng: np.random.Generator, panel: Panel, make: Callable[[], Scene], label: str) -> Scene:
-    """Two of a kind that do not touch; the second is drawn until it stands clear."""
-    one = make()
-    for _ in range(200):
-        two = make()
-        if (
-            np.hypot(*np.subtract(one.centres_mm[0], two.centres_mm[0]))
-            > (one.diameters_mm[0] + two.diameters_mm[0]) / 2 + 4
-        ):
-            break
-    return both(label, one, two)
+    """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel has no room."""
+    for _ in range(5000):
+        one, two = make(), make()
+        clear = np.hypot(*np.subtract(one.centres_mm[0], two.centres_mm[0])) - 4
+        if clear > (one.diameters_mm[0] + two.diameters_mm[0]) / 2:
+            return both(label, one, two)
+    raise ValueError(f"{label} do not find room on {panel.rows} x {panel.columns} cells")
 
 
 MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {

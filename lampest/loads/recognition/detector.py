@@ -13,7 +13,7 @@ from lampest.loads.recognition.frame import Observation, Uncertain, Whitening, o
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
-from lampest.loads.recognition.together import Together, twins
+from lampest.loads.recognition.together import Together, discs_of, twins
 from lampest.loads.recognition.verdict import Verdict, judged
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -293,10 +293,13 @@ class Detector:
 
     def _several(self, frame: Observation, single: Verdict, field: Fit) -> list[Verdict]:
         """Verdicts on two loads at once, then on three, while they explain more than what one load fewer does."""
-        discs, together = self.search.apart(field.change), self._roughly(frame)
+        together, discs = self._roughly(frame), self.search.beside(field.change, ())[:1]
         found: list[Verdict] = []
-        for count in range(2, min(len(discs), MOST_AT_ONCE) + 1):
-            fit = together.about(discs[:count])
+        for _ in range(1, MOST_AT_ONCE):
+            ways = [[*discs, place] for place in self.search.beside(field.change, discs)]
+            if not ways:
+                break
+            fit = together.about(ways)
             verdict = self._settled(frame, (fit, *single.loads[:1]), field)
             before = found[-1] if found else single
             if verdict.evidence <= before.evidence:
@@ -304,6 +307,7 @@ class Detector:
             found.append(verdict)
             if not self._doubtful(verdict):
                 break
+            discs = discs_of(fit)
         return found
 
     def _roughly(self, frame: Observation) -> Together:

@@ -1,8 +1,11 @@
 """Where to begin: a map of the cells, and round templates laid over it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.baseline import Baseline, network_of
@@ -14,7 +17,7 @@ from lampest.panel.panel import Array, Panel
 
 MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5
 CLEAR = 1.5  # ln r/r0 beyond which a cell counts no more than one there
-MOST, LEAST, FAINTEST = 3, 0.4, 0.15  # discs that are looked for apart; ln r/r0 in all, and beside the first, of one
+WAYS, LEAST, FAINTEST = 3, 0.3, 0.08  # places for one more load; ln r/r0 in all, and beside the clearest, of one
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 
@@ -75,21 +78,36 @@ class DiscSearch:
         best += [template * size + int(np.argmax(row)) for template, row in zip(faint, in_errors, strict=True)]
         return [self.discs[number] for number in dict.fromkeys(best)]
 
-    def apart(self, change: Array) -> list[Disc]:
-        """Discs that do not overlap, the clearest on a map of ln r/r0 (rows, columns) first."""
-        left, first = np.clip(change, -CLEAR, CLEAR), 0.0
+    def beside(self, change: Array, discs: Sequence[Disc]) -> list[Disc]:
+        """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; the clearest first.
+
+        At most WAYS, each more than half a pitch from the others; none where nothing is left beside the discs.
+        """
+        whole = np.clip(change, -CLEAR, CLEAR)
+        left, first = whole.copy(), float((self.changes.T @ whole.ravel()).max())
+        for disc in discs:
+            left[self._within(disc, disc.diameter_mm / 2 + self.panel.pitch_mm / 2)] = 0.0
+        score = self.changes.T @ left.ravel()
         found: list[Disc] = []
-        while len(found) < MOST:
-            score = self.changes.T @ left.ravel()
+        while len(found) < WAYS:
             best = int(np.argmax(score))
             if score[best] < max(LEAST, FAINTEST * first):
                 break
-            first, disc = max(first, score[best]), self.discs[best]
-            found.append(disc)
-            across, down = self.panel.centres_mm()
-            distance = np.hypot(across[None, :] - disc.x_mm, down[:, None] - disc.y_mm)
-            left = np.where(distance < disc.diameter_mm / 2 + self.panel.pitch_mm / 2, 0.0, left)
+            found.append(self.discs[best])
+            apart = np.hypot(self._places[0] - found[-1].x_mm, self._places[1] - found[-1].y_mm)
+            score = np.where(apart > 0.6 * self.panel.pitch_mm, score, -np.inf)
         return found
+
+    @cached_property
+    def _places(self) -> Array:
+        """x and y of all discs, (2, discs) mm."""
+        return np.array([(disc.x_mm, disc.y_mm) for disc in self.discs]).T
+
+    def _within(self, disc: Disc, reach_mm: float) -> NDArray[np.bool_]:
+        """Which cells' centres are so near a disc's, (rows, columns)."""
+        across, down = self.panel.centres_mm()
+        near: NDArray[np.bool_] = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < reach_mm
+        return near
 
 
 def cell_map(frame: Observation) -> Array:

@@ -21,12 +21,15 @@ class Together:
     loads: tuple[Candidate, ...]
     fit: Callable[[Candidate, Array, float], Fit]
 
-    def about(self, discs: Sequence[Disc]) -> Fit:
-        """The best kinds of loads about those discs, all fitted together, targets first."""
+    def about(self, ways: Sequence[Sequence[Disc]]) -> Fit:
+        """The best kinds of loads about the best of some sets of discs, all fitted together, targets first."""
         flexible = next((load for load in self.loads if load.target), self.loads[0])
         others = [load for load in self.loads if load is not flexible]
-        parts = [flexible] * len(discs)
-        best = self._fit(parts, [flexible.start(disc) for disc in discs], np.inf)
+        parts, score = [flexible] * len(ways[0]), np.inf
+        for number, way in enumerate(ways):
+            fit = self._fit(parts, [flexible.start(disc) for disc in way], score)
+            if fit.score < score:
+                best, discs, score = fit, ways[number], fit.score
         for place in range(len(discs)):
             for load in others:
                 own = split(best)
@@ -76,3 +79,9 @@ def several_of(fit: Fit) -> Several:
 def split(fit: Fit) -> list[Array]:
     """φ of every part."""
     return several_of(fit).split(fit.parameters)
+
+
+def discs_of(fit: Fit) -> list[Disc]:
+    """The discs of all its loads that are like one."""
+    discs = [part.disc(own) for part, own in zip(several_of(fit).parts, split(fit), strict=True)]
+    return [disc for disc in discs if disc is not None]
