@@ -1,13 +1,15 @@
 """What recognition says of mouths and of what is none, over sizes, electronics and films, from scenes made elsewhere.
 
-Run it with: python -m tests.studies.mouths --scenes 10 --seed 7 --sides 10 --films real other
+Run it with: python -m tests.studies.mouths --scenes 10 --seed 7 --sides 10 --films real other --out seen.csv
+and print again what several runs found with: python -m tests.studies.mouths --read seen.csv other.csv
 """
 
 import argparse
-from collections.abc import Iterable
+import csv
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import fields
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -17,30 +19,14 @@ from lampest.loads.recognition.candidates import KINDS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct
 from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.verdict import OR, Verdict
+from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from tests.studies.mouth_scenes import MAKERS, MOUTHS, cells, film, recorded
+from tests.studies.mouth_report import Seen, report
+from tests.studies.mouth_scenes import MAKERS, cells, film, recorded
 
-UNLOADED, ATTACHED = 3, 3.0  # unloaded frames; s after which a mouth is fully attached
-ROUND = ("mouth", "uneven mouth", "pressed mouth", "mouth partly off", "cup", "ring", "rod")
-BINS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A frame: what it shows, what it is called, P(lamprey), the best fit's diameter with its σ, CPU time in ms."""
-
-    kind: str
-    side: int
-    film: str
-    time: float
-    truth_mm: float
-    label: str
-    probability: float
-    diameter: tuple[float, float]
-    cost_ms: float
+UNLOADED = 3  # frames
 
 
 def frames_of(
@@ -71,10 +57,9 @@ def seen(kind: str, side: int, film_kind: str, seed: int, count: int) -> list[Se
         begin = process_time()
         detector, verdict = detector.push(frame)
         cost = 1e3 * (process_time() - begin)
-        number = diameter_of(verdict)
         truth = diameters[0] if diameters else np.nan
         lamprey = verdict.probabilities[KINDS.index("lamprey")]
-        found.append(Seen(kind, side, film_kind, at, truth, verdict.label, lamprey, number, cost))
+        found.append(Seen(kind, side, film_kind, seed, at, truth, verdict.label, lamprey, *diameter_of(verdict), cost))
     return found
 
 
@@ -89,78 +74,34 @@ def diameter_of(verdict: Verdict) -> tuple[float, float]:
     return float(values[place]), float(np.sqrt(slopes[place] @ fit.covariance @ slopes[place]))
 
 
-def holds(label: str, kind: str) -> bool:
-    """Whether a label names a kind, alone, among others, or as one of several loads."""
-    return kind in label.replace(" and ", OR).split(OR)
+def read(path: Path) -> Iterator[Seen]:
+    """What an earlier run has seen."""
+    kinds = {field.name: field.type for field in fields(Seen)}
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            yield Seen(**{name: kinds[name](text) for name, text in row.items()})  # type: ignore[operator]
 
 
-def report(found: Iterable[Seen]) -> None:
-    """Print recall, confusion, false alarms, calibration, diameters, two mouths and times."""
-    everything = list(found)
-    kinds = [kind for kind in MAKERS if any(one.kind == kind for one in everything)]
-    print(f"{'scene':17} frames holds lamprey  alone   within 5 s  called")
-    false = others = 0
-    for kind in kinds:
-        own = [one for one in everything if one.kind == kind]
-        settled = [one for one in own if one.time > ATTACHED] if kind in MOUTHS else own
-        hold = np.mean([holds(one.label, "lamprey") for one in settled])
-        alone = np.mean([set(one.label.split(" and ")) == {"lamprey"} for one in settled])
-        if kind not in MOUTHS:
-            false, others = false + round(alone * len(own)), others + len(own)
-        frames = scene_frames(own)
-        scenes = [own[first : first + frames] for first in range(0, len(own), frames)]
-        told = np.mean([any(holds(one.label, "lamprey") for one in scene if one.time <= 5.5) for scene in scenes])
-        labels = [one.label for one in settled]
-        common = sorted(set(labels), key=labels.count, reverse=True)[:4]
-        words = ", ".join(f"{label} {100 * labels.count(label) / len(labels):.0f} %" for label in common)
-        print(f"{kind:17} {len(settled):6} {100 * hold:9.1f} % {100 * alone:8.1f} % {100 * told:8.1f} %   {words}")
-    if others:
-        print(f"\nfalse lamprey (called nothing else): {false} of {others} frames")
-    calibration(everything)
-    diameters(everything)
-    two = [one for one in everything if one.kind == "two mouths" and one.time > ATTACHED]
-    if two:
-        print(
-            f"two mouths told as two: {100 * np.mean([' and ' in one.label for one in two]):.0f} % of {len(two)} frames"
-        )
-    cost = np.array([one.cost_ms for one in everything])
-    middle, far = np.percentile(cost, [50, 90])
-    print(f"CPU time: median {middle:.1f} ms, 90 % below {far:.0f} ms, mean {cost.mean():.1f} ms")
+def run(plan: Sequence[tuple[str, int, str, int]], count: int, out: Path | None) -> list[Seen]:
+    """All scenes of a plan; with `out`, each is appended to a table as it is done."""
+    everything: list[Seen] = []
+    with suppress(KeyboardInterrupt):  # what was seen until then is reported
+        for kind, side, film_kind, seed in plan:
+            scene = seen(kind, side, film_kind, seed, count)
+            everything += scene
+            if out is not None:
+                write(out, scene)
+    return everything
 
 
-def scene_frames(own: list[Seen]) -> int:
-    """How many frames each scene has."""
-    times = [one.time for one in own]
-    return times.index(times[0], 1) if times.count(times[0]) > 1 else len(times)
-
-
-def calibration(everything: list[Seen]) -> None:
-    """Print how many frames with P(lamprey) in each bin show a mouth that sucks already."""
-    print("\nP(lamprey)     frames  are mouths")
-    told = [one for one in everything if one.kind not in MOUTHS or one.time > ATTACHED]
-    probability = np.array([one.probability for one in told])
-    truly = np.array([one.kind in MOUTHS for one in told])
-    for low, high in pairwise(BINS):
-        inside = (probability >= low) & ((probability < high) | (high == 1.0))
-        if inside.any():
-            print(f"{low:.1f} to {high:.1f} {inside.sum():10} {100 * truly[inside].mean():10.1f} %")
-
-
-def diameters(everything: list[Seen]) -> None:
-    """Print error and coverage of the diameter in settled frames of round loads."""
-    print("\nshape             frames  median error  95th   within 95 %  median σ")
-    for kind in ROUND:
-        own = [one for one in everything if one.kind == kind and one.time > ATTACHED and np.isfinite(one.diameter[0])]
-        if own:
-            error = np.array([one.diameter[0] - one.truth_mm for one in own])
-            sigma = np.array([one.diameter[1] for one in own])
-            middle, far = np.percentile(np.abs(error), [50, 95])
-            held = 100 * np.mean(np.abs(error) <= 1.96 * sigma)
-            bias = np.median(error)
-            print(
-                f"{kind:17} {len(own):6} {middle:9.2f} mm {far:7.1f} {held:9.0f} % {np.median(sigma):9.2f} mm, "
-                f"bias {bias:+.2f}"
-            )
+def write(path: Path, scene: list[Seen]) -> None:
+    """Append frames to a table."""
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        table = csv.writer(file)
+        if new:
+            table.writerow([field.name for field in fields(Seen)])
+        table.writerows([getattr(one, field.name) for field in fields(Seen)] for one in scene)
 
 
 if __name__ == "__main__":
@@ -171,6 +112,8 @@ if __name__ == "__main__":
     parser.add_argument("--sides", type=int, nargs="+", default=[10])
     parser.add_argument("--films", nargs="+", default=["real", "other"], choices=["ideal", "real", "other"])
     parser.add_argument("--kinds", nargs="+", default=list(MAKERS), choices=list(MAKERS))
+    parser.add_argument("--out", type=Path, help="a table of all frames, to which they are appended")
+    parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
     given = parser.parse_args()
     plan = [
         (kind, side, film_kind, 1000 * given.seed + number)
@@ -179,8 +122,7 @@ if __name__ == "__main__":
         for film_kind in given.films
         for kind in given.kinds
     ]
-    everything: list[Seen] = []
-    with suppress(KeyboardInterrupt):  # what was seen until then is reported
-        for kind, side, film_kind, seed in plan:
-            everything += seen(kind, side, film_kind, seed, given.frames)
-    report(everything)
+    if given.read:
+        report([one for path in given.read for one in read(path)])
+    else:
+        report(run(plan, given.frames, given.out))
