@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from lampest.loads.recognition.candidates import LOADS, UNIFORM
 from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
-from lampest.loads.recognition.frame import Observation, Uncertain, Whitening, outliers, without
+from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Uncertain, Whitening, outliers, without
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
@@ -20,7 +20,6 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
 FAR, SETTLED = 1.0, 0.1  # difference of ln r/r0 beyond which errors are weighed anew: roughly, and in the end
-SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
 # Of ln r: while a load is looked for, cells are compared as coarsely as that, and then step by step more sharply.
 COARSE = 0.2
@@ -104,7 +103,7 @@ class Detector:
         if tracked is not None and self._clear(tracked):
             return replace(self, previous=tracked), tracked
         direct = calm.direct()
-        field = field_fit(direct, cell_map(direct) if self.changed is None else self.changed)
+        field = field_fit(direct, cell_map(direct), *(() if self.changed is None else (self.changed,)))
         verdicts = [] if tracked is None else [self._against(field, tracked, calm)]
         searched = self.searched
         if not verdicts or (self._doubtful(verdicts[0]) and self._moved(calm)):
@@ -317,7 +316,7 @@ class Detector:
         def fit(candidate: Candidate, start: Array, least: float) -> Fit:
             return self._fitting(candidate, rough, self.coarse).best(start, STEPS, least + HOPELESS)
 
-        return Together(self.loads, fit)
+        return Together(self.panel, self.loads, fit)
 
     def _judged(self, frame: Observation, fits: tuple[Fit, ...]) -> Verdict:
         response = frame.baseline.response

@@ -11,7 +11,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.candidates import UNKNOWN, Uniform
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Explained, Observation, Whitening
+from lampest.loads.recognition.frame import SUSPICIOUS, Explained, Observation, Whitening, outliers, without
+from lampest.loads.recognition.search import cell_map
 from lampest.panel.panel import Array
 
 FIELD = Uniform(label=UNKNOWN, numbers={})
@@ -23,8 +24,21 @@ OWN = 0.6  # part of a cell's variance that it does not share with its neighbour
 STEPS, STEP = 10, 1.5
 
 
-def field_fit(frame: Observation, start: Array) -> Fit:
-    """The most probable field from ln r/r0 = `start` (rows, columns), and its evidence."""
+def field_fit(frame: Observation, *starts: Array) -> Fit:
+    """The most probable field from some ln r/r0 (rows, columns), without outliers, and its evidence."""
+    best = max((_of_two_maps(frame, start) for start in starts), key=lambda fit: fit.evidence)
+    if best.chi2 < SUSPICIOUS * frame.measured.size:
+        return best
+    total, innovation = _expected(frame, best.change, _prior(frame, _states(best.change)))
+    far = outliers(Whitening(np.linalg.cholesky(total)), innovation)
+    if not len(far):
+        return best
+    calm = without(frame, far)
+    return max(best, _of_two_maps(calm, cell_map(calm)), key=lambda fit: fit.evidence)
+
+
+def _of_two_maps(frame: Observation, start: Array) -> Fit:
+    """The field with the map that a start shows, or with that which the field itself shows."""
     states = _states(start)
     fit = _with_map(frame, start, states)
     again = _states(fit.change)
@@ -32,36 +46,41 @@ def field_fit(frame: Observation, start: Array) -> Fit:
     return max(fit, other, key=lambda one: one.evidence)
 
 
+def _prior(frame: Observation, states: NDArray[np.intp]) -> Array:
+    """The covariance of ln r/r0 where every cell's state is given, (cells, cells)."""
+    sd = SD[states].ravel()
+    return np.asarray(np.outer(sd, sd) * (OWN * np.eye(sd.size) + (1 - OWN) * frame.baseline.near))
+
+
+def _expected(frame: Observation, change: Array, prior: Array) -> tuple[Array, Array]:
+    """(covariance of the readings, what they are off by from a panel at rest), straight about ln r/r0 = `change`."""
+    residual, slope = frame.missed(change, np.arange(change.size))
+    return frame.covariance(change) + slope @ prior @ slope.T, residual + slope @ change.ravel()
+
+
 def _with_map(frame: Observation, start: Array, states: NDArray[np.intp]) -> Fit:
     """The most probable field of which every cell's state is given."""
-    change = start
-    sd = SD[states].ravel()
-    alike = frame.baseline.near
-    prior = np.outer(sd, sd) * (OWN * np.eye(sd.size) + (1 - OWN) * alike)
-    every = np.arange(sd.size)
+    change, prior = start, _prior(frame, states)
     for _ in range(STEPS):
-        residual, slope = frame.missed(change, every)
-        covariance = frame.covariance(change)
-        across = prior @ slope.T
-        total = covariance + slope @ across
+        total, innovation = _expected(frame, change, prior)
         factor = cho_factor(total, lower=True)
-        innovation = residual + slope @ change.ravel()
-        move = (across @ cho_solve(factor, innovation)).reshape(change.shape) - change
+        slope = frame.slope(change)
+        move = (prior @ slope.T @ cho_solve(factor, innovation)).reshape(change.shape) - change
         change = change + np.clip(move, -STEP, STEP)
         if np.abs(move).max() < STEP / 10:
             break
     whitening = Whitening(np.tril(factor[0]))
     errors = whitening @ innovation
     cost = float(errors @ errors) / 2
-    left = frame.missed(change, every)[0]
-    misfit = Whitening(np.linalg.cholesky(covariance)) @ left
+    left = frame.missed(change, np.zeros(0, dtype=np.intp))[0]
+    misfit = Whitening(np.linalg.cholesky(frame.covariance(change))) @ left
     return Fit(
         FIELD,
         np.zeros(0),
         np.zeros((0, 0)),
         Explained(change, np.zeros_like(change), np.zeros_like(change)),
         left,
-        np.zeros((sd.size, 0)),
+        np.zeros((change.size, 0)),
         float(misfit @ misfit),
         cost,
         whitening.volume,

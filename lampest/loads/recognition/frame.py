@@ -19,6 +19,7 @@ ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
 PATCH_SD = 0.1  # relative, of the patches' edge: they are cut by hand, square or round; an assumption
+SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 

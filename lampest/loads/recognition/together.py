@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.prior import prior_cost
 from lampest.loads.recognition.several import Several
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 
 CLEARLY = 3.0  # ln of a likelihood ratio by which another kind must be better to stand in for the most flexible one
 
@@ -18,6 +19,7 @@ CLEARLY = 3.0  # ln of a likelihood ratio by which another kind must be better t
 class Together:
     """loads : the kinds. fit : of a candidate from φ, given up where its score stays above a third argument."""
 
+    panel: Panel
     loads: tuple[Candidate, ...]
     fit: Callable[[Candidate, Array, float], Fit]
 
@@ -37,9 +39,12 @@ class Together:
                 alike = load.like(kinds[place], own[place])
                 kinds[place], begin[place] = load, load.start(discs[place]) if alike is None else alike
                 other = self._fit(kinds, begin, best.score)
-                if other.evidence > best.evidence + CLEARLY:
+                if self._likely(other) > self._likely(best) + CLEARLY:
                     best = other
         return targets_first(best)
+
+    def _likely(self, fit: Fit) -> float:
+        return fit.evidence - prior_cost(self.panel, fit)
 
     def _fit(self, parts: Sequence[Candidate], begin: Sequence[Array], least: float) -> Fit:
         return self.fit(Several.of(tuple(parts)), np.concatenate(begin), least)

@@ -83,7 +83,7 @@ def judged(
     best = fits[int(np.argmax(shares))].candidate
     named = _named(by_label, SURE_OF_TARGET if best.target else SURE)
     if best not in (*UNIFORM, FIELD):
-        score = (np.array([fit.score for fit in fits]) - within) / max(1.0, goodness)
+        score = (np.array([fit.score for fit in fits]) - within) / max(1.0, goodness) + before
         least = score[int(np.argmax(shares))] + AS_GOOD
         as_good = [fit.candidate for fit, high in zip(fits, score, strict=True) if high < least]
         named += [one.label for one in as_good if one.target and one.label not in named]

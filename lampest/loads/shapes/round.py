@@ -136,16 +136,21 @@ class RoundCandidate(Candidate):
         return disc, np.stack([slopes[name] for name in self.names], axis=1)
 
     def start(self, disc: Disc) -> Array:
-        """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement."""
-        width, bearing = RIM_WIDTH_MM, 0.0
+        """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement.
+
+        A full one presses with the same force.
+        """
+        width, bearing, mean = RIM_WIDTH_MM, 0.0, disc.rim_kpa
         if disc.inner_mm:
+            hole = (disc.inner_mm / disc.diameter_mm) ** 2
+            mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
             width = (disc.diameter_mm - disc.inner_mm) / 2
             bearing = bearing_kpa(disc.suction_kpa, disc.inner_mm, disc.diameter_mm)
         values = {
             "diameter": log(disc.diameter_mm),
             "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
             "suction": log(max(-disc.suction_kpa, 1.0)),
-            "rim": log(max(disc.rim_kpa, 0.1)),
+            "rim": log(max(disc.rim_kpa if "width" in self.numbers else mean, 0.1)),
             "push": log(max(disc.rim_kpa - bearing, 0.5)),
             "tilt_x": disc.tilt_x,
             "tilt_y": disc.tilt_y,
