@@ -45,7 +45,8 @@ def frames_of(
     resting, noise = measured[:UNLOADED].mean(axis=0), sigma[:UNLOADED].mean(axis=0) / np.sqrt(UNLOADED)
     baseline, dry = Baseline.of(resting, noise, scene, ModelErrors()), np.zeros(panel.shape)
     rows = zip(measured[UNLOADED:], sigma[UNLOADED:], time[UNLOADED:], strict=True)
-    return [Direct(*row, baseline, dry, at + 1.0) for *row, at in rows], time[UNLOADED:], made.diameters_mm
+    frames = [Direct(one, error, baseline, dry, float(at) + 1.0) for one, error, at in rows]
+    return frames, time[UNLOADED:], made.diameters_mm
 
 
 def seen(kind: str, side: int, film_kind: str, seed: int, count: int) -> list[Seen]:

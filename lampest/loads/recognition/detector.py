@@ -19,7 +19,7 @@ from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
-FAR, SETTLED = 1.0, 0.1  # difference of ln r/r0 beyond which errors are weighed anew: roughly, and in the end
+FAR = 1.0  # difference of ln r/r0 beyond which errors are weighed anew
 QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
 # Of ln r: while a load is looked for, cells are compared as coarsely as that, and then step by step more sharply.
 COARSE = 0.2
@@ -31,7 +31,6 @@ ROUNDS = 3
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 ALIVE = 12.0  # ln of a likelihood ratio within which a candidate is fitted at all levels
 REFINED = 8
-ENOUGH = 1.0  # ln of a likelihood ratio within which two kinds are the same fit
 FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left out until the panel is searched again
 CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
 NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
@@ -214,45 +213,53 @@ class Detector:
             if len(far) == 0:
                 break
             frame, starts = without(frame, far), tuple(sorted(fits, key=_score))
-        limit = best.score + ALIVE
-        fits = tuple(self._at_all_levels(frame, fit) if fit.score < limit else fit for fit in fits)
-        fits = self._from_each_other(frame, fits)
+        fits = self._weighed_alike(frame, fits)
         others = () if field is None else (field,)
         return self._judged(frame, (*self._uniform(frame, Whitening.at_rest(frame)), *fits, *others))
 
-    def _from_each_other(self, frame: Observation, fits: tuple[Fit, ...]) -> tuple[Fit, ...]:
-        """Hollow kinds once more from where the best of all came to lie: between patches lie many minima."""
-        best = max(fits, key=lambda fit: fit.evidence)
-        found = list(fits)
-        for place, fit in enumerate(fits):
-            begin = None if fit is best else fit.candidate.like(best.candidate, best.parameters)
-            if begin is None or not fit.candidate.hollow or fit.evidence > best.evidence - ENOUGH:
-                continue
-            again = replace(best, candidate=fit.candidate, parameters=begin)
-            again = self._from(frame, again, best.scatter / self.response, best.score + HOPELESS)
-            if again.score < best.score + ALIVE:
-                found[place] = max(fit, self._at_all_levels(frame, again), key=lambda one: one.evidence)
-        return tuple(found)
+    def _weighed_alike(self, frame: Observation, fits: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """All fits weighed by what the best of them explains, from where they are or where that is, at all levels.
 
-    def _at_all_levels(self, frame: Observation, fit: Fit) -> Fit:
+        Errors by what each explains itself would jump with every edge that passes a patch, by more than kinds differ.
+        """
+        best = min(fits, key=_score)
+        for _ in range(2):
+            uncertain = Uncertain.of(frame, best.explained)
+            whitenings = [uncertain.whitening(level * self.response) for level in LEVELS]
+            found: list[Fit] = []
+            for fit in sorted(fits, key=lambda one: one is not best):
+                least = min((one.score for one in found), default=np.inf)
+                found.append(self._at_all_levels(frame, fit, best, whitenings, least))
+            fits = tuple(found)
+            best = max(fits, key=lambda one: one.evidence)
+        return fits
+
+    def _at_all_levels(
+        self, frame: Observation, fit: Fit, best: Fit, whitenings: Sequence[Whitening], least: float
+    ) -> Fit:
         """The fit with the film's deviation that suits it best, and its evidence over all of them, alike beforehand.
 
-        Weighed by what it explains itself: by what it began at, the errors of two kinds would differ by that alone.
+        Hollow kinds are tried from the best of all, too: between patches lie many minima. least : the best's score; one
+        that stays far above is fitted roughly.
         """
+        begin = (
+            fit.candidate.like(best.candidate, best.parameters) if fit.candidate.hollow and fit is not best else None
+        )
+        here = next(number for number, one in enumerate(whitenings) if one.scatter == best.scatter)
+        fitting = self._fitting(fit.candidate, frame, whitenings[here])
+        starts = [fit.parameters] if begin is None else [fit.parameters, begin]
+        tries = [fitting.best(start, REFINED, least + HOPELESS, rough=True) for start in starts]
+        fit = min(tries, key=_score)
+        if fit.score > least + ALIVE:
+            return fit
         mean, sd = fit.candidate.mean(self.panel), fit.candidate.sd(self.panel)
-        scatters = [level * self.response for level in LEVELS]
-        here = scatters.index(fit.scatter)
-        for _ in range(ROUNDS):
-            uncertain, before = Uncertain.of(frame, fit.explained), (here, fit.change)
-            whitenings = [uncertain.whitening(scatter) for scatter in scatters]
-            evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
-            here = int(np.argmax(evidence))
-            fitting = self._fitting(fit.candidate, frame, whitenings[here])
+        evidence = np.array([linear_evidence(fit, whitening, mean, sd) for whitening in whitenings])
+        suits = int(np.argmax(evidence))
+        if suits != here:
+            fitting = self._fitting(fit.candidate, frame, whitenings[suits])
             fit = fitting.best(fit.parameters, REFINED, rough=True)
-            if here == before[0] and np.abs(fit.change - before[1]).max() < SETTLED:
-                break
         fit = fitting.widened(fit)
-        evidence += fit.evidence - evidence[here]
+        evidence += fit.evidence - evidence[suits]
         return replace(fit, evidence=float(logsumexp(evidence)) - float(np.log(len(LEVELS))))
 
     def _uniform(self, frame: Observation, whitening: Whitening) -> tuple[Fit, ...]:

@@ -15,7 +15,7 @@ LARGEST_DAMPING = 1e8
 FARTHEST = 5.0  # standard deviations of the prior: beyond, nothing is looked for
 TRIAL = 4
 LOOSE = 0.3
-LARGER = 0.02  # of a patch's edge, for a difference
+PATCHES = (0.9, 1.1)  # times a patch's edge, for a difference
 NONE = np.zeros(0, dtype=np.intp)
 LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs are: its evidence hardly counts
 
@@ -118,13 +118,18 @@ class Fitting:
         return [number for number, name in enumerate(names) if name.split(".")[-1] in ("x", "y")]
 
     def _explained(self, here: _Linearisation) -> Explained:
-        """What the load does to ln r, what a shift of it by 1 mm adds, and what larger patches do."""
+        """What the load does to ln r, what a shift of it by 1 mm adds, and what larger patches do.
+
+        By secants as long as such errors are: tangents jump where pressure comes to the response's corners.
+        """
         if not self._centre:
             return Explained(here.change, np.zeros_like(here.change), np.zeros_like(here.change))
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, here.parameters)
-        larger, _ = self.candidate.pressure(self.panel, self.patch_mm * (1 + LARGER), here.parameters)
-        edges = np.abs(self.frame.change(pressure)[1]) * np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0))
-        return Explained(here.change, edges, (self.frame.change(larger)[0] - here.change) / LARGER)
+        shift = np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0))
+        sizes = [self.candidate.pressure(self.panel, self.patch_mm * by, here.parameters)[0] for by in PATCHES]
+        ends = [self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)]
+        patches = (ends[3] - ends[2]) / (PATCHES[1] - PATCHES[0])
+        return Explained(here.change, np.abs(ends[0] - ends[1]) / 2, patches)
 
     def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf, rough: bool = False) -> Fit:
         """Damped Gauss-Newton steps from φ = `start` until they gain less than ENOUGH.

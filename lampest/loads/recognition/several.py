@@ -54,6 +54,15 @@ class Several(Candidate):
         """All of them there."""
         return np.concatenate([part.start(disc) for part in self.parts])
 
+    def like(self, other: Candidate, parameters: Array) -> Array | None:
+        """That of every part where there are as many."""
+        if not isinstance(other, Several) or len(other.parts) != len(self.parts):
+            return None
+        pairs = zip(self.parts, other.parts, other.split(parameters), strict=True)
+        begin = [part.like(one, own) for part, one, own in pairs]
+        found = [one for one in begin if one is not None]
+        return np.concatenate(found) if len(found) == len(begin) else None
+
     def blind(self, parameters: Array) -> Array:
         """Those of the parts."""
         return np.concatenate([part.blind(own) for part, own in zip(self.parts, self.split(parameters), strict=True)])
