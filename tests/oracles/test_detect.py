@@ -14,8 +14,9 @@ from lampest.loads.recognition.direct import fit_oral_disc
 from lampest.loads.recognition.field import EACH, OWN, SD, field_fit
 from lampest.loads.recognition.frame import Direct, TwoStep, Whitening, outliers
 from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.prior import HIDDEN, outline_cost
+from lampest.loads.recognition.prior import HIDDEN, IN_EACH_OTHER, outline_cost
 from lampest.loads.recognition.several import AND, Several
+from lampest.loads.recognition.together import discs_of
 from lampest.loads.recognition.verdict import OR, Verdict
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc
@@ -54,11 +55,11 @@ def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, 
     return simulate(Simulation(schema=1, seed=seed, scene=scene, frames=frames, loads=loads, **more))
 
 
-def frames_of(recording: Recording, measured: Any = None) -> list[Direct]:
+def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | None = None) -> list[Direct]:
     readings, panel = recording.readings(), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None and resting.sigma is not None
-    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
+    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, errors or ModelErrors())
     values = readings.value if measured is None else measured
     dry = np.zeros(panel.shape)
     return [Direct(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]
@@ -141,6 +142,51 @@ def test_two_mouths_are_two() -> None:
     assert isinstance(several, Several) and len(several.parts) == 2
     found = sorted(several.of_part(number, verdict.best.parameters)[0][2] for number in range(2))
     np.testing.assert_allclose(found, sorted(sizes), atol=2.0)
+
+
+@pytest.mark.parametrize(("side", "places"), [(6, ((12, 14), (38, 37))), (12, ((25, 80), (75, 35)))])
+def test_two_small_mouths_are_two_on_any_panel(side: int, places: tuple[tuple[float, float], ...]) -> None:
+    panel = Panel(side, side)
+    mouths = [
+        OralDisc(centre_mm=place, diameter_mm=size, rim_width_mm=5, pressure_kpa=-9)
+        for place, size in zip(places, (25.0, 27.0), strict=True)
+    ]
+    verdict = seen(frames_of(recorded(*mouths, panel=panel)), panel)[-1]
+    assert "lamprey and lamprey" in verdict.label and isinstance(verdict.best.candidate, Several)
+    discs = discs_of(verdict.best)
+    for place, disc in zip(places, sorted(discs, key=lambda one: one.x_mm), strict=True):
+        np.testing.assert_allclose(disc[:2], place, atol=5.0)  # a row of cells hardly tells its two sides apart
+
+
+def test_loads_do_not_stand_in_one_place() -> None:
+    fit = seen(frames_of(recorded(MOUTH)))[-1].best
+    both = Several.of((OralDisc.candidate, OralDisc.candidate))
+    for shift, cost in ((0.0, IN_EACH_OTHER), (60.0, 0.0)):
+        other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
+        twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
+        alone = outline_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else HIDDEN  # no cell rises there
+        assert outline_cost(PANEL, twice) == pytest.approx(outline_cost(PANEL, fit) + alone + cost, abs=0.5)
+
+
+@pytest.mark.parametrize("told", [0.0, 0.05])
+def test_errors_of_readings_that_stay_are_allowed_for(told: float) -> None:
+    """A panel of which every reading is off by 5 %, the same in all frames: its unloaded cells are off by a half."""
+    recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
+    verdict = seen(frames_of(recording, errors=ModelErrors(reading_error=told)))[-1]
+    if told:
+        assert "lamprey" in verdict.label.split(OR) and verdict.goodness < 1.4
+        assert disc_of(verdict).diameter_mm == pytest.approx(MOUTH.diameter_mm, abs=3)
+    else:
+        assert verdict.goodness > 1.4 or "lamprey" not in verdict.label
+
+
+def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
+    blocks = [Block(centre_mm=place, length_mm=60, width_mm=14, mass_g=300) for place in ((40, 20), (60, 55))]
+    frame = frames_of(recorded(*blocks))[0]
+    wild = frame.measured.copy()
+    wild[1, 9] *= 3
+    clean, fooled = (field_fit(one, np.zeros(PANEL.shape)) for one in (frame, replace(frame, measured=wild)))
+    assert np.abs(fooled.change - clean.change).max() < 0.3 and fooled.evidence > clean.evidence - 30
 
 
 def test_what_is_no_shape_is_unlike_any() -> None:

@@ -166,6 +166,8 @@ def test_recognition_is_given_the_scene_of_the_results() -> None:
         and GivenRecording.of(case, stated).baseline.model_errors == stated.model_errors
     )
     assert GivenRecording.of(solved_case(), RecognitionSettings()).baseline.model_errors == ModelErrors()
+    seen = GivenRecording.of(dataclasses.replace(solved_case(), reading_error=0.03), RecognitionSettings())
+    assert seen.baseline.model_errors == ModelErrors(reading_error=0.03)
 
 
 def test_settings_out_of_range_are_refused() -> None:

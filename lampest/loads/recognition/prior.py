@@ -18,10 +18,13 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 
 RARER = log(20)  # ln of how much rarer every further load is; an assumption
-HIDDEN = 20.0  # an assumption about outlines that are no candidates
-# ln r/r0 that a panel shows clearly, a suction of half a kPa; and the part of what a cell under suction alone would
+# What is no candidate is fitted by such loads with up to e⁶⁰ times the evidence of any other: the cost of never being
+# sure of them. Where they fit as well as a hollow load does, they are named all the same.
+HIDDEN = 60.0
+IN_EACH_OTHER = 20.0  # of two loads in one place; an assumption
+# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
 # show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
-SHOWN, SHARE = 0.1, 0.35
+SHOWN, SHARE = 0.2, 0.35
 OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
 
 
@@ -38,7 +41,7 @@ def further(candidate: Candidate) -> int:
 def outline_cost(panel: Panel, fit: Fit, response: Response | None = None) -> float:
     """By how much ln P falls of suction that raises no cell, and of loads that stand in each other; 0 for all others.
 
-    By HIDDEN for each, and by nothing where a cell clearly rises, or loads stand clear.
+    By HIDDEN and IN_EACH_OTHER, and by nothing where a cell clearly rises, or loads stand clear.
     """
     if not isinstance(fit.candidate, Several):
         disc = fit.candidate.disc(fit.parameters) if fit.candidate.sucks else None
@@ -70,8 +73,8 @@ def _hidden(rise: float, disc: Disc | None, response: Response | None) -> float:
 
 
 def _overlapping(one: Disc, other: Disc) -> float:
-    """HIDDEN where two discs are in one place, 0 where they stand clear."""
+    """IN_EACH_OTHER where two discs are in one place, 0 where they stand clear."""
     apart = hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm)
     common = (one.diameter_mm + other.diameter_mm) / 2 - apart
     share = max(common, 0.0) / min(one.diameter_mm, other.diameter_mm)
-    return HIDDEN * (1 - exp(-((share / OVERLAP) ** 2)))
+    return IN_EACH_OTHER * (1 - exp(-((share / OVERLAP) ** 2)))

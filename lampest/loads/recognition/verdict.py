@@ -12,12 +12,15 @@ from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.prior import prior_cost
 from lampest.loads.recognition.several import Several
 from lampest.loads.shapes.shape import Candidate
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 
 SURE, SURE_OF_TARGET = 0.99, 0.999  # an alarm that is false costs more than one that says "or"
 OR = " or "
 AS_GOOD = 3.0  # of the logarithm of the posterior
+# By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
+# Fitted by log-likelihood to P(lamprey) of scenes made without this package's simulation; see docs/studies/mouths.md.
+COUNTS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +60,11 @@ def judged(
     readings: int,
     response: Response | None = None,
 ) -> Verdict:
-    """P(fit) ∝ evidence: all are alike beforehand, but every further load at once, and hidden suction, are rarer.
+    """P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand): all kinds are alike, but `prior_cost` makes some fits rarer.
 
     The label names those that share 99 % of the probability. A target that explains the readings as well as the
     likeliest load does is always named: its having more parameters alone is no reason to be sure that there is
-    none.
+    none. Where the likeliest is hollow, that is so of a target whose suction no cell shows, too: a rim may hide it.
 
     Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
     not fitted, because nothing stands out, have no probability. Frames are not multiplied with each other: the errors
@@ -71,7 +74,8 @@ def judged(
     before = np.array([prior_cost(panel, fit, response) for fit in fits])
     evidence = np.array([fit.evidence for fit in fits]) + within
     goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
-    tempered = evidence / max(1.0, goodness) - before
+    counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+    tempered = counts * evidence - before
     shares = np.exp(tempered - logsumexp(tempered))
     kinds = [candidate.label for candidate in (*candidates, FIELD)]
     probabilities = [0.0] * len(kinds)
@@ -83,13 +87,20 @@ def judged(
     best = fits[int(np.argmax(shares))].candidate
     named = _named(by_label, SURE_OF_TARGET if best.target else SURE)
     if best not in (*UNIFORM, FIELD):
-        score = (np.array([fit.score for fit in fits]) - within) / max(1.0, goodness) + before
-        least = score[int(np.argmax(shares))] + AS_GOOD
-        as_good = [fit.candidate for fit, high in zip(fits, score, strict=True) if high < least]
-        named += [one.label for one in as_good if one.target and one.label not in named]
+        score = counts * (np.array([fit.score for fit in fits]) - within) + (0.0 if best.hollow else before)
+        named += [label for label in _as_good(fits, score, int(np.argmax(shares))) if label not in named]
     return Verdict(
         fits, tuple(map(float, shares)), tuple(probabilities), goodness, OR.join(named), float(max(evidence - before))
     )
+
+
+def _as_good(fits: Sequence[Fit], score: Array, best: int) -> list[str]:
+    """The targets whose score is at most AS_GOOD above that of the best."""
+    return [
+        fit.candidate.label
+        for fit, high in zip(fits, score, strict=True)
+        if fit.candidate.target and high < score[best] + AS_GOOD
+    ]
 
 
 def _named(by_label: dict[str, float], enough: float) -> list[str]:

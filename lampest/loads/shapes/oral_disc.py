@@ -7,7 +7,16 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.loads.shapes.disc import Disc, annular_pressure
-from lampest.loads.shapes.round import DIAMETER, RIM_WIDTH_MM, SUCKING, SUCTION, TILT, RoundCandidate, sucking_disc
+from lampest.loads.shapes.round import (
+    DIAMETER,
+    RIM_WIDTH_MM,
+    SOFT_EDGE_MM,
+    SUCKING,
+    SUCTION,
+    TILT,
+    RoundCandidate,
+    sucking_disc,
+)
 from lampest.loads.shapes.shape import Prior, Shape
 from lampest.panel.panel import Array
 
@@ -51,6 +60,7 @@ class OralDisc(Shape):
             "push": Prior(log(1.5), 2.2),
         }
         | TILT,
+        edge_mm=SOFT_EDGE_MM,
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm",)
     kind: Literal["oral_disc"] = "oral_disc"

@@ -24,7 +24,7 @@ UNEVEN = (0.05, 0.05, 0.17, 0.17)
 # An assumption: what is made stands as round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
 MADE = (0.02, 0.02, 0.08, 0.08)
 # An assumption: films are cut to a millimetre and rims are rounded, so that both edges of a disc may seem that far off.
-EDGE_MM = 0.7
+EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
 QUANTITIES = (
     Quantity("centre_x", "mm", "x", "centre of the load across the columns, column 0 at 0"),
@@ -79,11 +79,13 @@ class RoundCandidate(Candidate):
     numbers : priors of what stands beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
         is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
     uneven : standard deviations of the numbers of `Unevenness`, which come last.
+    edge_mm : by which both edges may seem to lie beside their places.
     bound : margin of φ within a bound with its slopes, or None.
     """
 
     numbers: Mapping[str, Prior]
     uneven: tuple[float, ...] = UNEVEN
+    edge_mm: float = EDGE_MM
     bound: Callable[["RoundCandidate", Array], tuple[float, Array]] | None = None
 
     @property
@@ -171,10 +173,10 @@ class RoundCandidate(Candidate):
         return None if self.bound is None else self.bound(self, parameters)
 
     def blind(self, parameters: Array) -> Array:
-        """That of the diameter: EDGE_MM/d in its logarithm."""
+        """That of the diameter: edge_mm/d in its logarithm."""
         unseen = np.zeros(len(parameters))
         place = self.names.index("diameter")
-        unseen[place] = EDGE_MM / exp(parameters[place])
+        unseen[place] = self.edge_mm / exp(parameters[place])
         return unseen
 
     @property
