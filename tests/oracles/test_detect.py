@@ -103,9 +103,10 @@ def test_each_load_is_called_what_it_is(label: str) -> None:
     verdict = seen(frames_of(recorded(load)))[-1]
     disc = disc_of(verdict)
     # A cup that bears itself presses as a mouth that does: nothing but evenness tells them apart. A cup that somebody
-    # pushes presses as a mouth of the hard kind does.
+    # pushes presses as a mouth of the hard kind does. A ring with a small enough inside is a rod.
+    alike = {"cup": {"cup", "lamprey"}, "lamprey": {"cup", "lamprey"}, "rod": {"rod", "ring"}}
     assert verdict.label.split(OR)[0] == label and verdict.goodness < 1.4
-    assert set(verdict.label.split(OR)) <= ({"cup", "lamprey"} if label in ("cup", "lamprey") else {label})
+    assert set(verdict.label.split(OR)) <= alike.get(label, {label})
     assert disc.diameter_mm == pytest.approx(load.disc().diameter_mm, abs=1.5)
     assert np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
 
