@@ -19,6 +19,18 @@ from lampest.cli.screen import (
 )
 from lampest.files.errors import InputError
 
+FramesNamed = Annotated[
+    str | None,
+    typer.Option("--frames", metavar="FIRST:END", help="Some of the recordings' frames: 40:50 is 40 to 49."),
+]
+
+
+def _frames(text: str | None) -> range | None:
+    """The frames that an option names; None: all. Raises InputError unless it names some."""
+    from lampest.recording.tare import frames_between
+
+    return None if text is None else frames_between(text)
+
 
 def compare(
     results: Annotated[list[Path], typer.Argument(help="Results files.")],
@@ -27,19 +39,20 @@ def compare(
         Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
     each: Annotated[bool, typer.Option("--each", help="A block for each recording, however many there are.")] = False,
+    frames: FramesNamed = None,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
     from lampest.report.compare import compare_files, model_notes, write_csv
     from lampest.report.on_screen import legend, screen_blocks
 
     with progress("recordings") as on_recording:
-        rows = compare_files(results)
+        rows = compare_files(results, _frames(frames))
         if csv:
             write_csv(csv, rows)
         if report:
             from lampest.report.page.page import write_report
 
-            write_report(results, report, on_recording)
+            write_report(results, report, on_recording, _frames(frames))
     blocks = screen_blocks(rows, each)
     for block in blocks:
         say(block.title)
@@ -65,13 +78,17 @@ def plot(
     form: Annotated[
         str | None, typer.Option("--format", metavar="png|svg|pdf", help="Of the pictures; png unless --out says else.")
     ] = None,
+    frames: FramesNamed = None,
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
     from lampest.report.plots.results import plot_results
 
     chosen = tuple(estimator or ())
     with progress("pictures") as on_picture:
-        files = plot_results(results, out, show, on_picture=on_picture, frame=frame, estimators=chosen, form=form)
+        named = _frames(frames)
+        files = plot_results(
+            results, out, show, on_picture=on_picture, frame=frame, estimators=chosen, form=form, frames=named
+        )
     for path in files:
         say(path)
 
@@ -87,11 +104,12 @@ def export(
         str | None,
         typer.Option("--start", help="When it began, where it does not say: 2026-05-04T09:30:00+02:00; nwb asks."),
     ] = None,
+    frames: FramesNamed = None,
 ) -> None:
     """Write results for other programs: pandas and R, MATLAB and Octave, xarray, NWB; units and meanings included."""
     from lampest.report.export.results import export_results
 
-    for file in export_results(results, to, out, recording, start):
+    for file in export_results(results, to, out, recording, start, _frames(frames)):
         say(file)
 
 
@@ -109,6 +127,7 @@ def detect(
         float | None,
         typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
     ] = None,
+    frames: FramesNamed = None,
 ) -> None:
     """Say what is attached, where, since when and how strong; of any load its centre, area, peak and force.
 
@@ -126,7 +145,7 @@ def detect(
         raise InputError(str(error)) from error
     refused: list[str] = []
     with progress("sources") as on_case:
-        read, found = detect_file(results, settings, on_case, refused.append)
+        read, found = detect_file(results, settings, on_case, refused.append, _frames(frames))
     folder = results.parent if out is None else out
     loads = any_load.pressed(read)
     with progress("pictures") as on_picture:

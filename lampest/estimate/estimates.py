@@ -1,6 +1,6 @@
 """What an estimator made of a recording's frames, as arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -40,6 +40,7 @@ class Estimates:
     baseline_bars : the baseline's error bars, or None.
     joint_start : whether the first frame was solved together with the baseline.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
+    asked : of a part of a long recording, the frames that its noise and its circuit were asked of; None of a whole one.
     """
 
     recording: Recording
@@ -53,6 +54,7 @@ class Estimates:
     steps: tuple[Step, ...]
     joint_start: bool
     contacts: Contacts | None = None
+    asked: Recording | None = None
 
     def __repr__(self) -> str:
         solved, status = int(self.solved.sum()), self.status[0]
@@ -215,12 +217,17 @@ class Estimates:
     @property
     def model_check(self) -> ModelCheck:
         """Whether the scene's circuit can have made the recording's readings, in a sentence."""
-        return recording_check(self.recording)
+        if self.asked is None:
+            return recording_check(self.recording)
+        check, number = recording_check(self.asked), self.asked.number
+        assert number is not None
+        said = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
+        return replace(check, sentence=check.sentence + said)
 
     @property
     def noise(self) -> NoiseSeen:
         """What the recording's own frames say of its noise, beside what the scene says."""
-        return noise_seen(self.recording)
+        return noise_seen(self.asked or self.recording)
 
     @cached_property
     def film(self) -> FilmKnown | None:
@@ -247,8 +254,8 @@ class Estimates:
 
     @cached_property
     def _bars(self) -> ErrorBars | None:
-        """None unless an estimate has error bars, and the baseline too."""
-        if self.baseline_bars is None or not any(step.bars for step in self.steps):
+        """None unless an estimate has error bars, and the baseline too; of a part, unless others may have some."""
+        if self.baseline_bars is None or not (self.asked or any(step.bars for step in self.steps)):
             return None
         return ErrorBars.of(self.cell_resistance, self.baseline_resistance, self.steps)
 

@@ -49,15 +49,22 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
 
 
 def first_stream(
-    recording: Recording, readings: Readings, estimator: Estimator, noise: NoiseSeen | None = None
+    recording: Recording,
+    readings: Readings,
+    estimator: Estimator,
+    noise: NoiseSeen | None = None,
+    period: float | None = None,
 ) -> "Stream":
-    """The stream before a recording's first measured frame; see `resting_readings`. noise : what frames told of it."""
+    """The stream before a recording's first measured frame; see `resting_readings`. noise : what frames told of it.
+
+    period : s between frames; None: the recording's.
+    """
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         frame = deciding_frame(recording, readings, resting)
         if frame is not None:
             estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
-    return Stream.begin(estimator, scene, frame_period(recording), resting, noise)
+    return Stream.begin(estimator, scene, frame_period(recording) if period is None else period, resting, noise)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:

@@ -1,5 +1,7 @@
 """HDF5 as lampest writes it: whole or not at all, in the oldest format, fixed-length ASCII, units on everything."""
 
+import io
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.extents import extents_of
+from lampest.files.memory import in_bytes
 from lampest.files.scales import attach_scales as attach_scales
 from lampest.files.seal import check_seal, seal_of
 from lampest.files.whole import whole_file
@@ -22,6 +25,7 @@ MOST_LONG_TEXTS = 100_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
+ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 
@@ -37,10 +41,30 @@ def new_file(path: Path, durable: bool = True) -> Iterator[h5py.File]:
         yield file
         file.flush()
         image = file.id.get_file_image()
-        seal = seal_of(image, extents_of(file))
+        seal = seal_of(io.BytesIO(image), extents_of(file))
     with whole_file(path, durable) as unfinished:
         unfinished.write_bytes(image)
         with unfinished.open("ab") as stream:
+            stream.write(seal)
+
+
+@contextmanager
+def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
+    """The same of a file that memory should not hold: it is built on the disk. size : bytes that it may take.
+
+    Raises InputError as `new_file`, and beforehand where the disk has not got so many.
+    """
+    with whole_file(path) as unfinished:
+        free = shutil.disk_usage(path.parent).free
+        if size > free:
+            raise InputError(f"{path}: {in_bytes(size)} may be needed on the disk, and {in_bytes(free)} are free")
+        with h5py.File(unfinished, "w") as file:
+            yield file
+            file.flush()
+            extents = extents_of(file)
+        with unfinished.open("r+b") as stream:
+            seal = seal_of(stream, extents)
+            stream.seek(0, 2)
             stream.write(seal)
 
 
@@ -185,10 +209,25 @@ def has(file: h5py.File, path: str) -> bool:
         return _found(file, path) is not None
 
 
-def read_array(file: h5py.File, path: str, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()) -> Any:
-    """A numeric dataset of that many dimensions, or of either of two numbers of them.
+def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
+    """The lengths of a dataset's axes. Raises InputError where it is absent or empty."""
+    with located(file, path):
+        dataset = _dataset(file, path)
+        if dataset is None or dataset.shape is None:
+            raise InputError(f"{file.filename}: {path} is missing")
+        return tuple(map(int, dataset.shape))
 
-    Raises InputError where it is absent, of another shape, damaged, or absurdly large.
+
+def read_array(
+    file: h5py.File,
+    path: str,
+    dimensions: int | tuple[int, int],
+    shape: tuple[int, ...] = (),
+    part: slice = ALL,
+) -> Any:
+    """A numeric dataset of that many dimensions, or of either of two numbers of them; shape : of all of it.
+
+    part : of its first axis. Raises InputError where it is absent, of another shape, damaged, or absurdly large.
     """
     with located(file, path):
         dataset = _dataset(file, path)
@@ -201,21 +240,25 @@ def read_array(file: h5py.File, path: str, dimensions: int | tuple[int, int], sh
         if shape and dataset.shape != shape:
             found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
             raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
-        if dataset.size > MOST_VALUES:
-            raise InputError(
-                f"{file.filename}: {path} claims {dataset.size} values; more than {MOST_VALUES} are not read"
-            )
-        stored = dataset.id.get_storage_size()
-        if dataset.nbytes > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
-            raise InputError(f"{file.filename}: {path} claims {dataset.nbytes} bytes, but holds only {stored}")
-        return dataset[()]
+        size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
+        if size > MOST_VALUES:
+            raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
+        stored, claimed = dataset.id.get_storage_size(), size * dataset.dtype.itemsize
+        if claimed > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
+            raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
+        return dataset[part]
 
 
 def read_whole(
-    file: h5py.File, path: str, kind: Any, dimensions: int | tuple[int, int], shape: tuple[int, ...] = ()
+    file: h5py.File,
+    path: str,
+    kind: Any,
+    dimensions: int | tuple[int, int],
+    shape: tuple[int, ...] = (),
+    part: slice = ALL,
 ) -> Any:
     """The same as integers of that kind. Raises InputError also where a value is not whole or beyond its range."""
-    values = read_array(file, path, dimensions, shape)
+    values = read_array(file, path, dimensions, shape, part)
     whole = values if values.dtype.kind == "f" else values.astype(kind)
     if values.dtype.kind == "f" or not np.array_equal(whole, values):
         raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
@@ -233,27 +276,28 @@ def read_text(file: h5py.File, path: str) -> str:
         return _text(dataset[()])
 
 
-def read_texts(file: h5py.File, path: str, length: int | None = None) -> tuple[str, ...]:
-    """A list of that many texts. Raises InputError where it is absent, longer, shorter or no text."""
+def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
+    """A list of that many texts, or a part of it. Raises InputError where it is absent, longer, shorter or no text."""
     with located(file, path):
         dataset = _dataset(file, path)
         size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
         if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind not in "SO":
             raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
-        if dataset.dtype.itemsize * len(dataset) > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(dataset)} bytes")
-        return tuple(_bounded_texts(file, path, dataset))
+        numbers = range(len(dataset))[part]
+        if dataset.dtype.itemsize * len(numbers) > MOST_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(numbers)} bytes")
+        return tuple(_bounded_texts(file, path, dataset, numbers))
 
 
-def _bounded_texts(file: h5py.File, path: str, dataset: h5py.Dataset) -> Iterator[str]:
-    """The texts of a dataset; those without a fixed length one by one, for a short file may name a long one often."""
+def _bounded_texts(file: h5py.File, path: str, dataset: h5py.Dataset, numbers: range) -> Iterator[str]:
+    """Texts of a dataset; those without a fixed length one by one, for a short file may name a long one often."""
     if dataset.dtype.kind == "S":
-        yield from map(_text, dataset[()])
+        yield from map(_text, dataset[numbers.start : numbers.stop])
         return
-    if len(dataset) > MOST_LONG_TEXTS:
-        raise InputError(f"{file.filename}: {path} claims {len(dataset)} texts without a fixed length")
+    if len(numbers) > MOST_LONG_TEXTS:
+        raise InputError(f"{file.filename}: {path} claims {len(numbers)} texts without a fixed length")
     total = 0
-    for index in range(len(dataset)):
+    for index in numbers:
         value = dataset[index]
         total += len(value)
         if total > MOST_TEXT_BYTES:

@@ -44,12 +44,11 @@ class Piece:
     what: str
 
 
-def seal_of(image: bytes, extents: Sequence[Extent]) -> bytes:
+def seal_of(stream: BinaryIO, extents: Sequence[Extent]) -> bytes:
     """The seal of a file's bytes, of which the extents say what they hold."""
-    view = memoryview(image)
     lines = [
-        f"{begin} {end - begin} {_short(hashlib.sha256(view[begin:end]))} {printable(what)}\n"
-        for begin, end, what in _partition(len(image), extents)
+        f"{begin} {end - begin} {_digest(stream, begin, end - begin)} {printable(what)}\n"
+        for begin, end, what in _partition(stream.seek(0, 2), extents)
     ]
     text = MARK + "".join(lines).encode("utf-8")
     return text + f"end {_short(hashlib.sha256(text))} {len(text) + LENGTH_OF_LAST:016d}\n".encode("ascii")
@@ -67,7 +66,8 @@ def check_seal(path: Path, everything: bool = False) -> tuple[Piece, ...]:
         for piece in pieces:
             sizes[piece.what] = sizes.get(piece.what, 0) + piece.length
         for piece in pieces:
-            if (everything or sizes[piece.what] <= MOST_AT_OPENING) and _digest(stream, piece) != piece.digest:
+            asked = everything or sizes[piece.what] <= MOST_AT_OPENING
+            if asked and _digest(stream, piece.begin, piece.length) != piece.digest:
                 raise InputError(
                     f"{path}: {piece.what} is damaged: the {piece.length} bytes from {piece.begin} on are not those "
                     "that were written (checksum)"
@@ -131,9 +131,9 @@ def _broken(path: Path) -> InputError:
     return InputError(f"{path}: the checksums at its end are damaged, so that nothing says whether the rest is")
 
 
-def _digest(stream: BinaryIO, piece: Piece) -> str:
-    found, left = hashlib.sha256(), piece.length
-    stream.seek(piece.begin)
+def _digest(stream: BinaryIO, begin: int, length: int) -> str:
+    found, left = hashlib.sha256(), length
+    stream.seek(begin)
     while left and (part := stream.read(min(left, AT_ONCE))):
         found.update(part)
         left -= len(part)

@@ -86,7 +86,7 @@ class Acquisition:
         """The group of an open file, the kept frames of it; None where there is none. Raises InputError."""
         if not hdf5.has(file, PATH):
             return None
-        fields: dict[str, Any] = {name: _values(file, name, kind)[kept] for name, kind, *_ in FRAME_FIELDS}
+        fields: dict[str, Any] = {name: _values(file, name, kind, kept) for name, kind, *_ in FRAME_FIELDS}
         times, labels = np.zeros(0), tuple[str, ...]()
         if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
             times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
@@ -95,6 +95,8 @@ class Acquisition:
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
 
 
-def _values(file: h5py.File, name: str, kind: str) -> Any:
+def _values(file: h5py.File, name: str, kind: str, kept: slice) -> Any:
     path = f"{PATH}/{name}"
-    return hdf5.read_array(file, path, 1).astype(kind) if kind == "f8" else hdf5.read_whole(file, path, kind, 1)
+    if kind == "f8":
+        return hdf5.read_array(file, path, 1, part=kept).astype(kind)
+    return hdf5.read_whole(file, path, kind, 1, part=kept)

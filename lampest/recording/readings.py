@@ -191,12 +191,17 @@ def mean_change(value: Array, resting: Array) -> float:
     return float(np.sum(change[known]) / max(np.sum(known), 1))
 
 
+def changes(value: Array, resting: Array) -> Array:
+    """The same of many frames (frames, rows, columns), (frames)."""
+    return np.array([mean_change(frame, resting) for frame in value])
+
+
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
     """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones.
 
     value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count.
     """
-    change = np.array([mean_change(value[frame], resting) for frame in frames])
+    change = changes(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 

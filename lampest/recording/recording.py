@@ -1,6 +1,7 @@
 """A recording: frames of two-point resistance, the scene they were taken in, and, for simulated ones, the truth."""
 
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 
 import h5py
@@ -18,6 +19,7 @@ from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
+AT_ONCE = 1000  # frames of an unfinished file that are looked at together
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
@@ -39,6 +41,7 @@ class Recording:
     simulation : for simulated ones, all that made them, as YAML text, or None.
     acquisition : for those from a board, its clocks, gaps and events, or None.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; None where it is not.
+    number : (frames) which of a longer recording's frames these are; None: all there are.
 
     A reading that says nothing is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
     counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
@@ -57,6 +60,7 @@ class Recording:
     simulation: str | None = None
     acquisition: Acquisition | None = None
     start_time: str | None = None
+    number: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         frames, shape = len(self.recorded), self.scene.panel.shape
@@ -100,30 +104,48 @@ class Recording:
         return self.recorded
 
     @classmethod
-    def load(cls, path: str | Path) -> "Recording":
-        """Read a recording file, finished or not. Raises InputError with the dataset's path where it is wrong."""
+    def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
+        """Read a recording file, finished or not; of a finished one also some frames that follow each other.
+
+        Raises InputError with the dataset's path where it is wrong.
+        """
+        found = cls.load_up_to(path, None, part)
+        assert found is not None
+        return found
+
+    @classmethod
+    def load_up_to(cls, path: str | Path, most: int | None, part: slice = hdf5.ALL) -> "Recording | None":
+        """The same; None where it holds more than so many readings."""
         path = Path(path)
         with hdf5.existing_file(path) as file:
             scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
             base = f"/entry/{group_of(scene.circuit)}/"
             optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
-            recorded = np.asarray(hdf5.read_array(file, base + scene.circuit.signal, 3), dtype=float)
-            kept = _whole_frames(file, base, recorded)
-            recorded = recorded[kept]
-            frames = len(recorded)
-            sigma = None
+            if most is not None and prod(hdf5.shape_of(file, base + scene.circuit.signal)) > most:
+                return None
+            kept = whole_frames(file, base, scene.circuit.signal) if part == hdf5.ALL else part
+
+            def read(path: str) -> Array | None:
+                """Of the frames kept, (frames, rows, columns); None where the file has none."""
+                there = hdf5.has(file, path)
+                return np.asarray(hdf5.read_array(file, path, 3, part=kept), dtype=float) if there else None
+
+            recorded = np.asarray(hdf5.read_array(file, base + scene.circuit.signal, 3, part=kept), dtype=float)
+            frames, sigma = len(recorded), None
             if optional["sigma"]:
-                sigma = np.asarray(hdf5.read_array(file, base + "sigma", (2, 3)), dtype=float)
-            time = hdf5.read_array(file, base + "time", 1)[kept] if optional["time"] else np.arange(frames)
-            role = hdf5.read_array(file, base + "role", 1)[kept] if optional["role"] else np.ones(frames)
-            truth = {
-                name: np.asarray(hdf5.read_array(file, f"/entry/truth/{name}", 3), dtype=float)
-                if hdf5.has(file, f"/entry/truth/{name}")
-                else None
-                for name in ("cell_resistance", "pressure")
-            }
+                flat = len(hdf5.shape_of(file, base + "sigma")) == 2
+                values = hdf5.read_array(file, base + "sigma", (2, 3), part=hdf5.ALL if flat else kept)
+                sigma = np.asarray(values, dtype=float)
+            begin = kept.start or 0
+            number = None if part == hdf5.ALL else np.arange(begin, begin + frames)
+            time, role = np.arange(begin, begin + frames), np.ones(frames)
+            if optional["time"]:
+                time = hdf5.read_array(file, base + "time", 1, part=kept)
+            if optional["role"]:
+                role = hdf5.read_array(file, base + "role", 1, part=kept)
+            truth = {name: read(f"/entry/truth/{name}") for name in ("cell_resistance", "pressure")}
             raw = hdf5.has(file, "/entry/raw/sums")
-            sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3)[kept] if raw else None
+            sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None
             readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
             simulated = hdf5.has(file, "/entry/truth/simulation")
             simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
@@ -146,6 +168,7 @@ class Recording:
             simulation,
             acquisition,
             start_time,
+            number,
         )
 
     def save(self, path: str | Path) -> None:
@@ -215,15 +238,19 @@ def group_of(circuit: Readout) -> str:
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
-def _whole_frames(file: h5py.File, base: str, recorded: Array) -> slice:
+def whole_frames(file: h5py.File, base: str, signal: str) -> slice:
     """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
     if "lampest_unfinished" not in file.attrs:
-        return slice(None)
+        return hdf5.ALL
     acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    paths = (f"{base}time", f"{base}role", "/entry/raw/sums", *acquired)
-    frames = min(len(hdf5.read_array(file, path, 3 if path.endswith("sums") else 1)) for path in paths)
-    recorded = recorded[:frames]
-    blank = np.all(np.isnan(recorded), axis=(1, 2))
-    # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
-    unwritten = np.any(recorded == 0, axis=(1, 2)) | np.logical_and.accumulate(blank[::-1])[::-1]
-    return slice(int(np.argmax(unwritten)) if unwritten.any() else len(recorded))
+    paths = (f"{base}time", f"{base}role", "/entry/raw/sums", *acquired, base + signal)
+    frames, kept = min(hdf5.shape_of(file, path)[0] for path in paths), 0
+    for begin in range(0, frames, AT_ONCE):
+        recorded = hdf5.read_array(file, base + signal, 3, part=slice(begin, min(begin + AT_ONCE, frames)))
+        # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
+        unwritten = np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))
+        if len(unwritten):
+            return slice(begin + int(unwritten[0]))
+        seen = np.flatnonzero(~np.all(np.isnan(recorded), axis=(1, 2)))
+        kept = begin + int(seen[-1]) + 1 if len(seen) else kept
+    return slice(kept)

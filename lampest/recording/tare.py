@@ -11,6 +11,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 STILL = (
     0.01  # relative change of readings within the frames beyond which something may have come or gone: far above drift
 )
+LAST = 2**31
 
 
 def frames_named(text: str, frames: int) -> range:
@@ -18,13 +19,22 @@ def frames_named(text: str, frames: int) -> range:
 
     Raises InputError unless these are frames of a recording with so many.
     """
-    match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text)
-    if match is None:
-        raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
-    first, end = int(match[1] or 0), int(match[2] or frames)
+    named = frames_between(text, frames)
+    first, end = named.start, named.stop
     if not first < end <= frames:
         raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
     return range(first, end)
+
+
+def frames_between(text: str, most: int = LAST) -> range:
+    """The same of a recording of which nobody knows how many frames it has; most : where no end is named.
+
+    Raises InputError unless the text names frames.
+    """
+    match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
+    if match is None:
+        raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
+    return range(int(match[1] or 0), int(match[2] or most))
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:

@@ -6,8 +6,8 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.seal import check_seal
 from lampest.recording.recording import FORMAT as RECORDING
-from lampest.recording.recording import Recording
-from lampest.runs.results import FORMAT, read_results
+from lampest.recording.stored import WHOLE, StoredRecording, opened
+from lampest.runs.results import FORMAT, read_each
 
 SEALED = "as written: {bytes} bytes in {pieces} pieces agree with their checksums"
 UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
@@ -25,8 +25,12 @@ def checked_sentence(path: Path) -> str:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     if form == FORMAT:
-        read_results(path)
+        for _ in read_each(path, WHOLE):
+            pass
     elif form == RECORDING or not pieces:
-        Recording.load(path)
+        recording = opened(path)
+        if isinstance(recording, StoredRecording):
+            for part in recording.blocks():
+                recording.part(part)
     said = SEALED.format(bytes=sum(piece.length for piece in pieces), pieces=len(pieces)) if pieces else UNSEALED
     return f"{path}: {said}"

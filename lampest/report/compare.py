@@ -89,9 +89,12 @@ def data_error(case: CaseResult) -> Array:
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
-def compare_files(paths: Sequence[str | Path]) -> list[Row]:
-    """The rows of several results files, file by file. Raises InputError where one cannot be read."""
-    return [row for path in paths for row in compare(read_results(path), str(path))]
+def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
+    """The rows of several results files, file by file; frames : as `read_results` takes them.
+
+    Raises InputError where one cannot be read.
+    """
+    return [row for path in paths for row in compare(read_results(path, frames=frames), str(path))]
 
 
 def compare(results: Results, source: str = "") -> list[Row]:

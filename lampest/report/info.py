@@ -13,9 +13,10 @@ from lampest.panel.readouts.lines import lines_text
 from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import BLOCK, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
 from lampest.report.holes import Holes
-from lampest.runs.results import FORMAT, CaseResult, Results, read_results
+from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 MOST_ROWS, MOST_COLUMNS = 24, 12
@@ -33,8 +34,36 @@ def describe(path: str | Path) -> list[str]:
         if form is None and not any(hdf5.has(file, path) for path in READINGS):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
     if form == FORMAT:
-        return [f"{path}: {form}", *_results_lines(read_results(path))]
-    return [f"{path}: {form or 'a recording without lampest_format'}", *_recording_lines(Recording.load(path))]
+        return [f"{path}: {form}", *_stored_lines(path)]
+    recording, head = opened(path), f"{path}: {form or 'a recording without lampest_format'}"
+    return [head, *(_recording_lines(recording) if isinstance(recording, Recording) else _long_lines(recording))]
+
+
+def _stored_lines(path: Path) -> list[str]:
+    """Of results; of those that are too long to be held, their number and what the first frames say."""
+    cases = stored_cases(path)
+    if not any(too_long(case.frames, case.cells) for case in cases):
+        return _results_lines(read_results(path))
+    part = next(read_each(path, BLOCK))
+    long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
+    ends = range(int(part.frame[0]), int(part.frame[-1]) + 1)
+    shown = read_results(path, frames=ends)
+    return [*long, f"too long to be held at once; of frames {ends[0]} to {ends[-1]}:", *_results_lines(shown)]
+
+
+def _long_lines(recording: StoredRecording) -> list[str]:
+    """Of a recording that is too long to be held: all of its roles and times, and what the first frames say."""
+    counts, times = np.zeros(2, dtype=int), []
+    for frames in recording.blocks():
+        part = recording.part(frames)
+        counts += [int(np.sum(part.role == role)) for role in (UNLOADED, MEASURED)]
+        times += [part.time.min(), part.time.max()]
+    first = recording.blocks()[0]
+    return [
+        f"frames    {recording.frames}: {counts[0]} unloaded, {counts[1]} measured; {min(times):g} to {max(times):g} s",
+        f"too long to be held at once; of frames {first[0]} to {first[-1]}:",
+        *_recording_lines(recording.part(first)),
+    ]
 
 
 def _recording_lines(recording: Recording) -> list[str]:

@@ -14,10 +14,12 @@ from lampest.files.errors import InputError
 from lampest.files.log import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, remove_own
 from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor
 from lampest.runs.filling import case_result
-from lampest.runs.results import CaseResult, read_case_ids, read_kept, write_kept, write_results
+from lampest.runs.long_case import PartFiles, solve_long
+from lampest.runs.results import CaseResult, StoredCase, read_case_ids, read_kept, write_kept, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
@@ -61,7 +63,9 @@ def run_batch(
     with exclusive(folder):
         tasks = [Task(case, folder.absolute()) for case in run.cases]
         _clear(folder, tasks, fresh)
-        found = {task.file: result for task in tasks if (result := _result(task)) is not None}
+        found: dict[Path, CaseResult | StoredCase] = {
+            task.file: result for task in tasks if (result := _result(task)) is not None
+        }
         waiting = [task for task in tasks if task.file not in found]
         failed: list[tuple[str, str]] = []
         aside: Path | None = None
@@ -84,7 +88,7 @@ def run_batch(
         return Report(folder / RESULTS if done else None, len(waiting) - len(failed), skipped, tuple(failed), aside)
 
 
-def _put_aside(path: Path, done: Sequence[CaseResult]) -> Path | None:
+def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:
     """Give results that hold a case of which these have none another name: results_1.h5 and so on; returns it.
 
     What cannot be read as results keeps its content as well.
@@ -101,9 +105,12 @@ def _put_aside(path: Path, done: Sequence[CaseResult]) -> Path | None:
     return kept
 
 
-def solve_case(task: Task) -> CaseResult:
+def solve_case(task: Task) -> CaseResult | StoredCase:
     """Solve one case and write its result, whole or not at all."""
     recording = _recording(task.case.path, task.case.sha256)
+    inner_folder(task.folder, CASES)
+    if isinstance(recording, StoredRecording):
+        return solve_long(task.case, recording, task.file)
     result = case_result(task.case, reconstruct(recording, task.case.estimator))
     inner_folder(task.folder, CASES)
     write_kept(task.file, result)
@@ -111,12 +118,12 @@ def solve_case(task: Task) -> CaseResult:
 
 
 @lru_cache(maxsize=1)
-def _recording(path: Path, sha256: str) -> Recording:
-    """A recording, read once by each process for the cases in a row that need it.
+def _recording(path: Path, sha256: str) -> Recording | StoredRecording:
+    """A recording, read once by each process for the cases in a row that need it; too long a one is read by parts.
 
     Raises InputError where the file is no longer the one that the run began with.
     """
-    recording = Recording.load(path)
+    recording = opened(path)
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
     return recording
@@ -146,9 +153,10 @@ def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
             remove_own(unfinished)
     for task in tasks if fresh else ():
         remove_own(task.file)
+        PartFiles.beside(task.case, task.file).clear()
 
 
-def _result(task: Task) -> CaseResult | None:
+def _result(task: Task) -> CaseResult | StoredCase | None:
     """The case's result where it is there and readable; a damaged one is solved again."""
     if not task.file.is_file():
         return None

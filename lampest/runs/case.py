@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -220,6 +221,18 @@ class CaseResult:
         if np.shape(values) != shape:
             held, wanted = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
             raise InputError(f"{path} is {held}; the frames ask for {wanted}")
+
+
+@dataclass(frozen=True)
+class StoredCase:
+    """A case in a file that holds it alone, or with others; too long a one is known by no more than this."""
+
+    path: Path
+    recording: str
+    estimator: str
+    case_id: str
+    frames: int
+    cells: int
 
 
 PHYSICAL = (

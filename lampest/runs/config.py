@@ -10,13 +10,14 @@ from typing import Any, ClassVar, Literal
 from lampest.cost.given import Background
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
+from lampest.estimate.parts import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures, check_name
 from lampest.runs.terms import FORBID, Terms, terms_of
@@ -120,7 +121,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 class _Source:
     """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text.
 
-    scene, readings : None of a file that is there and cannot be read, of which `fault` says why.
+    scene, readings : None of a file that is there and cannot be read, of which `fault` says why. stored : of a
+    recording that is too long for memory, of which `readings` are the first.
     """
 
     path: Path
@@ -129,6 +131,7 @@ class _Source:
     readings: Readings | None
     blocks: dict[str, str]
     fault: InputError | None = None
+    stored: StoredRecording | None = None
 
     @classmethod
     def read(cls, path: Path) -> "_Source":
@@ -137,7 +140,10 @@ class _Source:
         sha256 = digest(path)
         blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
         try:
-            recording = Recording.load(path)
+            recording = opened(path)
+            if isinstance(recording, StoredRecording):
+                first = recording.part(recording.blocks()[0])
+                return cls(path.absolute(), sha256, recording.scene, first.readings(), blocks, stored=recording)
             recording.measured_frames()
         except InputError as error:
             return cls(path.absolute(), sha256, None, None, blocks, error)
@@ -149,6 +155,8 @@ class _Source:
             return
         try:
             method.estimator.check(self.scene)
+            if self.stored is not None:
+                check_by_parts(method.estimator, self.stored)
         except InputError as error:
             raise InputError(f"{document.source}: {method.name} × {self.path.stem}: {error}") from error
         method.estimator.data(self.readings, Background(self.scene))
@@ -172,7 +180,8 @@ class _Method:
 def digest(path: Path) -> str:
     """SHA-256 of a file. Raises InputError where it may not be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 

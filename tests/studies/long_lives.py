@@ -102,7 +102,9 @@ def main() -> None:
     marks = [round(count * share) for share in (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)]
     for name, figures in (("stream", stream_figures), ("live", live_figures)):
         for row in figures(marks, trace=False):
-            print(f"{name}  {row.frames:>9} frames  {row.resident / 1e6:8.2f} MB  {row.open_files} files open")
+            print(
+                f"{name}  {row.frames:>9} frames  {row.resident / 1e6:8.2f} MB  {row.open_files} files open", flush=True
+            )
 
 
 if __name__ == "__main__":

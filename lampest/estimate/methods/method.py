@@ -26,13 +26,15 @@ class Method(ABC):
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
     that compares frames solves its baseline together with the first frame, as the paper does. delays : whether it keeps
-    Ctrl-C itself where that would be taken for a failed evaluation, and not where only machine code runs.
+    Ctrl-C itself where that would be taken for a failed evaluation, and not where only machine code runs. together :
+    whether it needs all frames of a recording at once.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     optimum: ClassVar[bool] = False
     joint: ClassVar[bool] = False
     delays: ClassVar[bool] = False
+    together: ClassVar[bool] = False
 
     if TYPE_CHECKING:
 

@@ -53,15 +53,21 @@ def recording_check(recording: Recording) -> ModelCheck:
     """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     measured = np.flatnonzero(recording.role == MEASURED)
-    return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured)
+    return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured, recording.number)
 
 
 def model_check(
-    scene: Scene, recorded: Array, sigma: Array | None, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+    scene: Scene,
+    recorded: Array,
+    sigma: Array | None,
+    unloaded: NDArray[np.intp],
+    measured: NDArray[np.intp],
+    number: NDArray[np.intp] | None = None,
 ) -> ModelCheck:
     """The check of frames (frames, rows, columns) as the scene's readout recorded them.
 
-    unloaded, measured : numbers of the frames; without an unloaded one the first frame stands in. The unloaded panel's
+    unloaded, measured : which of the frames; without an unloaded one the first frame stands in. number : (frames) by
+    which sentences name them; None: as they come. The unloaded panel's
     mean and the frame that differs most from it are explained by cells alone, every frame is held against the circuit's
     inequalities, and other circuits are tried on the same two. Raises InputError as `Readings.of`.
     """
@@ -71,14 +77,20 @@ def model_check(
     try:
         with np.errstate(all="ignore"):
             wild = wild_readings(readings)
-            check = _checked(scene, np.where(wild, np.nan, recorded), sigma, unloaded, measured)
+            named = np.arange(len(recorded)) if number is None else number
+            check = _checked(scene, np.where(wild, np.nan, recorded), sigma, unloaded, measured, named)
             return replace(check, sentence=check.sentence + said_of_wild(int(wild.sum())))
     except BROKEN:
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
 
 def _checked(
-    scene: Scene, recorded: Array, sigma: Array | None, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+    scene: Scene,
+    recorded: Array,
+    sigma: Array | None,
+    unloaded: NDArray[np.intp],
+    measured: NDArray[np.intp],
+    named: NDArray[np.intp],
 ) -> ModelCheck:
     """The check of readings whose noise is known, those that leap left out."""
     readings = Readings.of(scene, recorded, sigma)
@@ -91,10 +103,10 @@ def _checked(
     if len(others):
         frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others)
         standing = standing_frames(used, frame, others, noise)
-    question = Question(told, resting, standing, noise)
+    question = Question(told, resting, standing, noise, named)
     found = Explanation.of(told, question)
-    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise)
-    fault = fault or _below_series(scene, recorded, readings)
+    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
+    fault = fault or _below_series(scene, recorded, readings, named)
     if found is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     whole = _nearly_whole(readings, scene, question)
@@ -135,7 +147,7 @@ def _unexplained(found: Explanation, question: Question) -> str:
     )
 
 
-def _below_series(scene: Scene, recorded: Array, readings: Readings) -> str:
+def _below_series(scene: Scene, recorded: Array, readings: Readings, named: NDArray[np.intp]) -> str:
     """The reading that lies below the series resistance by more than its noise, in words; '' where none does."""
     if scene.circuit.unit != "ohm" or readings.sigma is None:
         return ""
@@ -146,7 +158,7 @@ def _below_series(scene: Scene, recorded: Array, readings: Readings) -> str:
         return ""
     frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
     short = f"{-left[frame, row, column]:.3g} ohm below its series resistance, {excess[frame, row, column]:.3g} times"
-    return f"the reading of row {row}, column {column} in frame {frame} lies {short} its noise"
+    return f"the reading of row {row}, column {column} in frame {named[frame]} lies {short} its noise"
 
 
 def _sentence(fault: str, better: Better | None) -> str:

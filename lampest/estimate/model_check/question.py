@@ -22,18 +22,20 @@ class Question:
 
     told : the circuit as the scene has it. resting : the numbers of the unloaded frames. standing : those of the
     measured ones to explain beside them, alike but for their noise; none. widening : factor on every σ, where repeats
-    scatter by more than it.
+    scatter by more than it. named : (frames) the numbers by which sentences name them.
     """
 
     told: Rival
     resting: NDArray[np.intp]
     standing: NDArray[np.intp]
     widening: float = 1.0
+    named: NDArray[np.intp] | None = None
 
     @property
     def loaded(self) -> str:
         """'frame 3', or 'frames 3 to 9'."""
-        first, last = self.standing[[0, -1]]
+        ends = self.standing[[0, -1]]
+        first, last = ends if self.named is None else self.named[ends]
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:

@@ -48,8 +48,9 @@ def leaps(value: Array, scale: Array, most_share: float = 1.0) -> Leaps:
 
 def around(value: Array) -> tuple[Array, Array]:
     """(median, scatter) of each reading in the NEAREST other frames; NaN where none says anything."""
-    frames = np.arange(len(value))
-    nearest = np.argsort(np.abs(frames[:, None] - frames), axis=1, kind="stable")[:, 1 : NEAREST + 1]
+    frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
+    within = np.clip(frames - NEAREST // 2, 0, len(value) - width)[:, None] + np.arange(width)
+    nearest = within[within != frames[:, None]].reshape(len(value), width - 1)
     neighbours = value[nearest.T]
     middle = median(neighbours)
     return middle, TO_SIGMA * median(np.abs(neighbours - middle))

@@ -37,6 +37,7 @@ class NoiseSeen:
     nothing contradicts the told one.
     frame : what the readings of a frame share, or None. gain : as a fraction; together, apart : rms in LSB, of what all
     scanned lines of a frame share and of what each has anew; 0 where not seen.
+    share : of its period that a scan seems to take, where frames are torn; else 0.
     outliers : (frames, rows, columns) that leap; outlier_rate : share of the unloaded readings that do, or, without
     enough of these, of all. hidden : what still cells leave possible of errors that all frames share, or None.
     sentence : what speaks against the told noise; ''. readings : as they are to be taken, of all frames.
@@ -54,6 +55,7 @@ class NoiseSeen:
     sentence: str
     readings: Readings
     hidden: Possible | None = None
+    share: float = 0.0
 
     @property
     def reading_error(self) -> float:
@@ -110,7 +112,20 @@ def with_torn_frames(scene: Scene, seen: NoiseSeen, share: float, measured: NDAr
     torn = share * swept(scene, seen.readings, measured)
     wider = replace(seen.readings, sigma=np.hypot(seen.readings.sigma, torn))
     said = said_of_motion(share, torn, seen.readings.sigma)
-    return replace(seen, readings=wider, sentence=joined([seen.sentence, said]))
+    return replace(seen, readings=wider, share=share, sentence=joined([seen.sentence, said]))
+
+
+def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Readings:
+    """The readings of a part of a long recording, with its unloaded frames, as they are to be taken.
+
+    known : what was asked of the recording before; None: before that. Raises InputError as `Readings.of`.
+    """
+    seen = frame_noise_seen(recording)
+    if known is None or not known.share:
+        return seen.readings
+    with suppress(*BROKEN), np.errstate(all="ignore"):
+        return with_torn_frames(recording.scene, seen, known.share, np.flatnonzero(recording.role == MEASURED)).readings
+    return seen.readings
 
 
 def frame_noise_seen(recording: Recording) -> NoiseSeen:

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 from lampest.files.errors import InputError
 from lampest.files.interrupts import deaf, ending_signals
 from lampest.files.whole import check_output
+from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
@@ -20,6 +21,7 @@ from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.sample import Sample
 from lampest.recording.board.stream import Samples, agreed_and_recorded, board_samples
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording, opened, save_parts
 
 FEWEST_REPEATS = 50
 
@@ -142,8 +144,8 @@ def record(
             made = finished(out) if count.frames else None
         if made is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        recording, noise = made
-        return Recorded(path=out, scene=recording.scene, ended_by=asked(), noise_lsb=noise, **asdict(count))
+        told, _, noise = made
+        return Recorded(path=out, scene=told, ended_by=asked(), noise_lsb=noise, **asdict(count))
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
@@ -188,42 +190,63 @@ def repair(path: Path) -> int:
     Returns the number of frames. Raises InputError where nothing can be read, or someone is still recording into it.
     """
     if is_finished(path):
-        return len(Recording.load(path).time)
+        recording = opened(path)
+        return recording.frames if isinstance(recording, StoredRecording) else len(recording.time)
     if is_being_written(path):
         raise InputError(f"{path}: still being recorded")
-    return len(finished(path)[0].time)
+    return finished(path)[1]
 
 
-def finished(path: Path) -> tuple[Recording, float | None]:
-    """Rewrite a journal as a clean recording, whatever signals come; that, and the noise that its baseline shows."""
+def finished(path: Path) -> tuple[Scene, int, float | None]:
+    """Rewrite a journal as a clean recording, whatever signals come: its scene and frames, its baseline's noise."""
     with deaf():
-        recording = Recording.load(path)
-        noise = noise_from_repeats(recording)
-        readout = recording.scene.readout
-        if readout is not None:
-            seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
-            recording = dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
-        recording.save(path)
-    return recording, noise
+        recording = opened(path)
+        if isinstance(recording, Recording):
+            noise = noise_from_repeats([recording])
+            _with_sigma(recording, noise).save(path)
+            return recording.scene, len(recording.time), noise
+        noise = noise_from_repeats(
+            recording.part(range(max(part.start - 1, 0), part.stop)) for part in recording.blocks()
+        )
+        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks()))
+        return recording.scene, recording.frames, noise
 
 
-def noise_from_repeats(recording: Recording) -> float | None:
+def _with_sigma(recording: Recording, noise: float | None) -> Recording:
+    """With σ of every reading, from the noise that repeats showed where they did."""
+    readout = recording.scene.readout
+    if readout is None:
+        return recording
+    seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
+    return dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
+
+
+def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """noise with readings·Var(mean code) = noise² + 1/12 − b²(noise), from differences of successive unloaded frames.
 
     Slow drift and readings at either end of the converter do not count. None below 50 differences.
     """
-    readout, sums = recording.scene.readout, recording.raw_sums
-    if readout is None or sums is None or recording.raw_readings is None:
+    total, count, readout = 0.0, 0, None
+    for part in parts:
+        readout, squares = part.scene.readout, _repeats(part)
+        total, count = total + float(np.sum(squares)), count + len(squares)
+    if readout is None or count < FEWEST_REPEATS:
         return None
+    return _noise_of_variance(readout, total / count / 2)
+
+
+def _repeats(recording: Recording) -> Array:
+    """Squared differences of mean codes of successive unloaded frames, one after the other."""
+    sums = recording.raw_sums
+    if recording.scene.readout is None or sums is None or recording.raw_readings is None:
+        return np.zeros(0)
     mean_code = sums / recording.raw_readings
     pairs = (recording.role[1:] == UNLOADED) & (recording.role[:-1] == UNLOADED)
     if recording.acquisition is not None:
         pairs &= np.diff(recording.acquisition.session.astype(int)) == 0
     inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
     difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
-    if difference.size < FEWEST_REPEATS:
-        return None
-    return _noise_of_variance(readout, float(np.mean(difference**2)) / 2)
+    return np.asarray(difference**2)
 
 
 def _noise_of_variance(readout: Readout, variance: float) -> float:

@@ -34,9 +34,13 @@ def detect_file(
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
     on_refused: Callable[[str], None] = lambda sentence: None,
+    frames: range | None = None,
 ) -> tuple[Results, tuple[Detection, ...]]:
-    """A results file and its detections. Raises InputError where it cannot be read or no recording can be looked at."""
-    results = read_results(path)
+    """A results file and its detections; frames : as `read_results` takes them.
+
+    Raises InputError where it cannot be read or no recording can be looked at.
+    """
+    results = read_results(path, frames=frames)
     if not results.cases:
         raise InputError(f"{path}: holds no results to look at")
     try:

@@ -19,11 +19,13 @@ def export_results(
     out: str | Path | None = None,
     recording: str | None = None,
     start: str | None = None,
+    frames: range | None = None,
 ) -> tuple[Path, ...]:
     """Write what a results file holds in another format: the files that were written.
 
     to : csv, parquet, mat, zarr, nwb, or an Export of your own. out : the file; by default beside the results, with the
     format's suffix. recording : this one alone. start : date and time at 0 s, ISO 8601, of recordings that do not say.
+    frames : as `read_results` takes them.
 
     Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
     be written, and where a library is missing.
@@ -33,7 +35,7 @@ def export_results(
     path = source.with_suffix(export.suffix) if out is None else Path(out)
     with sparing((source,)):
         refuse_input(path)
-    read = read_results(source)
+    read = read_results(source, frames=frames)
     cases = _started(read.cases if recording is None else read.of(recording), start)
     if not cases:
         raise InputError(f"{source}: holds no case that could be exported")

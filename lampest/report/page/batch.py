@@ -70,17 +70,17 @@ class Matched:
         return [case for subject in self.subjects for case in subject.cases if case.estimator == estimator]
 
 
-def read_batch(paths: Sequence[Path]) -> Batch:
+def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
     """The cases of all files; those of one recording stand together wherever they were made.
 
-    Where two files hold the same name for different things, the name gets the file's number: 'LSM [2]'. Raises
-    InputError where a file cannot be read, is named twice, or all are empty.
+    frames : as `read_results` takes them. Where two files hold the same name for different things, the name gets the
+    file's number: 'LSM [2]'. Raises InputError where a file cannot be read, is named twice, or all are empty.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")
     cases: list[CaseResult] = []
     for number, path in enumerate(paths, 1):
-        cases += [_renamed(case, cases, number) for case in read_results(path).cases]
+        cases += [_renamed(case, cases, number) for case in read_results(path, frames=frames).cases]
     if not cases:
         raise InputError(f"{', '.join(map(str, paths))}: no results to report")
     names = dict.fromkeys(case.recording for case in cases)

@@ -40,14 +40,17 @@ class Origin:
 
 
 def write_report(
-    paths: Sequence[Path], out: Path, on_recording: Callable[[int, int], None] = lambda done, total: None
+    paths: Sequence[Path],
+    out: Path,
+    on_recording: Callable[[int, int], None] = lambda done, total: None,
+    frames: range | None = None,
 ) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
-    on_recording : told of how many recordings how many are drawn.
+    on_recording : told of how many recordings how many are drawn. frames : as `read_results` takes them.
     Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
     """
-    write_whole(out, report(read_batch(paths), on_recording))
+    write_whole(out, report(read_batch(paths, frames), on_recording))
 
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:

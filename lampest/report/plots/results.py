@@ -7,12 +7,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError, in_words, meant
+from lampest.recording.stored import too_long
 from lampest.report.plots import plot_of
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import SUFFIXES, image_of, verbatim, write_image
 from lampest.runs.columns import Column
 from lampest.runs.executors import each_of
-from lampest.runs.results import CaseResult, Results, read_results
+from lampest.runs.results import CaseResult, Results, read_results, stored_cases
 
 MOST_TOGETHER = 20  # estimators that one picture shows
 OTHER_SUFFIXES = (".jpg", ".jpeg", ".gif", ".bmp", ".tif", ".tiff", ".webp", ".eps", ".ps")
@@ -28,6 +29,7 @@ def plot_results(
     frame: int | None = None,
     estimators: Sequence[str] = (),
     form: str | None = None,
+    frames: range | None = None,
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
@@ -36,7 +38,8 @@ def plot_results(
     .pdf file where there is one picture. columns : as `read_results` takes them.
     on_picture : told of how many pictures how many are drawn. frame : index into the recordings; its pictures are
     called so. estimators : those that are drawn, all where none is named. form : png, svg or pdf; png where neither it
-    nor `out` says. Returns the files that were written.
+    nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be drawn.
+    Returns the files that were written.
 
     Raises InputError where there is no such plot, frame or estimator, the results cannot be read or hold nothing to
     draw, or the place cannot be written.
@@ -45,7 +48,9 @@ def plot_results(
     path, target = Path(path), None if out is None else Path(out)
     single = target if target is not None and target.suffix in SUFFIXES else None
     _check_form(target, form)
-    pictures = list(_pictures(_of_estimators(read_results(path, columns), estimators, path), plot))
+    if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
+        frames = range(frame, frame + 1)
+    pictures = list(_pictures(_of_estimators(read_results(path, columns, frames), estimators, path), plot))
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lampest.files.errors import InputError
-from lampest.files.hdf5 import ascii_array, read_array, read_texts, read_whole
+from lampest.files.hdf5 import ALL, ascii_array, read_array, read_texts, read_whole
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 from lampest.runs.columns.checks import Check
@@ -105,18 +105,19 @@ class Column:
             return ascii_array(values)
         return np.asarray(values).astype(np.uint8 if self._kind == "b" else self.dtype)
 
-    def read(self, file: Any, group: str, sizes: Mapping[str, int]) -> Any:
-        """The values in a group of a file, as a case holds them; sizes : axis → length.
+    def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = ALL) -> Any:
+        """The values in a group of a file, as a case holds them; sizes : axis → length. part : of the frames.
 
         Raises InputError where they are missing, damaged, of another shape or no such values.
         """
         path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
+        part = part if self.axes[:1] == FRAMES else ALL
         if self._kind == "U":
-            return read_texts(file, path, *shape)
+            return read_texts(file, path, shape[0], part)
         if self._kind == "f":
-            return read_array(file, path, len(shape), shape).astype(self.dtype)
+            return read_array(file, path, len(shape), shape, part).astype(self.dtype)
         stored = np.uint8 if self._kind == "b" else self.dtype
-        return read_whole(file, path, stored, len(shape), shape).astype(self.dtype)
+        return read_whole(file, path, stored, len(shape), shape, part).astype(self.dtype)
 
     @property
     def _kind(self) -> str:

@@ -40,7 +40,7 @@ FRAME = Column(
     FRAMES,
     "1",
     "index of the frame in the recording",
-    lambda done: done.frame,
+    lambda done: done.frame if done.recording.number is None else done.recording.number[done.frame],
     dtype=np.int64,
     shared=True,
 )

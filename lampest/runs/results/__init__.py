@@ -1,10 +1,10 @@
 """Results files: what estimators made of recordings, case by case; their one reader and writer."""
 
-from lampest.runs.case import CaseResult, check_name
+from lampest.runs.case import CaseResult, StoredCase, check_name
 from lampest.runs.published import PublishedFigures, StepFigures
 from lampest.runs.results.kept import read_kept, write_kept
-from lampest.runs.results.reader import Results, read_case_ids, read_results
-from lampest.runs.results.writer import FORMAT, write_results
+from lampest.runs.results.reader import Results, read_case_ids, read_each, read_results, stored_cases
+from lampest.runs.results.writer import FORMAT, join_case, write_results
 
 __all__ = [
     "FORMAT",
@@ -12,10 +12,14 @@ __all__ = [
     "PublishedFigures",
     "Results",
     "StepFigures",
+    "StoredCase",
     "check_name",
+    "join_case",
     "read_case_ids",
+    "read_each",
     "read_kept",
     "read_results",
+    "stored_cases",
     "write_kept",
     "write_results",
 ]

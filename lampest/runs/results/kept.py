@@ -16,9 +16,10 @@ from lampest.files.document import adapter, plain_content
 from lampest.files.errors import InputError
 from lampest.files.seal import check_seal
 from lampest.panel.scene import Scene
-from lampest.runs.case import CaseResult
+from lampest.recording.stored import too_long
+from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.columns import all_columns
-from lampest.runs.results.reader import read_results
+from lampest.runs.results.reader import read_results, stored_cases
 from lampest.runs.results.writer import write_results
 
 FORMAT = "case/1"
@@ -44,20 +45,26 @@ def write_kept(path: Path, result: CaseResult) -> None:
         file.create_dataset("values", data=np.frombuffer(values, dtype=np.uint8))
 
 
-def read_kept(path: Path, case_id: str) -> CaseResult | None:
-    """The case of that name in a file that keeps one, None where it is of another. Raises InputError where damaged."""
+def read_kept(path: Path, case_id: str) -> CaseResult | StoredCase | None:
+    """The case of that name in a file that keeps one, None where it is of another. Raises InputError where damaged.
+
+    A case of a recording that is too long for memory stays where it is.
+    """
     with hdf5.existing_file(path) as file:
         packed = hdf5.read_attribute(file, "/", "lampest_format") == FORMAT
         if packed:
             text, values = hdf5.read_text(file, "/case"), hdf5.read_array(file, "/values", 1).tobytes()
     if not packed:
+        held = next((case for case in stored_cases(path) if case.case_id == case_id), None)
+        if held is None or too_long(held.frames, held.cells):
+            return held
         return next((case for case in read_results(path).cases if case.case_id == case_id), None)
     if not check_seal(path):
         raise InputError(f"{path}: has lost its checksums")
     try:
-        held = {name: _held(value, values) for name, value in json.loads(text).items()}
-        scene: Scene = adapter(Scene).validate_python(held.pop("scene"))
-        case = CaseResult(**held, scene=scene)
+        found = {name: _held(value, values) for name, value in json.loads(text).items()}
+        scene: Scene = adapter(Scene).validate_python(found.pop("scene"))
+        case = CaseResult(**found, scene=scene)
     except (ValueError, TypeError, LookupError) as error:
         raise InputError(f"{path}: keeps no case ({error})") from error
     case.check(all_columns())

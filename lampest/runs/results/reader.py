@@ -1,7 +1,10 @@
 """A results file → its cases."""
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +14,13 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.runs.case import REQUIRED, SHARED, CaseResult
-from lampest.runs.columns import FIGURES, MAPS, MEASURED, Column, all_columns
+from lampest.runs.case import REQUIRED, SHARED, CaseResult, StoredCase
+from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
 from lampest.runs.published import PublishedFigures, published_from
 from lampest.runs.results.scene import stored_scene
 from lampest.runs.results.writer import FORMAT
+
+NONE = slice(0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,25 +44,84 @@ class Results:
         return cases
 
 
-def read_results(path: str | Path, columns: Sequence[Column] = ()) -> Results:
+def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
     """Read a results file; columns : of what it holds besides those of lampest and of installed packages.
 
-    Raises InputError with the dataset's path where something is wrong.
+    frames : of the recordings, those that are read; None: all. A recording that has none of them is left out.
+    Raises InputError with the dataset's path where something is wrong, or no recording has any of the frames.
     """
     path, table = Path(path), all_columns(columns)
+    with _results_file(path) as file:
+        published = _read_published(file)
+        names = _in_order(file, "/entry")
+        parts = {name: hdf5.ALL if frames is None else _part(file, name, frames) for name in names}
+        read = [name for name in names if parts[name] != NONE]
+        if names and not read:
+            raise InputError(f"{path}: holds none of the frames that are asked for")
+        cases = [case for name in read for case in _read_recording(file, name, table, parts[name])]
+        return Results(tuple(cases), published)
+
+
+def read_each(path: Path, most: int) -> Iterator[CaseResult]:
+    """Every case of a results file, its frames by parts of so many readings. Raises InputError as `read_results`."""
+    with _results_file(path) as file:
+        _read_published(file)
+        for name in _in_order(file, "/entry"):
+            frames, rows, columns = (hdf5.shape_of(file, f"/entry/{name}/{SHARED}/{axis}")[0] for axis in MAPS)
+            step = max(1, most // (rows * columns * max(1, len(hdf5.child_groups(file, f"/entry/{name}")) - 1)))
+            for begin in range(0, frames, step):
+                yield from _read_recording(file, name, all_columns(), slice(begin, begin + step))
+
+
+def _part(file: h5py.File, recording: str, frames: range) -> slice:
+    """Which of the frames that are kept are these ones of the recording, by bisection; NONE where none is."""
+    name = next((name for name in _in_order(file, f"/entry/{recording}") if name != SHARED), "")
+    path, length = f"/entry/{recording}/{name}/{FRAME.path}", hdf5.shape_of(file, f"/entry/{recording}/{SHARED}/time")
+
+    def number(at: int) -> int:
+        return int(hdf5.read_array(file, path, 1, length, slice(at, at + 1))[0])
+
+    part = slice(*(bisect_left(range(length[0]), end, key=number) for end in (frames.start, frames.stop)))
+    return part if part.start < part.stop else NONE
+
+
+def stored_cases(path: Path) -> tuple[StoredCase, ...]:
+    """The cases of a results file without their values. Raises InputError as `read_results`."""
+    found = []
+    with _results_file(path) as file:
+        for recording in _in_order(file, "/entry"):
+            base = f"/entry/{recording}/{SHARED}"
+            frames, rows, columns = (hdf5.shape_of(file, f"{base}/{axis}")[0] for axis in MAPS)
+            for name in _in_order(file, f"/entry/{recording}"):
+                if name != SHARED:
+                    identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
+                    found.append(StoredCase(path, recording, name, str(identity), frames, rows * columns))
+    return tuple(found)
+
+
+@contextmanager
+def _results_file(path: Path) -> Iterator[h5py.File]:
     with hdf5.existing_file(path) as file:
         _check_format(file)
-        published = _read_published(file)
-        cases: list[CaseResult] = []
-        for recording in _in_order(file, "/entry"):
-            cases += _read_recording(file, recording, table)
-        return Results(tuple(cases), published)
+        yield file
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Axis → how many there are of a recording, and which part of its frames is read."""
+
+    sizes: dict[str, int]
+    part: slice
+
+    @property
+    def count(self) -> int:
+        """Frames that are read."""
+        return len(range(self.sizes[MAPS[0]])[self.part])
 
 
 def read_case_ids(path: Path) -> frozenset[str]:
     """The identities of the cases of a results file, without what they found. Raises InputError as `read_results`."""
-    with hdf5.existing_file(path) as file:
-        _check_format(file)
+    with _results_file(path) as file:
         groups = [f"/entry/{name}" for name in hdf5.child_groups(file, "/entry")]
         cases = [f"{group}/{name}" for group in groups for name in hdf5.child_groups(file, group) if name != SHARED]
         return frozenset(str(hdf5.read_attribute(file, case, "case_id")) for case in cases)
@@ -74,20 +138,23 @@ def _in_order(file: h5py.File, path: str) -> list[str]:
     return sorted(names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name))
 
 
-def _read_recording(file: h5py.File, name: str, table: Sequence[Column]) -> list[CaseResult]:
+def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
     base = f"/entry/{name}/{SHARED}"
     scene = stored_scene(file, base, f"{base}/{MEASURED.path}")
     table = [column.of(scene.circuit) for column in table]
-    measured = hdf5.read_array(file, f"{base}/{MEASURED.of(scene.circuit).path}", 3)
-    sizes = dict(zip(MAPS, measured.shape, strict=True))
+    path = f"{base}/{MEASURED.of(scene.circuit).path}"
+    hdf5.read_array(file, path, len(MAPS), part=part)
+    shape = hdf5.shape_of(file, path)
+    frames = Frames(dict(zip(MAPS, shape, strict=True)), part)
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
     maps = sum(column.axes == MAPS and not column.shared for column in table)
-    if len(estimators) * maps * measured.size > hdf5.MOST_VALUES:
+    if len(estimators) * maps * frames.count * prod(shape[1:]) > hdf5.MOST_VALUES:
         raise InputError(
-            f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read"
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read at once; "
+            f"of its {shape[0]} frames --frames 0:1000 names some"
         )
-    given = _read_columns(file, base, [column for column in table if column.shared], sizes)
-    return [_read_case(file, (name, child), given, scene, table, sizes) for child in estimators]
+    given = _read_columns(file, base, [column for column in table if column.shared], frames)
+    return [_read_case(file, (name, child), given, scene, table, frames) for child in estimators]
 
 
 def _read_case(
@@ -96,11 +163,11 @@ def _read_case(
     given: dict[str, Any],
     scene: Scene,
     table: Sequence[Column],
-    sizes: dict[str, int],
+    frames: Frames,
 ) -> CaseResult:
     recording, name = names
     base = f"/entry/{recording}/{name}"
-    values = given | _read_columns(file, base, [column for column in table if not column.shared], sizes)
+    values = given | _read_columns(file, base, [column for column in table if not column.shared], frames)
     texts = {attribute: hdf5.read_attribute(file, base, attribute) for attribute in hdf5.attribute_names(file, base)}
     try:
         case = CaseResult.of(
@@ -121,7 +188,7 @@ def _read_case(
             film_sentence=str(texts.get("film", "")),
             start_time=_start_time(file, recording),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
-            **{folder.name: _read_figures(file, f"{base}/{folder.folder}", sizes["time"]) for folder in FIGURES},
+            **{folder.name: _read_figures(file, f"{base}/{folder.folder}", frames) for folder in FIGURES},
         )
         case.check(table)
     except InputError as error:
@@ -134,19 +201,20 @@ def _start_time(file: h5py.File, recording: str) -> str:
     return hdf5.read_text(file, path) if hdf5.has(file, path) else ""
 
 
-def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], sizes: dict[str, int]) -> dict[str, Any]:
+def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], frames: Frames) -> dict[str, Any]:
     """Column → values, of those that the file holds or cannot be without."""
     return {
-        column.name: column.read(file, base, sizes)
+        column.name: column.read(file, base, frames.sizes, frames.part)
         for column in columns
         if column.name in REQUIRED or hdf5.has(file, f"{base}/{column.path}")
     }
 
 
-def _read_figures(file: h5py.File, path: str, frames: int) -> dict[str, Array]:
+def _read_figures(file: h5py.File, path: str, frames: Frames) -> dict[str, Array]:
     """name → (frames)."""
     names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
-    return {name: hdf5.read_array(file, f"{path}/{name}", 1, (frames,)) for name in names}
+    shape = (frames.sizes[MAPS[0]],)
+    return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, frames.part) for name in names}
 
 
 def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:

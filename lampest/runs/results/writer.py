@@ -9,8 +9,9 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.files.parts import copy_group, join_parts
 from lampest.panel.panel import Array
-from lampest.runs.case import SHARED, CaseResult
+from lampest.runs.case import SHARED, CaseResult, StoredCase
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
 from lampest.runs.published import PublishedFigures, published_text
 from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
@@ -21,7 +22,7 @@ POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for co
 
 def write_results(
     path: str | Path,
-    cases: Sequence[CaseResult],
+    cases: Sequence[CaseResult | StoredCase],
     published: Mapping[str, PublishedFigures] | None = None,
     columns: Sequence[Column] = (),
 ) -> None:
@@ -33,19 +34,51 @@ def write_results(
     """
     table = all_columns(columns)
     groups: dict[str, list[CaseResult]] = {}
+    stored: dict[str, list[StoredCase]] = {}
     for case in cases:
-        case.described(columns)
-        groups.setdefault(case.recording, []).append(case)
+        if isinstance(case, StoredCase):
+            stored.setdefault(case.recording, []).append(case)
+        else:
+            case.described(columns)
+            groups.setdefault(case.recording, []).append(case)
     for recording in groups.values():
         _check_together(recording, table)
-    with hdf5.new_file(Path(path)) as file:
+    size = sum(case.path.stat().st_size for long in stored.values() for case in long)
+    with hdf5.new_large_file(Path(path), size) if stored else hdf5.new_file(Path(path)) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry", **({"default": next(iter(groups))} if groups else {}))
+        hdf5.set_attributes(entry, NX_class="NXentry", **({"default": cases[0].recording} if cases else {}))
         if published:
             hdf5.set_attributes(entry, published=published_text(published))
-        for order, (name, recording) in enumerate(groups.items()):
-            _write_recording(entry.create_group(name), order, recording, table)
+        for order, name in enumerate(dict.fromkeys(case.recording for case in cases)):
+            group = entry.create_group(name)
+            if name in stored:
+                _copy_recording(group, order, stored[name])
+            else:
+                _write_recording(group, order, groups[name], table)
+
+
+def join_case(path: Path, parts: Sequence[Path], recording: str) -> None:
+    """Write the case whose parts are these files, one after the other in time, whole or not at all.
+
+    Raises InputError where a part cannot be read, or as `write_results`.
+    """
+    size = sum(part.stat().st_size for part in parts)
+    with hdf5.new_large_file(path, size) as file:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry", default=recording)
+        join_parts(parts, entry.create_group(recording), f"/entry/{recording}")
+
+
+def _copy_recording(group: h5py.Group, order: int, cases: list[StoredCase]) -> None:
+    """The cases of a long recording from their own files."""
+    hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
+    for number, case in enumerate(cases):
+        with hdf5.existing_file(case.path) as file:
+            for name in (SHARED, case.estimator)[bool(number) :]:
+                copy_group(file[f"/entry/{case.recording}/{name}"], group.create_group(name))
+        hdf5.set_attributes(group[case.estimator], order=number)
 
 
 def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:

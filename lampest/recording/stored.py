@@ -1,0 +1,159 @@
+"""A recording on the disk that is read by parts, so that what is in memory does not grow with its frames."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files import hdf5
+from lampest.files.document import parse_document, validated
+from lampest.files.errors import InputError
+from lampest.files.parts import join_parts
+from lampest.files.whole import remove_own
+from lampest.panel.scene import Scene
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, whole_frames
+
+WHOLE = 4_000_000  # readings that are held at once, with some forty numbers that are estimated of each: 1.3 GB
+BLOCK = 500_000  # readings of a part, where a recording has more
+LEAST_FRAMES = 16  # of a part, however large the panel is
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRecording:
+    """path : of its file, finished or not. frames : how many it holds. start_time : as `Recording` has it."""
+
+    path: Path
+    scene: Scene
+    frames: int
+    start_time: str | None
+
+    @classmethod
+    def of(cls, path: Path) -> "StoredRecording":
+        """What stands at the head of a file. Raises InputError where it is no recording, or its frames disagree."""
+        with hdf5.existing_file(path) as file:
+            text = hdf5.read_text(file, "/entry/scene")
+            scene: Scene = validated(parse_document(text, f"{path}:/entry/scene"), Scene)
+            base = f"/entry/{group_of(scene.circuit)}"
+            shape = hdf5.shape_of(file, f"{base}/{scene.circuit.signal}")
+            if len(shape) != 3 or not shape[0]:
+                raise InputError(f"{path}: {base}/{scene.circuit.signal} must be frames × rows × columns")
+            kept = whole_frames(file, f"{base}/", scene.circuit.signal).stop
+            for name in ("time", "role"):
+                if (
+                    kept is None
+                    and hdf5.has(file, f"{base}/{name}")
+                    and hdf5.shape_of(file, f"{base}/{name}") != shape[:1]
+                ):
+                    raise InputError(f"{path}: {base}/{name} does not have one value for each of the {shape[0]} frames")
+        return cls(path, scene, shape[0] if kept is None else kept, Recording.load(path, slice(0, 1)).start_time)
+
+    @property
+    def name(self) -> str:
+        """What results call it."""
+        return self.path.stem
+
+    @property
+    def length(self) -> int:
+        """Frames of a part."""
+        return max(LEAST_FRAMES, BLOCK // self.scene.panel.cells)
+
+    def blocks(self) -> tuple[range, ...]:
+        """Frames that are estimated one after the other before they are written, part by part."""
+        begins = range(0, self.frames, self.length)
+        return tuple(range(begin, min(begin + self.length, self.frames)) for begin in begins)
+
+    def part(self, frames: range, beside: int = 0) -> Recording:
+        """Some frames, and as many as are there of so many `beside` them. Raises InputError as `Recording.load`."""
+        within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
+        return replace(Recording.load(self.path, within), start_time=self.start_time)
+
+
+def chosen(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
+    """Some frames of a part (frames); what a board adds, and raw sums, are left out."""
+    assert recording.number is not None
+    sigma, truth, pressure = recording.sigma, recording.truth_cell_resistance, recording.truth_pressure
+    return replace(
+        recording,
+        recorded=recording.recorded[frames],
+        time=recording.time[frames],
+        role=recording.role[frames],
+        sigma=sigma if sigma is None or sigma.ndim == 2 else sigma[frames],
+        truth_cell_resistance=None if truth is None else truth[frames],
+        truth_pressure=None if pressure is None else pressure[frames],
+        raw_sums=None,
+        raw_readings=None,
+        acquisition=None,
+        number=recording.number[frames],
+    )
+
+
+def together(parts: Sequence[Recording]) -> Recording:
+    """Parts of one recording in the order of its frames, each frame once."""
+    numbers = np.concatenate([part.number for part in parts if part.number is not None])
+    _, order = np.unique(numbers, return_index=True)
+    first = parts[0]
+
+    def joined(name: str) -> Any:
+        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
+
+    each = ["recorded", "time", "role", "number"]
+    each += [name for name in ("truth_cell_resistance", "truth_pressure") if getattr(first, name) is not None]
+    each += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
+    whole: dict[str, Any] = {name: joined(name) for name in each}
+    return replace(first, **whole)
+
+
+def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
+    """The first unloaded frames, up to so many; None where there is none."""
+    found: list[Recording] = []
+    left = most
+    for frames in stored.blocks():
+        part = stored.part(frames)
+        resting = np.flatnonzero(part.role == UNLOADED)[:left]
+        if len(resting):
+            found.append(chosen(part, np.isin(np.arange(len(part.role)), resting)))
+            left -= len(resting)
+        if not left:
+            break
+    return together(found) if found else None
+
+
+def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
+    """The measured ones of some frames and of those beside them; None where none of the frames is measured."""
+    part = stored.part(frames, beside)
+    assert part.number is not None
+    measured = part.role == MEASURED
+    inside = (part.number >= frames.start) & (part.number < frames.stop)
+    return chosen(part, measured) if np.any(measured & inside) else None
+
+
+def save_parts(path: Path, parts: Iterable[Recording]) -> None:
+    """Write a recording of which each part holds some frames, whole or not at all.
+
+    The parts are files beside it until all are there. Raises InputError where the place cannot be written.
+    """
+    files: list[Path] = []
+    try:
+        for number, part in enumerate(parts):
+            files.append(path.with_name(f".{path.name}.{number:06d}"))
+            part.save(files[-1])
+        with hdf5.new_large_file(path, sum(file.stat().st_size for file in files)) as file:
+            join_parts(files, file.create_group("entry"), "/entry")
+            with hdf5.existing_file(files[0]) as first:
+                file.attrs.update(first.attrs)
+    finally:
+        for left in files:
+            remove_own(left)
+
+
+def too_long(frames: int, cells: int) -> bool:
+    """Whether so many frames are more than is held at once."""
+    return frames * cells > WHOLE
+
+
+def opened(path: Path) -> Recording | StoredRecording:
+    """A recording, whole where it is not too long for that. Raises InputError as `Recording.load`."""
+    return Recording.load_up_to(path, WHOLE) or StoredRecording.of(path)

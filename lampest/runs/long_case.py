@@ -1,0 +1,100 @@
+"""A case of a recording too long for memory: its parts are files of their own until the last of them is done."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from lampest.estimate.carried import Carried
+from lampest.estimate.parts import Parts, asked_frames
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.files.whole import inner_folder, remove_own
+from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording
+from lampest.runs.case import StoredCase
+from lampest.runs.config import Case
+from lampest.runs.filling import case_result
+from lampest.runs.results import join_case, read_results, stored_cases, write_results
+
+CARRIED = "carried/1"
+
+
+@dataclass(frozen=True)
+class PartFiles:
+    """folder : of the parts; each is a results file, and beside it stands what the frames behind it need of it."""
+
+    case: Case
+    folder: Path
+
+    @classmethod
+    def beside(cls, case: Case, file: Path) -> "PartFiles":
+        """Of a case whose result will be that file. Raises InputError where the folder is a link that leads out."""
+        return cls(case, inner_folder(file.parent, f"{file.stem}.parts"))
+
+    def results(self, number: int) -> Path:
+        """The estimates of a part."""
+        return self.folder / f"{number:06d}.h5"
+
+    def carried(self, number: int) -> Path:
+        """What the next part needs of it; it is there before the estimates are."""
+        return self.folder / f"{number:06d}_carried.h5"
+
+    def done(self, number: int) -> Carried | None:
+        """What a part left, None where it is not whole: then it is solved again."""
+        with suppress(InputError):
+            if self.results(number).is_file() and self.carried(number).is_file():
+                [held] = read_results(self.results(number)).cases
+                if held.case_id == self.case.case_id:
+                    return read_carried(self.carried(number))
+        return None
+
+    def clear(self) -> None:
+        """Remove all that a case leaves here, and nothing else."""
+        for pattern in ("*.h5", ".*.h5.*.part"):
+            for file in self.folder.glob(pattern):
+                remove_own(file)
+        with suppress(OSError):
+            self.folder.rmdir()
+
+
+def solve_long(
+    case: Case, stored: StoredRecording, file: Path, on_frame: Callable[[], None] = lambda: None
+) -> StoredCase:
+    """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
+    files = PartFiles.beside(case, file)
+    parts = Parts.of(stored, case.estimator, _asked(stored))
+    solved: list[int] = []  # what stands behind a part that is solved now followed from another one
+    for number, estimates, carried in parts.estimates(lambda at: None if solved else files.done(at), on_frame):
+        solved.append(number)
+        write_carried(files.carried(number), carried)
+        write_results(files.results(number), [case_result(case, estimates)])
+    numbers = [number for number in range(len(stored.blocks())) if files.results(number).is_file()]
+    join_case(file, [files.results(number) for number in numbers], case.recording)
+    files.clear()
+    return next(held for held in stored_cases(file) if held.case_id == case.case_id)
+
+
+@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
+def _asked(stored: StoredRecording) -> tuple[Recording, Recording]:
+    return asked_frames(stored)
+
+
+def write_carried(path: Path, carried: Carried) -> None:
+    """Write what a part leaves, whole or not at all. Raises InputError where the place cannot be written."""
+    with hdf5.new_file(path) as file:
+        hdf5.set_attributes(file, lampest_format=CARRIED)
+        group = file.create_group("carried")
+        for name, values in carried.arrays.items():
+            unit = "ohm" if name == "previous" else "1"
+            hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
+
+
+def read_carried(path: Path) -> Carried:
+    """What a part left. Raises InputError where it cannot be read."""
+    with hdf5.existing_file(path) as file:
+        if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
+            raise InputError(f"{path}: is not what a part of a case left behind")
+        names = hdf5.child_datasets(file, "/carried")
+        return Carried({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})

@@ -1,0 +1,102 @@
+"""A recording of a million frames run from the disk, killed in the middle, resumed: memory, time, and what it finds.
+
+Run it with: python -m tests.studies.endless --frames 1000000 --formulation naive --folder results/endless
+"""
+
+import argparse
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+import lampest
+from lampest.recording.recording import Recording
+from lampest.recording.stored import BLOCK, save_parts
+from lampest.runs import long_case
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors.serial import Serial
+
+PERIOD_S, UNLOADED = 0.1, 50
+RUN = """
+schema: 1
+recordings: [long.h5]
+formulation: {formulation}
+error_bars: {bars}
+estimators: {{one: {{terms: {{misfit: {{weighting: noise}}{penalty}}}}}}}
+"""
+
+
+def parts(frames: int) -> Iterator[Recording]:
+    """The shipped lamprey of 35 mm, its frames again and again with noise of their own, by parts."""
+    shipped = lampest.datasets.load("lamprey_35mm")
+    scene, truth, rng = shipped.scene, shipped.truth_cell_resistance, np.random.default_rng(5)
+    assert scene.readout is not None and truth is not None
+    exact = np.asarray(scene.readout.to_recorded(scene.readout.exact_reading(truth), scene))
+    step = BLOCK // scene.panel.cells
+    for begin in range(0, frames, step):
+        number = np.arange(begin, min(begin + step, frames))
+        values = exact[np.where(number < UNLOADED, 0, 3 + (number // 5) % 21)]
+        values = values + np.asarray(scene.readout.sigma(values)) * rng.standard_normal(values.shape)
+        role = (number >= UNLOADED).astype(np.uint8)
+        yield Recording(scene, values, PERIOD_S * number, role, name="long", number=number)
+
+
+def run(config: Path, out: Path) -> None:
+    """Run the file in this process, and say after every part how much memory there is."""
+    write, begin = long_case.write_carried, time.process_time()
+
+    def told(path: Path, carried: object) -> None:
+        seconds, process = time.process_time() - begin, psutil.Process()
+        size, files = process.memory_info().rss / 1e6, process.num_fds()
+        print(f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open", flush=True)
+        write(path, carried)  # type: ignore[arg-type]
+
+    long_case.write_carried = told
+    run_batch(read_run(config), out, Serial())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"done    {time.process_time() - begin:8.1f} s of the processor, at most {peak:.1f} MB", flush=True)
+
+
+def killed(command: list[str], out: Path, after: int) -> None:
+    """Run the command until so many parts are there, then kill it."""
+    child = subprocess.Popen(command)
+    while child.poll() is None and len(list(out.glob("cases/*.parts/??????.h5"))) < after:
+        time.sleep(0.2)
+    child.send_signal(signal.SIGKILL)
+    print(f"killed after {after} parts: {child.wait()}", flush=True)
+
+
+def main() -> None:
+    """Make the recording, run it, kill it in the middle, resume it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--formulation", default="naive")
+    parser.add_argument("--error-bars", action="store_true")
+    parser.add_argument("--folder", type=Path, default=Path("results/endless"))
+    parser.add_argument("--run", action="store_true", help="The run alone, in this process.")
+    told = parser.parse_args()
+    config, out = told.folder / "run.yaml", told.folder / "out"
+    if told.run:
+        run(config, out)
+        return
+    told.folder.mkdir(parents=True, exist_ok=True)
+    penalty = "" if told.formulation == "naive" else ", gradient: {weight: auto}"
+    bars = str(told.error_bars).lower()
+    config.write_text(RUN.format(formulation=told.formulation, bars=bars, penalty=penalty))
+    save_parts(told.folder / "long.h5", parts(told.frames))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"{told.folder / 'long.h5'}: {told.frames} frames, made with at most {peak:.1f} MB", flush=True)
+    command = [sys.executable, "-m", "tests.studies.endless", "--run", "--folder", str(told.folder)]
+    killed(command, out, told.frames * 100 // BLOCK // 2)
+    subprocess.run(command, check=True)
+
+
+if __name__ == "__main__":
+    main()
