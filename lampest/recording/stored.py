@@ -16,7 +16,7 @@ from lampest.files.whole import remove_own
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, whole_frames
 
-WHOLE = 4_000_000  # readings that are held at once, with some forty numbers that are estimated of each: 1.3 GB
+WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more
 LEAST_FRAMES = 16  # of a part, however large the panel is
 
