@@ -15,13 +15,13 @@ MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class CarriedOver:
     """Name → array, of a stream after some frames; what a stream has at its beginning is no part of it."""
 
     arrays: Mapping[str, Array]
 
     @classmethod
-    def of(cls, stream: Stream) -> "Carried":
+    def of(cls, stream: Stream) -> "CarriedOver":
         """The last estimate, its deviation, and what error bars look back at."""
         found = {"previous": stream.previous, "previous_deviation": stream.previous_deviation}
         if stream.track is not None:

@@ -3,8 +3,8 @@
 What needs many frames is asked of a sample that is bounded: the first LEAD unloaded frames, and the measured ones
 AROUND that which differs most from them. From these come the baseline, the noise, the weights that data choose, the
 share of its period that a scan takes, and the check of the circuit. Readings that leap are found in every part, with
-the frames BESIDE it. A stream goes on from part to part by what `Carried` holds, so that one that is resumed from the
-disk finds the same numbers; what a solver kept for speed alone begins anew.
+the frames BESIDE it. A stream goes on from part to part by what `CarriedOver` holds, so that one that is resumed from
+the disk finds the same numbers; what a solver kept for speed alone begins anew.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.carried import Carried
+from lampest.estimate.carried import CarriedOver
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
@@ -24,7 +24,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings, changes
 from lampest.recording.recording import MEASURED, Recording
-from lampest.recording.stored import StoredRecording, chosen, first_unloaded, measured_part, together
+from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 
 LEAD = 500  # unloaded frames, and no more than a part has: more tell no more of the noise than a scene does
 AROUND = 250  # measured frames before, and after, the one that differs most; no more than a part has
@@ -57,8 +57,8 @@ class Parts:
         return cls(stored, lead, whole, noise, first_stream(whole, noise.readings, estimator, noise, period))
 
     def estimates(
-        self, done: Callable[[int], Carried | None], on_frame: Callable[[], None]
-    ) -> Iterator[tuple[int, Estimates, Carried]]:
+        self, done: Callable[[int], CarriedOver | None], on_frame: Callable[[], None]
+    ) -> Iterator[tuple[int, Estimates, CarriedOver]]:
         """(number, what became of its frames, what the next one needs) of every part of which none is `done`.
 
         done : number → what its last frame left, where its estimates are kept.
@@ -75,13 +75,13 @@ class Parts:
                 continue
             recording, readings, inside = self._taken(frames, part)
             stream, steps = stream.estimator.method.sequence(stream, self.noise.readings[:0], readings, on_frame)
-            yield number, self._estimates(stream, recording, inside, readings, steps), Carried.of(stream)
+            yield number, self._estimates(stream, recording, inside, readings, steps), CarriedOver.of(stream)
             begun = replace(stream, prepared=self.stream.prepared)
-            stream = Carried.of(stream).onto(begun)
+            stream = CarriedOver.of(stream).onto(begun)
 
     def _taken(self, frames: range, part: Recording) -> tuple[Recording, Readings, NDArray[np.intp]]:
         """The part with the lead, the readings of its own measured frames, and which these are."""
-        recording = together((self.lead, part))
+        recording = of_parts((self.lead, part))
         number = recording.number
         assert number is not None
         own = (number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED)
@@ -143,7 +143,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
     """
     lead = first_unloaded(stored, min(LEAD, stored.length))
     if lead is None:
-        lead = chosen(opening := stored.part(range(min(OPENING, stored.frames))), opening.role == MEASURED)
+        lead = only_frames(opening := stored.part(range(min(OPENING, stored.frames))), opening.role == MEASURED)
     readings = lead.readings()
     resting = resting_readings(lead, readings)
     best: tuple[float, int] = (-1.0, -1)
@@ -151,7 +151,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
         part = measured_part(stored, frames, BESIDE)
         if part is None:
             continue
-        recording = together((lead, part))
+        recording = of_parts((lead, part))
         number = recording.number
         assert number is not None
         taken = noise_seen_in_part(recording, None)
@@ -162,4 +162,4 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
     if best[1] < 0:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     around = stored.part(range(best[1], best[1] + 1), min(AROUND, stored.length))
-    return lead, together((lead, chosen(around, around.role == MEASURED)))
+    return lead, of_parts((lead, only_frames(around, around.role == MEASURED)))

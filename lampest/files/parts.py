@@ -17,7 +17,7 @@ PACKED = ("compression", "compression_opts", "shuffle", "fletcher32")
 
 
 @dataclass(frozen=True)
-class Plan:
+class DatasetPlan:
     """A dataset as it is to be: shape, dtype, the paths of its axes' scales, attributes.
 
     is_scale : whether it is an axis itself. along : whether its first axis is time.
@@ -31,14 +31,14 @@ class Plan:
     along: bool
 
     @classmethod
-    def of(cls, dataset: h5py.Dataset) -> "Plan":
+    def of(cls, dataset: h5py.Dataset) -> "DatasetPlan":
         """As it is."""
         path = str(dataset.name)
         scales = tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims) if not dataset.is_scale else ()
         time = path.endswith(f"/{TIME}") if dataset.is_scale else bool(scales) and scales[0].endswith(f"/{TIME}")
         return cls(tuple(dataset.shape), dataset.dtype, scales, _attributes(dataset), bool(dataset.is_scale), time)
 
-    def longer(self, other: "Plan") -> "Plan":
+    def longer(self, other: "DatasetPlan") -> "DatasetPlan":
         """With the frames of another part behind its own; texts as long as the longest."""
         longest = max(self.dtype, other.dtype, key=lambda dtype: int(dtype.itemsize))
         return replace(self, dtype=longest, shape=(self.shape[0] + other.shape[0], *self.shape[1:]))
@@ -67,7 +67,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     What is not along time is the last one's. What a part lacks, because none of its frames could fill it, is NaN, 0 or
     an empty text there. Raises InputError where a file cannot be read.
     """
-    plans: dict[str, Plan] = {}
+    plans: dict[str, DatasetPlan] = {}
     groups: dict[str, dict[str, Any]] = {}
     begins: list[dict[str, int]] = []
     for part in parts:
@@ -86,8 +86,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     _finish(target, group, plans, groups)
 
 
-def _planned(source: h5py.Group) -> dict[str, Plan]:
-    return {path: Plan.of(node) for path, node in _below(source) if isinstance(node, h5py.Dataset)}
+def _planned(source: h5py.Group) -> dict[str, DatasetPlan]:
+    return {path: DatasetPlan.of(node) for path, node in _below(source) if isinstance(node, h5py.Dataset)}
 
 
 def _groups(source: h5py.Group) -> dict[str, dict[str, Any]]:
@@ -100,7 +100,7 @@ def _attributes(node: Any) -> dict[str, Any]:
     return {name: value for name, value in node.attrs.items() if name not in OF_AXES}
 
 
-def _make(target: h5py.Group, path: str, plan: Plan) -> None:
+def _make(target: h5py.Group, path: str, plan: DatasetPlan) -> None:
     if not plan.along:
         target.create_dataset(path, plan.shape, plan.dtype)
         return
@@ -115,11 +115,11 @@ def _fill(source: h5py.Group, target: h5py.Group, begin: dict[str, int]) -> None
     """The values of one part where they belong."""
     for path, node in _below(source):
         if isinstance(node, h5py.Dataset):
-            along, first = Plan.of(node).along, begin.get(_parent(path), 0)
+            along, first = DatasetPlan.of(node).along, begin.get(_parent(path), 0)
             target[path][slice(first, first + len(node)) if along else ()] = node[()]
 
 
-def _finish(target: h5py.Group, root: str, plans: dict[str, Plan], groups: dict[str, dict[str, Any]]) -> None:
+def _finish(target: h5py.Group, root: str, plans: dict[str, DatasetPlan], groups: dict[str, dict[str, Any]]) -> None:
     """Attributes and axes; root : the path under which the scales' own are told."""
     for path, attributes in groups.items():
         (target.require_group(path) if path else target).attrs.update(attributes)

@@ -71,7 +71,7 @@ class StoredRecording:
         return replace(Recording.load(self.path, within), start_time=self.start_time)
 
 
-def chosen(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
+def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
     """Some frames of a part (frames); what a board adds, and raw sums, are left out."""
     assert recording.number is not None
     sigma, truth, pressure = recording.sigma, recording.truth_cell_resistance, recording.truth_pressure
@@ -90,7 +90,7 @@ def chosen(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
     )
 
 
-def together(parts: Sequence[Recording]) -> Recording:
+def of_parts(parts: Sequence[Recording]) -> Recording:
     """Parts of one recording in the order of its frames, each frame once."""
     numbers = np.concatenate([part.number for part in parts if part.number is not None])
     _, order = np.unique(numbers, return_index=True)
@@ -114,11 +114,11 @@ def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
         part = stored.part(frames)
         resting = np.flatnonzero(part.role == UNLOADED)[:left]
         if len(resting):
-            found.append(chosen(part, np.isin(np.arange(len(part.role)), resting)))
+            found.append(only_frames(part, np.isin(np.arange(len(part.role)), resting)))
             left -= len(resting)
         if not left:
             break
-    return together(found) if found else None
+    return of_parts(found) if found else None
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
@@ -127,7 +127,7 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
     assert part.number is not None
     measured = part.role == MEASURED
     inside = (part.number >= frames.start) & (part.number < frames.stop)
-    return chosen(part, measured) if np.any(measured & inside) else None
+    return only_frames(part, measured) if np.any(measured & inside) else None
 
 
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:

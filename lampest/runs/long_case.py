@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from lampest.estimate.carried import Carried
+from lampest.estimate.carried import CarriedOver
 from lampest.estimate.parts import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.files.errors import InputError
@@ -41,7 +41,7 @@ class PartFiles:
         """What the next part needs of it; it is there before the estimates are."""
         return self.folder / f"{number:06d}_carried.h5"
 
-    def done(self, number: int) -> Carried | None:
+    def done(self, number: int) -> CarriedOver | None:
         """What a part left, None where it is not whole: then it is solved again."""
         with suppress(InputError):
             if self.results(number).is_file() and self.carried(number).is_file():
@@ -81,7 +81,7 @@ def _asked(stored: StoredRecording) -> tuple[Recording, Recording]:
     return asked_frames(stored)
 
 
-def write_carried(path: Path, carried: Carried) -> None:
+def write_carried(path: Path, carried: CarriedOver) -> None:
     """Write what a part leaves, whole or not at all. Raises InputError where the place cannot be written."""
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, lampest_format=CARRIED)
@@ -91,10 +91,10 @@ def write_carried(path: Path, carried: Carried) -> None:
             hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
 
 
-def read_carried(path: Path) -> Carried:
+def read_carried(path: Path) -> CarriedOver:
     """What a part left. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not what a part of a case left behind")
         names = hdf5.child_datasets(file, "/carried")
-        return Carried({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
+        return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})

@@ -107,7 +107,7 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
 
 
 @dataclass(frozen=True)
-class Frames:
+class FramesRead:
     """Axis → how many there are of a recording, and which part of its frames is read."""
 
     sizes: dict[str, int]
@@ -115,7 +115,7 @@ class Frames:
 
     @property
     def count(self) -> int:
-        """Frames that are read."""
+        """FramesRead that are read."""
         return len(range(self.sizes[MAPS[0]])[self.part])
 
 
@@ -145,7 +145,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
     hdf5.read_array(file, path, len(MAPS), part=part)
     shape = hdf5.shape_of(file, path)
-    frames = Frames(dict(zip(MAPS, shape, strict=True)), part)
+    frames = FramesRead(dict(zip(MAPS, shape, strict=True)), part)
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
     maps = sum(column.axes == MAPS and not column.shared for column in table)
     if len(estimators) * maps * frames.count * prod(shape[1:]) > hdf5.MOST_VALUES:
@@ -163,7 +163,7 @@ def _read_case(
     given: dict[str, Any],
     scene: Scene,
     table: Sequence[Column],
-    frames: Frames,
+    frames: FramesRead,
 ) -> CaseResult:
     recording, name = names
     base = f"/entry/{recording}/{name}"
@@ -201,7 +201,7 @@ def _start_time(file: h5py.File, recording: str) -> str:
     return hdf5.read_text(file, path) if hdf5.has(file, path) else ""
 
 
-def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], frames: Frames) -> dict[str, Any]:
+def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], frames: FramesRead) -> dict[str, Any]:
     """Column → values, of those that the file holds or cannot be without."""
     return {
         column.name: column.read(file, base, frames.sizes, frames.part)
@@ -210,7 +210,7 @@ def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], frames:
     }
 
 
-def _read_figures(file: h5py.File, path: str, frames: Frames) -> dict[str, Array]:
+def _read_figures(file: h5py.File, path: str, frames: FramesRead) -> dict[str, Array]:
     """name → (frames)."""
     names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
     shape = (frames.sizes[MAPS[0]],)
