@@ -13,7 +13,7 @@ from lampest.files.tagged import members_of
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import MOST_OHM, check_lines, lines_text
+from lampest.panel.readouts.lines import MOST_OHM, check_resistors, lines_text
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse
 from lampest.panel.series import SeriesPerLine
@@ -248,7 +248,7 @@ class Scene:
         if isinstance(self.series_resistance_ohm, SeriesPerLine):
             self.series_resistance_ohm.ohm(self.panel)
         else:
-            check_lines("series_resistance_ohm", self.series_resistance_ohm)
+            check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.converter_memory is not None and not 0 <= self.converter_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
         if self.faults is not None:

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.lines import PerLine, check_resistors, per_line
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class SeriesPerLine:
     columns: PerLine
 
     def __post_init__(self) -> None:
-        check_lines("rows", self.rows)
-        check_lines("columns", self.columns)
+        check_resistors("rows", self.rows, open_end=False)
+        check_resistors("columns", self.columns, open_end=False)
 
     def ohm(self, panel: Panel) -> Array:
         """(rows, columns) ohm. Raises ValueError where a list has another length."""

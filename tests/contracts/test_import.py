@@ -314,3 +314,11 @@ def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Calla
     assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
     nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
     assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
+
+
+@pytest.mark.parametrize("ohm", ["1e29", "1e-9", "{rows: [140, 140, 1e29], columns: 70}"])
+def test_a_series_resistance_that_no_wire_has_is_refused_where_it_stands(tmp_path: Path, ohm: str) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"panel: {{rows: 3, columns: 5}}\nseries_resistance_ohm: {ohm}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"scene\.yaml:.*must lie between 1e-06 and 1e\+09 ohm"):
+        read_scene(path)
