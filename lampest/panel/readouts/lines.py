@@ -73,7 +73,7 @@ def check_resistors(name: str, value: PerLine, open_end: bool = True, most: floa
     check_lines(name, value, open_end)
     for number in as_tuple(value):
         if number and not LEAST_OHM <= number <= most:
-            raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {MOST_OHM:g} ohm")
+            raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {most:g} ohm")
 
 
 def per_line(name: str, value: PerLine, lines: int) -> Array:
