@@ -243,7 +243,7 @@ def read_array(
         size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
         if size > MOST_VALUES:
             raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
-        stored, claimed = dataset.id.get_storage_size(), size * dataset.dtype.itemsize
+        stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
         if claimed > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
             raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
         return dataset[part]

@@ -85,6 +85,7 @@ def test_every_array_of_a_case_is_a_column() -> None:
         "model_sentence",
         "noise_sentence",
         "noise_learned",
+        "reading_error",
         "film_sentence",
         "start_time",
     } | {folder.name for folder in FIGURES}

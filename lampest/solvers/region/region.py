@@ -19,7 +19,7 @@ from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.region.blocks import alone_among, area, covered_by, grown, widened
 from lampest.solvers.region.footprint import moved_lines
 from lampest.solvers.search import best_solution
-from lampest.solvers.solution import OPEN_FRACTION, Settings, Solution, Status
+from lampest.solvers.solution import OPEN_FRACTION, Outcome, Settings, Solution, Status, approximation
 
 HALO = 2  # cells round a block that a gradient inside it reads
 DRIFT = 0.02
@@ -124,7 +124,9 @@ class RegionSolver:
         return self._solution(cost, data, network.relabelled(cells[0]), cells, steps)
 
     def _solution(self, cost: Cost, data: Data, network: Network, cells: Array, steps: int) -> Solution:
-        """What `approximation` gives, without solving the network once more."""
+        """What `approximation` gives; without solving the network once more, unless changes of it have lost digits."""
+        if np.any(network.reading() <= 0):
+            return approximation(cost, data, Outcome(cells, np.zeros(len(cost.slope)), Status.APPROXIMATE, steps))
         at = Evaluation(cost, data, cells, network.reading()[None], (network,))
         residual = at.kkt_residual(np.zeros(len(cost.slope)))
         low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
