@@ -14,6 +14,7 @@ from lampest.cli.screen import (
     AssignToScene,
     check_positive,
     markless,
+    mended,
     progress,
     say,
     say_text,
@@ -81,7 +82,7 @@ def record(
     report_recorded(done)
 
 
-def repair(file: Annotated[Path, typer.Argument(help="A recording that was not closed.")]) -> None:
+def repair(file: Annotated[Path, mended("A recording that was not closed.")]) -> None:
     """Turn what a crash left into a clean recording; one that is clean stays as it is."""
     from lampest.recording.board.record import repair as repair_recording
 

@@ -37,8 +37,13 @@ def written(name: str, text: str) -> Any:
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
 
 
+def mended(text: str) -> Any:
+    """The argument of a file that a command writes anew in its own place."""
+    return typer.Argument(parser=Path, help=text)
+
+
 def is_written(annotation: Any) -> bool:
-    """Whether an option is one of `written`: no other has a parser of its own."""
+    """Whether an option is one of `written` or `mended`: no other has a parser of its own."""
     return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
 
 
