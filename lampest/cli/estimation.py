@@ -12,12 +12,12 @@ from lampest.cli.screen import (
     AssignToScene,
     Folder,
     check_positive,
-    print_table,
     progress,
     say,
     scene_of,
     written,
 )
+from lampest.cli.tables import print_table
 
 
 def run(

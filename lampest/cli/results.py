@@ -9,14 +9,13 @@ import typer
 from lampest.cli.screen import (
     SOME_FAILED,
     WRONG_INPUT,
-    print_figures,
     print_notes,
-    print_table,
     progress,
     say,
     say_text,
     written,
 )
+from lampest.cli.tables import print_table
 from lampest.files.errors import InputError
 
 FramesNamed = Annotated[
@@ -56,7 +55,7 @@ def compare(
     blocks = screen_blocks(rows, each)
     for block in blocks:
         say(block.title)
-        print_figures(block.table)
+        print_table(block.table)
     print_notes((*legend(rows, blocks), *model_notes(rows)))
 
 
@@ -72,6 +71,9 @@ def plot(
     frame: Annotated[
         int | None, typer.Option("--frame", min=0, help="Index into the recording, such as 12; else a strong one.")
     ] = None,
+    recording: Annotated[
+        list[str] | None, typer.Option("--recording", help="One that is drawn, such as mine; else all. Repeatable.")
+    ] = None,
     estimator: Annotated[
         list[str] | None, typer.Option("--estimator", help="One that is drawn, such as LSM; else all. Repeatable.")
     ] = None,
@@ -83,11 +85,17 @@ def plot(
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
     from lampest.report.plots.results import plot_results
 
-    chosen = tuple(estimator or ())
     with progress("pictures") as on_picture:
-        named = _frames(frames)
         files = plot_results(
-            results, out, show, on_picture=on_picture, frame=frame, estimators=chosen, form=form, frames=named
+            results,
+            out,
+            show,
+            on_picture=on_picture,
+            frame=frame,
+            estimators=tuple(estimator or ()),
+            form=form,
+            frames=_frames(frames),
+            recordings=tuple(recording or ()),
         )
     for path in files:
         say(path)

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, options, tables and progress."""
+"""What all commands share: exit codes, options, notes and progress."""
 
 import sys
 from pathlib import Path
@@ -13,10 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from lampest.panel.scene import Scene
-    from lampest.report.compare import Table
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
-FIGURES_WIDTH, NAME_WIDTH = 100, 12
+WIDTH = 100  # columns of a terminal that every table and note fits
 LINE_SECONDS = 30.0
 
 
@@ -87,11 +86,6 @@ def say_text(text: str) -> None:
         say(line)
 
 
-def _escaped(text: str) -> str:
-    """What stands in a table, line by line as `say` has it."""
-    return "\n".join(map(printable, text.split("\n")))
-
-
 def markless(text: str) -> str:
     """A text in which rich finds no marks, and a terminal no signs."""
     from rich.markup import escape
@@ -99,53 +93,12 @@ def markless(text: str) -> str:
     return escape(printable(text))
 
 
-def print_table(table: "Table") -> None:
-    """Draw a table; as wide as the terminal, or as it needs where the output is no terminal."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    drawn = RichTable(*map(_escaped, table.headers), box=box.SIMPLE)
-    for cells in table.cells:
-        drawn.add_row(*map(_escaped, cells))
-    Console(width=None if sys.stdout.isatty() else 200, highlight=False, markup=False).print(drawn)
-
-
-def print_figures(table: "Table") -> None:
-    """Draw a name and its figures in each row: figures stay on one line, headers and long names take several.
-
-    Within 100 columns, or as many as the terminal has where they are more.
-    """
-    from textwrap import fill
-
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for number, header in enumerate(table.headers):
-        room = max((len(cells[number]) for cells in table.cells), default=0)
-        words = fill(_escaped(header), max(room, *map(len, header.split())), break_long_words=False)
-        drawn.add_column(
-            words, no_wrap=number > 0, overflow="fold", min_width=None if number else min(room, NAME_WIDTH)
-        )
-    for cells in table.cells:
-        drawn.add_row(*map(_escaped, cells))
-    screen = Console(highlight=False, markup=False)
-    screen.width = max(screen.width if sys.stdout.isatty() else 0, FIGURES_WIDTH)
-    screen.print(drawn)
-
-
 def print_notes(notes: "Iterable[str]") -> None:
     """Print sentences within 100 columns, what follows a sentence's first line indented."""
     from textwrap import fill
 
     for note in notes:
-        print(
-            fill(
-                printable(note), FIGURES_WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
-            )
-        )
+        print(fill(printable(note), WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
 
 
 class progress:  # noqa: N801

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, print_table, progress, say
+from lampest.cli.screen import Assign, Folder, progress, say
+from lampest.cli.tables import print_table
 
 
 def bench(

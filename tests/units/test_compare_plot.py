@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.cli.screen import print_figures
+from lampest.cli.tables import print_table
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
-from lampest.report.compare import compare, compare_files, csv_text, write_csv
+from lampest.report.compare import Table, compare, compare_files, csv_text, write_csv
 from lampest.report.info import describe
 from lampest.report.on_screen import legend, screen_blocks
 from lampest.report.plots.contours import ContourPlot
@@ -78,10 +78,11 @@ def test_the_table_fits_a_hundred_columns_with_whole_names(capsys: pytest.Captur
     blocks = screen_blocks(compare(Results(tuple(cases), PUBLISHED)))
     assert [block.title.split(":")[0] for block in blocks] == ["lamprey_35mm", "lamprey_25mm"]
     for block in blocks:
-        print_figures(block.table)
+        print_table(block.table)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 100 and not any("…" in line for line in lines)
-    assert long in "".join(line[:19].strip() for line in lines)
+    names = next(line.index("solved") for line in lines if "solved" in line)
+    assert long in "".join(line[:names].strip() for line in lines)
     for name in METHODS:
         assert any(line.startswith(f" {name} ") for line in lines)
 
@@ -156,8 +157,12 @@ def test_where_pictures_go(tmp_path: Path) -> None:
     assert plot_results(tmp_path / "one.h5", tmp_path / "x.png") == [tmp_path / "x.png"]
     names = [path.name for path in plot_results(tmp_path / "two.h5", tmp_path / "new")]
     assert names == ["contours_a.png", "contours_b.png"] and (tmp_path / "new" / "contours_b.png").exists()
-    with pytest.raises(InputError, match="name a folder instead"):
+    with pytest.raises(InputError, match=r"2 \(a, b\): choose with --recording and --estimator, or name a folder"):
         plot_results(tmp_path / "two.h5", tmp_path / "x.png")
+    one = plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["b"])
+    assert one == [tmp_path / "x.png"] and one[0].read_bytes() == (tmp_path / "new" / "contours_b.png").read_bytes()
+    with pytest.raises(InputError, match="no recording is called 'c'; there are a, b"):
+        plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["c"])
 
 
 def test_all_frames_failed(tmp_path: Path) -> None:
@@ -204,3 +209,22 @@ def test_describe(tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("text", encoding="utf-8")
     with pytest.raises(InputError, match="not a readable HDF5 file"):
         describe(tmp_path / "text.h5")
+
+
+@pytest.mark.parametrize("sources", [1, 3])
+def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys: pytest.CaptureFixture[str]) -> None:
+    headers = (
+        "recording",
+        "what",
+        "nothing",
+        *(f"number {number} [kPa]" for number in range(5 if sources == 1 else 7)),
+    )
+    figures = [f"{-1.5 * number:.1f} ± {number}.25" for number in range(len(headers) - 3)]
+    rows = tuple((f"panel_{source}", "ring or rod or lamprey or cup", "", *figures) for source in range(sources))
+    print_table(Table(headers, rows))
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100 and "nothing" not in text and "…" not in text
+    assert all(text.count(figure) >= sources for figure in figures), "figures are whole"
+    assert text.count("lamprey") == sources and "or lamprey or cup" not in text
+    titles = [line for line in text.splitlines() if line.endswith(":")]
+    assert titles == ([f"panel_{source}:" for source in range(sources)] if sources > 1 else [])

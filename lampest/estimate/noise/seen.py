@@ -67,7 +67,8 @@ class NoiseSeen:
         """What the frames told, contradiction or not, in one line; '' where the noise is unknown."""
         if np.isnan(self.factor):
             return ""
-        shown = [f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed, {self.used:.3g} times taken"]
+        taken = "taken as assumed" if self.used == 1 else f"taken {self.used:.3g} times"
+        shown = [f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed and {taken}"]
         shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
         shown.append(f"frames share {frames or 'nothing'}")

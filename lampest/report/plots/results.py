@@ -30,6 +30,7 @@ def plot_results(
     estimators: Sequence[str] = (),
     form: str | None = None,
     frames: range | None = None,
+    recordings: Sequence[str] = (),
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
@@ -37,12 +38,12 @@ def plot_results(
     What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or
     .pdf file where there is one picture. columns : as `read_results` takes them.
     on_picture : told of how many pictures how many are drawn. frame : index into the recordings; its pictures are
-    called so. estimators : those that are drawn, all where none is named. form : png, svg or pdf; png where neither it
-    nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be drawn.
-    Returns the files that were written.
+    called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; png where
+    neither it nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be
+    drawn. Returns the files that were written.
 
-    Raises InputError where there is no such plot, frame or estimator, the results cannot be read or hold nothing to
-    draw, or the place cannot be written.
+    Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
+    nothing to draw, or the place cannot be written.
     """
     plot = _chosen(show, frame)
     path, target = Path(path), None if out is None else Path(out)
@@ -50,11 +51,16 @@ def plot_results(
     _check_form(target, form)
     if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
         frames = range(frame, frame + 1)
-    pictures = list(_pictures(_of_estimators(read_results(path, columns, frames), estimators, path), plot))
+    results = _named(read_results(path, columns, frames), "recording", recordings, path)
+    pictures = list(_pictures(_named(results, "estimator", estimators, path), plot))
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:
-        raise InputError(f"{target}: one picture cannot hold {len(pictures)}; name a folder instead")
+        names = ", ".join(name for name, _ in pictures[:3]) + ", …" * (len(pictures) > 3)
+        raise InputError(
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
+            "name a folder"
+        )
     ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
     tasks = [(plot, cases, file) for (_, cases), file in zip(pictures, files, strict=True)]
@@ -81,15 +87,14 @@ def _check_form(target: Path | None, form: str | None) -> None:
         raise InputError(f"{target}: is no name of a picture in {form}")
 
 
-def _of_estimators(results: Results, estimators: Sequence[str], path: Path) -> Results:
-    """The results of these estimators, in the file's order; all where none is named."""
-    known = list(dict.fromkeys(case.estimator for case in results.cases))
-    for name in estimators:
+def _named(results: Results, what: str, names: Sequence[str], path: Path) -> Results:
+    """The results of these recordings or estimators, in the file's order; all where none is named."""
+    known = list(dict.fromkeys(str(getattr(case, what)) for case in results.cases))
+    for name in names:
         if name not in known:
             close = meant(name, known)
-            raise InputError(f"{path}: no estimator is called {name!r}; there are {', '.join(known)}{close}")
-    chosen = estimators or known
-    return replace(results, cases=tuple(case for case in results.cases if case.estimator in chosen))
+            raise InputError(f"{path}: no {what} is called {name!r}; there are {', '.join(known)}{close}")
+    return replace(results, cases=tuple(case for case in results.cases if getattr(case, what) in (names or known)))
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:

@@ -117,7 +117,8 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
     terms: tuple[Term, ...] = estimator.terms
     misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
-        return f"it has {len(terms) - misfits} penalty terms, not one"
+        penalties = len(terms) - misfits
+        return f"it has {penalties} penalty terms, not one" if penalties else "it has no penalty to weigh"
     if not all(term.loss.squared for term in terms):
         return "a loss is not squared"
     if readings > MOST_DENSE:

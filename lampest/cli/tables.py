@@ -1,0 +1,119 @@
+"""Tables on the screen: within 100 columns, whatever they hold."""
+
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from lampest.cli.screen import WIDTH, say
+from lampest.files.errors import printable
+
+if TYPE_CHECKING:
+    from lampest.report.compare import Table
+
+NAME_WIDTH = 12  # below that a name is not cut into lines
+TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figure: '2.3 ± 1.4'
+
+
+def print_table(table: "Table") -> None:
+    """Draw rows of text and figures within 100 columns, or as many as the terminal has where they are more.
+
+    Columns in which no row has anything are left out. Where it is too wide, headers and texts take several lines and
+    figures stay on one; where that is not enough, rows of one name in the first column stand together under it.
+    """
+    filled = [number for number in range(len(table.headers)) if any(cells[number] for cells in table.cells)]
+    headers = [table.headers[number] for number in filled]
+    rows = [[_escaped(cells[number]) for number in filled] for cells in table.cells]
+    room = _room()
+    layout = _layout(headers, rows, room)
+    if layout.width <= room or len(headers) < 2:
+        _draw(headers, rows, layout)
+        return
+    for name, block in groupby(rows, key=lambda cells: cells[0]):
+        say(f"{name}:")
+        others = [cells[1:] for cells in block]
+        _draw(headers[1:], others, _layout(headers[1:], others, room))
+
+
+def _room() -> int:
+    from rich.console import Console
+
+    return max(Console().width if sys.stdout.isatty() else 0, WIDTH)
+
+
+def _escaped(text: str) -> str:
+    """What stands in a cell, line by line as `say` has it, of which a figure's blanks part nothing."""
+    return TOGETHER.sub("\N{NO-BREAK SPACE}", "\n".join(map(printable, text.split("\n"))))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns' widths and the blanks between them; one blank more stands at each end."""
+
+    widths: tuple[int, ...]
+    gap: int
+
+    @property
+    def width(self) -> int:
+        return sum(self.widths) + self.gap * (len(self.widths) - 1) + 2
+
+
+def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> Layout:
+    """What all columns hold on one line each, then, as long as that is too wide, the widest less.
+
+    Headers give way first, then texts, then the blanks between columns, then names in the first column; no other column
+    is narrower than the longest of its words and figures.
+    """
+    columns = [[cells[number] for cells in rows] for number in range(len(headers))]
+    words = [_longest_word(header) for header in headers]
+    whole = [max(word, *map(_longest, column)) for word, column in zip(words, columns, strict=True)]
+    least = [max(word, *map(_longest_word, column)) for word, column in zip(words, columns, strict=True)]
+    cut = [min(least[0], max(words[0], NAME_WIDTH)), *least[1:]]
+    full = tuple(max(len(header), held) for header, held in zip(headers, whole, strict=True))
+    for gap in (2, 1):
+        layout = _narrowed(_narrowed(Layout(full, gap), whole, room), least, room)
+        if layout.width <= room:
+            return layout
+    return _narrowed(layout, cut, room)
+
+
+def _narrowed(layout: Layout, floors: Sequence[int], room: int) -> Layout:
+    """The widest column that may be narrower by one, until all fit or none may."""
+    widths = list(layout.widths)
+    while replace(layout, widths=tuple(widths)).width > room:
+        spare = [number for number, width in enumerate(widths) if width > floors[number]]
+        if not spare:
+            break
+        widths[max(spare, key=lambda number: widths[number])] -= 1
+    return replace(layout, widths=tuple(widths))
+
+
+def _longest(text: str) -> int:
+    return max(map(len, text.split("\n")))
+
+
+def _longest_word(text: str) -> int:
+    return max(map(len, re.split("[ \n]", text)))
+
+
+def _folded(text: str, width: int) -> Iterator[str]:
+    for line in text.split("\n"):
+        yield from wrap(line, width, break_on_hyphens=False) or [""]
+
+
+def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], layout: Layout) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    padding = (0, layout.gap - 1, 0, 0)  # the box itself has a blank between columns
+    drawn = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False)
+    for header, width in zip(headers, layout.widths, strict=True):
+        drawn.add_column("\n".join(_folded(header, width)), no_wrap=True, width=width)
+    for cells in rows:
+        parts = ("\n".join(_folded(cell, width)) for cell, width in zip(cells, layout.widths, strict=True))
+        drawn.add_row(*(part.replace("\N{NO-BREAK SPACE}", " ") for part in parts))
+    Console(width=layout.width, highlight=False, markup=False).print(drawn)
