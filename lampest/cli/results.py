@@ -135,6 +135,10 @@ def detect(
         float | None,
         typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
     ] = None,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option("--estimator", help="One whose estimates are looked at, such as LSM; else the first. Repeatable."),
+    ] = None,
     frames: FramesNamed = None,
 ) -> None:
     """Say what is attached, where, since when and how strong; of any load its centre, area, peak and force.
@@ -144,7 +148,7 @@ def detect(
     from lampest.loads.recognition.settings import RecognitionSettings
     from lampest.report.detect import pressed as any_load
     from lampest.report.detect.report import FILE, event_table, write_detections
-    from lampest.report.detect.run import detect_file
+    from lampest.report.detect.run import detect_file, looked_at
     from lampest.report.plots.timeline import plot_timelines
 
     try:
@@ -153,9 +157,10 @@ def detect(
         raise InputError(str(error)) from error
     refused: list[str] = []
     with progress("sources") as on_case:
-        read, found = detect_file(results, settings, on_case, refused.append, _frames(frames))
+        read, found = detect_file(results, settings, on_case, refused.append, _frames(frames), estimator or ())
     folder = results.parent if out is None else out
-    loads = any_load.pressed(read)
+    chosen = tuple(estimator or looked_at(read))
+    loads = any_load.pressed(read.named("estimator", chosen))
     with progress("pictures") as on_picture:
         files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
     files += (any_load.write_pressed(folder / any_load.FILE, loads),) if loads else ()
@@ -165,6 +170,10 @@ def detect(
         print_table(any_load.pressed_table(loads))
     for file in files:
         say(file)
+    known = read.estimators()
+    if not estimator and len(known) > len(chosen):
+        first = f"the first {len(chosen)} of {len(known)} estimators" if len(chosen) > 1 else chosen[0]
+        print_notes((f"looked at: the readings, and the estimates of {first}; --estimator names others",))
     for sentence in refused:
         say(f"not looked at: {sentence}", to=sys.stderr)
     if refused:

@@ -21,7 +21,7 @@ from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
-from lampest.report.detect.run import GivenRecording, detect, detect_file
+from lampest.report.detect.run import MOST_SOURCES, GivenRecording, detect, detect_file, looked_at
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
 
@@ -82,6 +82,16 @@ def test_every_estimate_and_the_readings_are_looked_at(results: Results) -> None
         np.testing.assert_allclose(detection.probabilities[solved].sum(axis=1), 1)
         np.testing.assert_allclose(detection.values[solved, 2], 33, atol=1.2)
     assert found[2].labels[1] == "not solved" and np.isnan(found[2].values[1]).all()
+
+
+def test_of_many_estimators_the_first_are_looked_at_or_those_that_are_named() -> None:
+    case = solved_case()
+    many = Results(tuple(dataclasses.replace(case, estimator=f"E{number}") for number in range(300)))
+    assert looked_at(many) == tuple(f"E{number}" for number in range(MOST_SOURCES - 1))
+    assert looked_at(Results(tuple(dataclasses.replace(case, recording=f"r{i}") for i in range(300)))) == ("LSM",)
+    assert [one.source for one in detect(many, estimators=["E299"])] == ["recording", "E299"]
+    with pytest.raises(InputError, match=r"no estimator is called 'E300'; there are E0, .*did you mean"):
+        detect(many, estimators=["E300"])
 
 
 def test_the_table_names_what_where_and_how_strong(results: Results) -> None:

@@ -1,6 +1,6 @@
 """Results → detections: every estimate of every recording, and the readings themselves."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results, read_results
 
 AS_PUBLISHED = RecognitionSettings()
+MOST_SOURCES = 80  # readings and estimates of recordings
 
 
 def detect_file(
@@ -35,16 +36,17 @@ def detect_file(
     on_case: Callable[[int, int], None] = lambda done, total: None,
     on_refused: Callable[[str], None] = lambda sentence: None,
     frames: range | None = None,
+    estimators: Sequence[str] = (),
 ) -> tuple[Results, tuple[Detection, ...]]:
-    """A results file and its detections; frames : as `read_results` takes them.
+    """A results file and its detections; frames : as `read_results` takes them. estimators : as `detect` does.
 
-    Raises InputError where it cannot be read or no recording can be looked at.
+    Raises InputError where it cannot be read, no recording can be looked at, or an estimator is unknown.
     """
     results = read_results(path, frames=frames)
     if not results.cases:
         raise InputError(f"{path}: holds no results to look at")
     try:
-        return results, detect(results, settings, on_case, on_refused)
+        return results, detect(results, settings, on_case, on_refused, estimators)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -54,12 +56,15 @@ def detect(
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
     on_refused: Callable[[str], None] = lambda sentence: None,
+    estimators: Sequence[str] = (),
 ) -> tuple[Detection, ...]:
     """For every recording what its readings show (source SHARED), then what each estimate of it shows.
 
+    estimators : those that are looked at; where none is named, those of `looked_at`.
     A recording of another readout, or of unknown noise, is left out, and `on_refused` is told why. Raises InputError
-    where none is left.
+    where none is left, or an estimator is unknown.
     """
+    chosen = results.named("estimator", estimators or looked_at(results))
     given: dict[str, GivenRecording] = {}
     refused: list[InputError] = []
     for name in results.recordings():
@@ -71,8 +76,20 @@ def detect(
         raise refused[0]
     for sentence in refused:
         on_refused(str(sentence))
-    tasks = [(recording, source) for name, recording in given.items() for source in (None, *results.of(name))]
+    tasks = [
+        (recording, source)
+        for name, recording in given.items()
+        for source in (None, *(case for case in chosen.cases if case.recording == name))
+    ]
     return tuple(each_of(_detected, tasks, on_case))
+
+
+def looked_at(results: Results) -> tuple[str, ...]:
+    """The estimators that `detect` looks at unasked: with the readings at most MOST_SOURCES series, at least one.
+
+    A shape is fitted to every frame of a series, some 40 ms each, so that hundreds of them would take many minutes.
+    """
+    return results.estimators()[: max(1, MOST_SOURCES // max(1, len(results.recordings())) - 1)]
 
 
 def _detected(task: "tuple[GivenRecording, CaseResult | None]") -> Detection:

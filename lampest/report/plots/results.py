@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from lampest.files.errors import InputError, in_words, meant
+from lampest.files.errors import InputError, in_words
 from lampest.recording.stored import too_long
 from lampest.report.plots import plot_of
 from lampest.report.plots.plot import Plot
@@ -51,8 +51,12 @@ def plot_results(
     _check_form(target, form)
     if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
         frames = range(frame, frame + 1)
-    results = _named(read_results(path, columns, frames), "recording", recordings, path)
-    pictures = list(_pictures(_named(results, "estimator", estimators, path), plot))
+    results = read_results(path, columns, frames)
+    try:
+        results = results.named("recording", recordings).named("estimator", estimators)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    pictures = list(_pictures(results, plot))
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:
@@ -85,16 +89,6 @@ def _check_form(target: Path | None, form: str | None) -> None:
         raise InputError(f"{target}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     if form is not None and target.suffix in SUFFIXES and target.suffix != f".{form}":
         raise InputError(f"{target}: is no name of a picture in {form}")
-
-
-def _named(results: Results, what: str, names: Sequence[str], path: Path) -> Results:
-    """The results of these recordings or estimators, in the file's order; all where none is named."""
-    known = list(dict.fromkeys(str(getattr(case, what)) for case in results.cases))
-    for name in names:
-        if name not in known:
-            close = meant(name, known)
-            raise InputError(f"{path}: no {what} is called {name!r}; there are {', '.join(known)}{close}")
-    return replace(results, cases=tuple(case for case in results.cases if getattr(case, what) in (names or known)))
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:

@@ -1,17 +1,17 @@
 """A results file → its cases."""
 
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 
 from lampest.files import hdf5
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, meant
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.runs.case import REQUIRED, SHARED, CaseResult, StoredCase
@@ -42,6 +42,23 @@ class Results:
                 f"no results of a recording '{recording}'; there are {', '.join(self.recordings()) or 'none'}"
             )
         return cases
+
+    def estimators(self) -> tuple[str, ...]:
+        """The estimators' names in order, each once."""
+        return tuple(dict.fromkeys(case.estimator for case in self.cases))
+
+    def named(self, what: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
+        """The results of these recordings or estimators, in the file's order; all where none is named.
+
+        Raises InputError where one is unknown.
+        """
+        known = list(dict.fromkeys(str(getattr(case, what)) for case in self.cases))
+        for name in names:
+            if name not in known:
+                close = meant(name, known)
+                raise InputError(f"no {what} is called {name!r}; there are {', '.join(known)}{close}")
+        kept = names or known
+        return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in kept))
 
 
 def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
