@@ -36,7 +36,8 @@ def run(
     from lampest.runs.executors import local
 
     cases = read_run(config, tuple(assign or ()))
-    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases))
+    limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
+    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
     with progress("cases") as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
     counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"

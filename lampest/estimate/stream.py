@@ -15,7 +15,7 @@ from lampest.estimate.noise.seen import NoiseSeen
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words
-from lampest.files.interrupts import delayed_interrupt
+from lampest.files.interrupts import delayed_interrupt, ended_where_hung
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
@@ -253,7 +253,8 @@ class Stream:
             solver = estimator.problem(self.scene, len(data.measured), self.period, data.partial)
             estimator.method.prepare(solver, data, previous)
             begin = perf_counter()
-            solution = estimator.method.solution(solver, data.limited(limit), previous, self.prepared)
+            with ended_where_hung(limit):
+                solution = estimator.method.solution(solver, data.limited(limit), previous, self.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights)
 

@@ -5,12 +5,33 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 # What nohup has set to be ignored stays ignored; whoever sends the first two by hand means it.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, *(signal.Signals[name] for name in ("SIGHUP", "SIGQUIT") if hasattr(signal, name)))
 
 SAME_WISH_SECONDS = 1.0
+# What a library does between two looks at the clock, machine code that is made anew included, ends within this.
+HUNG_SECONDS, HUNG_LIMITS = 120.0, 10.0
+EXPENDABLE = ContextVar("expendable", default=False)  # whether somebody waits for this process who replaces it
+
+
+@contextmanager
+def ended_where_hung(limit_s: float | None) -> Iterator[None]:
+    """In an expendable process SIGALRM ends what takes longer than HUNG_SECONDS and HUNG_LIMITS times its limit in s.
+
+    For calls of libraries that look at no clock, or too rarely: no handler of Python's runs before they return.
+    """
+    if limit_s is None or not EXPENDABLE.get() or not hasattr(signal, "setitimer"):
+        yield
+        return
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, HUNG_SECONDS + HUNG_LIMITS * limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 @contextmanager

@@ -1,10 +1,12 @@
 """Where cases run changes nothing but time: here, in processes, on a Dask cluster, and with workers that die."""
 
+import ctypes
 import dataclasses
 import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lampest.files import interrupts
 from lampest.files.errors import InputError
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
@@ -117,6 +120,33 @@ def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
         list(Dask(address="tcp://127.0.0.1:9").results(eval, ["1"]))
 
 
+def hanging(seconds: float) -> float:
+    """Waits in a call that no Python code interrupts, under a limit that is far shorter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(interrupts, "HUNG_SECONDS", 0.3)
+        return _waiting(seconds)
+
+
+def _waiting(seconds: float) -> float:
+    with interrupts.ended_where_hung(1e-3):
+        ctypes.PyDLL(None).usleep(int(1e6 * seconds))
+    return seconds
+
+
+def test_a_task_that_hangs_is_ended_and_costs_no_other() -> None:
+    begin = time.monotonic()
+    found = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, 600.0, 0.01])}
+    assert time.monotonic() - begin < 300
+    assert (found[0.0], found[0.01]) == ("0.0", "0.01")
+    assert found[600.0].startswith("a frame went on far beyond solver.time_limit_s")
+
+
+def test_a_process_that_nobody_replaces_is_not_ended() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    assert hanging(0.5) == 0.5
+    assert signal.getsignal(signal.SIGALRM) == before
+
+
 def test_slurm_jobs_ask_for_what_the_file_says(disk: SimpleNamespace) -> None:
     slurm = (
         "{queue: short, account: fish, walltime: '02:00:00', memory: 3GB, workers_per_job: 4, directives: [-C avx2]}"
@@ -148,6 +178,7 @@ def test_defaults_are_of_this_machine() -> None:
     assert local(4, 9) == Processes(4)
     assert local(4, 3) == Processes(3)
     assert local(None, 1) == Serial()
+    assert local(1, 9, apart=True) == Processes(1)
     assert '"executor"' in str(json_schema()).replace("'", '"')
 
 

@@ -14,7 +14,10 @@ __all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 
 
-def local(workers: int | None, tasks: int) -> Executor:
-    """The executor of this machine for that many workers (None: one for each core), no more than there are tasks."""
+def local(workers: int | None, tasks: int, apart: bool = False) -> Executor:
+    """The executor of this machine for that many workers (None: one for each core), no more than there are tasks.
+
+    apart : not in this process even if there is one worker, so that one that hangs can be ended.
+    """
     workers = min(workers or cores(), tasks)
-    return Processes(workers) if workers > 1 else Serial()
+    return Processes(workers) if workers > 1 or (apart and tasks) else Serial()

@@ -8,6 +8,9 @@ from typing import Any, Protocol
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 MOST_TRIES = 2
 DIED = "its process died twice"
+HUNG = (
+    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
+)
 
 Function = Callable[[Any], Any]
 Pairs = Generator[tuple[Any, Any], None, None]

@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
-from lampest.files.interrupts import ENDING
+from lampest.files.interrupts import ENDING, EXPENDABLE
 from lampest.files.log import libraries_to_the_log
 from lampest.runs.executors.executor import Function, one_thread
 
@@ -42,6 +42,11 @@ class Worker:
         self.connection.close()
         self.process.join()
 
+    @property
+    def hung(self) -> bool:
+        """Whether a process that has stopped was ended by `ended_where_hung`."""
+        return self.process.exitcode == -signal.SIGALRM
+
     def kill(self) -> None:
         """End the process, whatever it is at."""
         self.process.kill()
@@ -65,6 +70,7 @@ def without_interrupts() -> Iterator[None]:
 
 def _work(function: Function, connection: Connection) -> None:
     """The life of a worker: until nobody is at the other end."""
+    EXPENDABLE.set(True)
     with suppress(EOFError, OSError), libraries_to_the_log():
         while True:
             connection.send_bytes(_answer(function, connection.recv()))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, ClassVar, Literal
 
-from lampest.runs.executors.executor import DIED, MOST_TRIES, Function, Pairs, check_workers, cores
+from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores
 from lampest.runs.executors.process import Worker
 
 
@@ -14,7 +14,8 @@ from lampest.runs.executors.process import Worker
 class Processes:
     """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
 
-    A process that dies costs the task it was at one more try, and no other task anything.
+    A process that dies costs the task it was at one more try, and no other task anything. One that hangs beyond the
+    time limit of a frame is ended, and its task with it.
     Raises ValueError where the number of workers is out of range.
     """
 
@@ -49,7 +50,9 @@ class Processes:
                         worker.stop()
                         idle.append(Worker.start(function))
                         tries[number] += 1
-                        if tries[number] < MOST_TRIES:
+                        if worker.hung:
+                            yield arguments[number], TimeoutError(HUNG)
+                        elif tries[number] < MOST_TRIES:
                             waiting.appendleft(number)
                         else:
                             yield arguments[number], RuntimeError(DIED)
