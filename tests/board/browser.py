@@ -38,6 +38,13 @@ class Browser:
         """What the user reads at the element with this id."""
         return str(self.run(f"return document.getElementById('{identity}').innerText"))
 
+    def resized(self, width: int, height: int, scheme: str = "light") -> None:
+        """A screen of so many pixels, light or dark, however small the window can be."""
+        screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        self._ask("POST", "/goog/cdp/execute", cmd="Emulation.setDeviceMetricsOverride", params=screen)
+        wish = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+        self._ask("POST", "/goog/cdp/execute", cmd="Emulation.setEmulatedMedia", params=wish)
+
     def until(self, script: str, wanted: Callable[[Any], bool] = bool, seconds: float = 20.0) -> Any:
         """What a script returns once that is what is wanted."""
         end = time.monotonic() + seconds

@@ -152,6 +152,25 @@ def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: P
             assert window.run(f"return document.getElementById('{name}').getAttribute('aria-label')").endswith(words)
 
 
+CUT = (
+    "return [...document.querySelectorAll('dt, dd, h1, h2, button, .note')].filter(one => one.offsetParent && "
+    "one.scrollWidth > one.clientWidth + 1 && one.clientWidth).map(one => one.innerText)"
+)
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) -> None:
+    with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
+        window.resized(width, 900, "dark")
+        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
+        window.run("document.getElementById('verdict').innerText = 'pressing and sucking'")
+        window.run("document.getElementById('total').innerText = '−123.45 ± 67.89 N'")
+        assert window.run("return document.documentElement.scrollWidth") == width
+        assert window.run(CUT) == []
+        page = window.run("return getComputedStyle(document.body).backgroundColor")
+        assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
+
+
 def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
     words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
     with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):

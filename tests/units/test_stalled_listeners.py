@@ -1,5 +1,6 @@
 """Listeners that never read: frames go on, nothing piles up, and the end is not held up."""
 
+import gc
 import json
 import socket
 import threading
@@ -9,6 +10,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from paho.mqtt.client import Client
 
 from lampest.panel.panel import Panel
 from lampest.report.live.publish import publish_at
@@ -117,6 +119,9 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
         way = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(lambda sentence: None)
         _, send = way.__enter__()
         sent(send)
+        clients = [one for one in gc.get_objects() if type(one) is Client]
+        ours = [one.socket() for one in clients if one.socket() is not None]
+        assert ours and all(one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for one in ours), "sent at once"
         within(lambda: way.__exit__(None, None, None))
         with closing(taken[0]):
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
