@@ -1,7 +1,6 @@
 """HDF5 as lampest writes it: whole or not at all, in the oldest format, fixed-length ASCII, units on everything."""
 
 import io
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.extents import extents_of
-from lampest.files.memory import in_bytes
 from lampest.files.scales import attach_scales as attach_scales
 from lampest.files.seal import check_seal, seal_of
-from lampest.files.whole import whole_file
+from lampest.files.whole import check_room, whole_file
 
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
@@ -55,9 +53,7 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
     Raises InputError as `new_file`, and beforehand where the disk has not got so many.
     """
     with whole_file(path) as unfinished:
-        free = shutil.disk_usage(path.parent).free
-        if size > free:
-            raise InputError(f"{path}: {in_bytes(size)} may be needed on the disk, and {in_bytes(free)} are free")
+        check_room(path, size)
         with h5py.File(unfinished, "w") as file:
             yield file
             file.flush()

@@ -46,7 +46,7 @@ def allow_memory(text: str) -> None:
 def in_bytes(size: float) -> str:
     """'26.8 GiB'."""
     for unit in ("bytes", "KiB", "MiB"):
-        if size < 1024:
+        if size < 1000:
             return f"{size:.3g} {unit}"
         size /= 1024
     return f"{size:.1f} GiB"

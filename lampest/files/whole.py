@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -9,6 +10,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from lampest.files.errors import InputError
+from lampest.files.memory import in_bytes
 
 # By the letter that `ls` has for them.
 KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
@@ -89,6 +91,17 @@ def check_output(path: Path) -> None:
     if kind not in (None, "-"):
         raise InputError(f"{path}: is {KINDS[kind]}; what is written is a regular file, and replaces nothing else")
     refuse_input(path)
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise InputError where the disk of a file that is to come, or of the nearest folder there is, has less room.
+
+    size : bytes.
+    """
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        raise InputError(f"{path}: {in_bytes(size)} may be needed on the disk, and {in_bytes(free)} are free")
 
 
 def output_folder(folder: Path) -> Path:

@@ -12,7 +12,7 @@ from pathlib import Path
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.files.log import told_reason
-from lampest.files.whole import inner_folder, opened_for_locking, output_folder, remove_own
+from lampest.files.whole import inner_folder, opened_for_locking, output_folder, refuse_input, remove_own, sparing
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.config import Case, Run, digest
@@ -57,10 +57,11 @@ def run_batch(
     """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
 
     A case that fails is named in the report and costs no other; an interruption keeps what is finished. Raises
-    InputError where the folder cannot be written or another run is using it.
+    InputError where the folder cannot be written, another run is using it, or its results would replace a recording.
     """
     executor.ready()
-    with exclusive(folder):
+    with exclusive(folder), sparing([case.path for case in run.cases]):
+        refuse_input(folder / RESULTS)
         tasks = [Task(case, folder.absolute()) for case in run.cases]
         _clear(folder, tasks, fresh)
         found: dict[Path, CaseResult | StoredCase] = {

@@ -79,6 +79,26 @@ def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: C
     assert (out / "results.h5").read_bytes() != before
 
 
+def test_results_never_take_the_place_of_a_recording(disk: SimpleNamespace, lampest: Command) -> None:
+    out = disk.folder / "out"
+    out.mkdir()
+    (disk.folder / "small.h5").rename(out / "results.h5")
+    before = (out / "results.h5").read_bytes()
+    ended = lampest("run", disk.folder / "run.yaml", "--set", "recordings=[out/results.h5]", "--out", out)
+    assert ended.code == 2 and "is what is read; give what is written another name" in ended.err
+    assert (out / "results.h5").read_bytes() == before and list(out.glob("*.h5")) == [out / "results.h5"]
+
+
+def test_a_simulation_asks_for_its_room_beforehand(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert lampest("init", tmp_path).code == 0
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=999))
+    ended = lampest("simulate", tmp_path / "simulation.yaml", "--out", tmp_path / "deep" / "new.h5")
+    assert ended.code == 2 and re.search(r"new\.h5: .* may be needed on the disk, and 999 bytes are free", ended.err)
+    assert not (tmp_path / "deep").exists()
+
+
 def test_pictures_of_a_frame_an_estimator_and_a_form(disk: SimpleNamespace, lampest: Command) -> None:
     assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder, "--jobs", "1").code == 0
     results, new = disk.folder / "results.h5", disk.folder / "new"

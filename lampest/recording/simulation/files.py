@@ -13,10 +13,12 @@ from typing import Any, cast
 from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.sweep import combinations
+from lampest.files.whole import check_room
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import random_stream
 
 MOST_VALUES = 50_000_000
+STORED_BYTES, LEAST_BYTES = 32, 100_000  # of a value with its truth and sums, and of a recording, on the disk at most
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
 
 
@@ -37,6 +39,7 @@ def run(
     targets = _targets(path, out, planned)
     if sum(simulation.values for _, simulation in planned) > MOST_VALUES:
         raise InputError(f"{path}: all recordings together hold more than {MOST_VALUES} values; split the sweep")
+    check_room(targets[0], sum(STORED_BYTES * simulation.values + LEAST_BYTES for _, simulation in planned))
     recordings, done = [], 0
     frames = sum(simulation.all_frames for _, simulation in planned)
 
