@@ -38,8 +38,8 @@ class Bounds:
     a dead short).
 
     upper : 'resolution' (beyond which a cell cannot be told from an open one: R²/σ of two-point readings, though never
-    below twice the cell of a uniform panel), a resistance in ohm, or 'none' (10⁹·R_a, where double precision sees no
-    difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
+    below twice the cell of a uniform panel; as 'none' where σ is unknown), a resistance in ohm, or 'none' (10⁹·R_a,
+    where double precision sees no difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
 
     Raises ValueError where a number is not positive and finite.
     """
@@ -63,8 +63,7 @@ class Bounds:
         other cell, which all others only bypass (Rayleigh). A single reading beyond the upper bound is wrong, and
         bounds nothing from below.
 
-        Raises InputError where 'resolution' is asked for and σ is unknown, or where readings leave no room for most of
-        the cells.
+        Raises InputError where readings leave no room for most of the cells.
         """
         apparent = readout.apparent_resistance(measured)
         if isinstance(self.lower, str):
@@ -75,12 +74,7 @@ class Bounds:
                 lower = np.maximum(lower - wiring.path_ohm(measured.shape[-2:]), least)
         else:
             lower = np.full_like(measured, self.lower)
-        if self.upper == "resolution":
-            if sigma is None:
-                raise InputError(
-                    "bounds.upper: resolution needs the noise of the readings; add a readout to the scene or sigma to "
-                    "the recording, or set bounds.upper to a number of ohm or to none"
-                )
+        if self.upper == "resolution" and sigma is not None:
             upper = readout.resolution(measured, sigma)
         elif isinstance(self.upper, str):
             upper = apparent * FARTHEST

@@ -20,7 +20,7 @@ from support import live_pictures
 
 from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
@@ -249,9 +249,9 @@ def test_an_unloaded_panel_below_the_series_resistance_is_said_in_every_frame(la
 
 @pytest.mark.parametrize("frames", [None, 1])
 def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
-    blind = dataclasses.replace(lamprey, scene=dataclasses.replace(lamprey.scene, readout=None))
-    with Engine("test", "test", LSM, 3) as engine, pytest.raises(InputError, match="needs the noise of the readings"):
-        from_recording(engine, blind, 1e9, frames)
+    narrow = dataclasses.replace(LSM, bounds=Bounds(upper=1.0))
+    with Engine("test", "test", narrow, 3) as engine, pytest.raises(InputError, match="bounds leave no room for cell"):
+        from_recording(engine, lamprey, 1e9, frames)
         engine.finish()
 
 
