@@ -38,8 +38,9 @@ def run(
     cases = read_run(config, tuple(assign or ()))
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
-    with progress("cases") as on_case:
-        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case)
+    bar = progress("cases")
+    with bar as on_case:
+        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
     counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:

@@ -120,9 +120,17 @@ class progress:  # noqa: N801
     def _told(self, done: int, total: int, what: str | None = None) -> None:
         """How many of how many are done, and what is next where that takes long."""
         self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
+        self._line(f"{done} of {total} {what or self._what}")
+
+    def about(self, what: str) -> None:
+        """What is under way, in words that say how far it is."""
+        self._bar.update(self._task, description=markless(what))
+        self._line(what)
+
+    def _line(self, text: str) -> None:
         if self._bar.disable and monotonic() - self._said >= LINE_SECONDS:
             self._said = monotonic()
-            say(f"lampest: {done} of {total} {what or self._what}", to=sys.stderr)
+            say(f"lampest: {text}", to=sys.stderr)
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)

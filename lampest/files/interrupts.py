@@ -66,6 +66,13 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
         yield lambda: asked[0] if asked else ""
 
 
+def interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is what an error came from: machine code that is called while it comes makes another one of it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
+
+
 @contextmanager
 def deaf() -> Iterator[None]:
     """Nothing that can be caught ends the program meanwhile: for the short while in which a file is closed."""

@@ -14,6 +14,8 @@ from llvmlite import ir
 from numba.extending import intrinsic, overload
 from scipy.linalg import cython_blas, cython_lapack
 
+from lampest.files.interrupts import interrupted
+
 
 def machine_code(function: Callable[..., Any]) -> Any:
     """The function compiled for the types of its arguments, once: later processes read it from numba's cache.
@@ -24,6 +26,16 @@ def machine_code(function: Callable[..., Any]) -> Any:
         return numba.njit(cache=True, error_model="numpy")(function)
     except RuntimeError:
         return numba.njit(error_model="numpy")(function)
+
+
+def result_of(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What machine code makes of its arguments; Ctrl-C meanwhile is no SystemError, which numba makes of it."""
+    try:
+        return function(*arguments)
+    except SystemError as error:
+        if interrupted(error):
+            raise KeyboardInterrupt from error
+        raise
 
 
 def call(address: int, pointers: tuple[int, ...]) -> None:

@@ -20,6 +20,7 @@ from lampest.runs.executors import Executor
 from lampest.runs.filling import case_result
 from lampest.runs.long_case import PartFiles, solve_long
 from lampest.runs.results import CaseResult, StoredCase, read_case_ids, read_kept, write_kept, write_results
+from lampest.runs.watched import watched
 
 RESULTS = "results.h5"
 CASES = "cases"
@@ -52,12 +53,19 @@ class Task:
 
 
 def run_batch(
-    run: Run, folder: Path, executor: Executor, fresh: bool = False, on_case: Callable[[int, int], None] | None = None
+    run: Run,
+    folder: Path,
+    executor: Executor,
+    fresh: bool = False,
+    on_case: Callable[[int, int], None] | None = None,
+    on_long: Callable[[str], None] = lambda sentence: None,
 ) -> Report:
     """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
 
-    A case that fails is named in the report and costs no other; an interruption keeps what is finished. Raises
-    InputError where the folder cannot be written, another run is using it, or its results would replace a recording.
+    on_case : told how many of how many cases are done. on_long : told every second, from another thread, how far those
+    are that are run part by part. A case that fails is named in the report and costs no other; an interruption keeps
+    what is finished. Raises InputError where the folder cannot be written, another run is using it, or its results
+    would replace a recording.
     """
     executor.ready()
     with exclusive(folder), sparing([case.path for case in run.cases]):
@@ -71,7 +79,8 @@ def run_batch(
         failed: list[tuple[str, str]] = []
         aside: Path | None = None
         try:
-            with closing(executor.results(solve_case, waiting)) as outcomes:
+            under_way = watched([(task.case, task.file) for task in waiting], on_long)
+            with under_way, closing(executor.results(solve_case, waiting)) as outcomes:
                 for finished, (task, outcome) in enumerate(outcomes, 1):
                     if isinstance(outcome, BaseException):
                         name = f"{task.case.recording} × {task.case.name}"
@@ -81,6 +90,7 @@ def run_batch(
                     if on_case:
                         on_case(finished, len(waiting))
         finally:
+            _clear(folder, tasks, fresh=False)
             done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
             if done:
                 aside = _put_aside(folder / RESULTS, done)
@@ -147,7 +157,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 
 def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
-    """Remove results of these tasks where they are solved afresh, and what killed processes left of them unfinished."""
+    """Remove what killed processes left of these tasks unfinished, and their results where they are solved afresh."""
     wholes = {RESULTS, *(task.file.name for task in tasks)}
     for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
         if unfinished.name[1:].rsplit(".", 2)[0] in wholes:

@@ -68,7 +68,7 @@ class Case:
     """One recording with one estimator.
 
     sha256 : the recording's. resolved : all that decides the result, as YAML text, sha256 included. case_id : the hash
-    of that.
+    of that. stored : the recording, where it is too long for memory and therefore run part by part.
     """
 
     path: Path
@@ -78,6 +78,7 @@ class Case:
     estimator: Estimator
     resolved: str
     case_id: str
+    stored: StoredRecording | None = None
 
 
 @dataclass(frozen=True)
@@ -265,7 +266,8 @@ def _case(source: _Source, method: _Method) -> Case:
     blocks = source.blocks | method.blocks
     resolved = "".join(blocks[key] for key in sorted(blocks))
     case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
-    return Case(source.path, source.sha256, source.path.stem, method.name, method.estimator, resolved, case_id)
+    name = source.path.stem
+    return Case(source.path, source.sha256, name, method.name, method.estimator, resolved, case_id, source.stored)
 
 
 def _refuse_swept_executor(document: Document, assignments: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from lampest.estimate.carried import CarriedOver
 from lampest.estimate.parts import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.files.memory import give_back
 from lampest.files.whole import inner_folder, remove_own
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording
@@ -50,6 +51,11 @@ class PartFiles:
                     return read_carried(self.carried(number))
         return None
 
+    @property
+    def whole(self) -> list[int]:
+        """Numbers of the parts whose estimates are there."""
+        return sorted(int(file.stem) for file in self.folder.glob("[0-9]" * 6 + ".h5"))
+
     def clear(self) -> None:
         """Remove all that a case leaves here, and nothing else."""
         for pattern in ("*.h5", ".*.h5.*.part"):
@@ -70,8 +76,8 @@ def solve_long(
         solved.append(number)
         write_carried(files.carried(number), carried)
         write_results(files.results(number), [case_result(case, estimates)])
-    numbers = [number for number in range(len(stored.blocks())) if files.results(number).is_file()]
-    join_case(file, [files.results(number) for number in numbers], case.recording)
+        give_back()
+    join_case(file, [files.results(number) for number in files.whole], case.recording)
     files.clear()
     return next(held for held in stored_cases(file) if held.case_id == case.case_id)
 

@@ -2,12 +2,14 @@
 
 import ctypes
 import dataclasses
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,6 +27,7 @@ Command = Callable[..., SimpleNamespace]
 TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
 DEATH = "__import__('os')._exit(9)"
 EVERY = [Serial(), Processes(2), Dask(workers=2)]
+WAITS = [(0.2, "soon"), (60, "never")]
 NAMES = [executor.kind for executor in EVERY]
 
 
@@ -94,6 +97,32 @@ def test_workers_have_one_thread_and_the_environment_is_as_before(
     assert {name: os.environ.get(name) for name in before if "THREADS" in name} == {
         name: value for name, value in before.items() if "THREADS" in name
     }
+
+
+def test_nobody_waits_for_a_call_that_is_no_longer_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As at Ctrl-C: what ends soon is waited for, what does not is ended."""
+    monkeypatch.setattr("lampest.runs.executors.processes.PATIENCE_SECONDS", 3.0)
+    soon, never = (f"[__import__('time').sleep({s}), open({str(tmp_path / name)!r}, 'x')]" for s, name in WAITS)
+    outcomes = Processes(3).results(eval, ["1", never, soon])
+    assert next(outcomes) == ("1", 1)
+    outcomes.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["soon"] and not multiprocessing.active_children()
+
+
+def test_ctrl_c_that_machine_code_took_for_its_own_ends_a_batch() -> None:
+    from lampest.panel.machine import result_of
+
+    def numba_like(cause: BaseException | None) -> Any:
+        raise SystemError("returned a result with an exception set") from cause
+
+    with pytest.raises(KeyboardInterrupt):
+        result_of(numba_like, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        list(Serial().results(numba_like, [KeyboardInterrupt()]))
+    with pytest.raises(SystemError):
+        result_of(numba_like, None)
+    [(_, outcome)] = Serial().results(numba_like, [ValueError()])
+    assert isinstance(outcome, SystemError)
 
 
 def test_exceptions_that_cannot_travel_arrive_as_text() -> None:

@@ -1,9 +1,11 @@
 """Recordings too long for memory: their parts make one result, killed or not, in memory that does not grow."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +23,10 @@ from lampest.recording.board.record import repair
 from lampest.recording.board.sample import Sample
 from lampest.recording.recording import Recording
 from lampest.report.checked import checked_sentence
+from lampest.runs import long_case, watched
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors import Serial
 from lampest.runs.results import read_results
 
 Command = Callable[..., SimpleNamespace]
@@ -161,6 +167,43 @@ def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) ->
     for name, readings in (("parts", 640), ("whole", 10**6)):
         assert started(tmp_path, name, readings).returncode == 0
     same(*(content(tmp_path / name / "results.h5") for name in ("parts", "whole")), 1e-5)
+
+
+def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames of frames, and the time left once some were seen to be done; short recordings are not watched."""
+    told: list[str] = []
+    done: list[int] = []
+    seen = threading.Event()
+    write = long_case.write_results
+
+    def written(*things: Any) -> None:
+        write(*things)
+        done.append(20)
+        while not told or f": {sum(done)} of 60 frames" not in told[-1]:
+            assert seen.wait(30)
+            seen.clear()
+
+    def heard(sentence: str) -> None:
+        told.append(sentence)
+        seen.set()
+
+    save(tmp_path, frames(60))
+    (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
+    monkeypatch.setattr(watched, "EVERY_SECONDS", 0.01)
+    monkeypatch.setattr(long_case, "write_results", written)
+    assert run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial(), on_long=heard).done == 1
+    assert any(re.fullmatch(r"long × auto: 20 of 60 frames, \d+ s left", sentence) for sentence in told), told
+    assert "long × auto: 60 of 60 frames, being put together" in told
+    monkeypatch.setattr(stored, "WHOLE", 10**6)
+    monkeypatch.setattr(long_case, "write_results", write)
+    told.clear()
+    assert run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial(), fresh=True, on_long=heard).done == 1
+    assert not told
+
+
+def test_time_that_is_left_time_in_words() -> None:
+    found = [watched.time_in_words(seconds) for seconds in (40.2, 200, 3599, 11100)]
+    assert found == ["40 s", "3 min", "1 h 0 min", "3 h 5 min"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")

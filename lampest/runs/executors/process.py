@@ -47,6 +47,12 @@ class Worker:
         """Whether a process that has stopped was ended by `ended_where_hung`."""
         return self.process.exitcode == -signal.SIGALRM
 
+    def leave(self, seconds: float) -> None:
+        """Wait so long for what the process is at, then end it."""
+        self.connection.close()
+        self.process.join(max(seconds, 0.0))
+        self.kill()
+
     def kill(self) -> None:
         """End the process, whatever it is at."""
         self.process.kill()

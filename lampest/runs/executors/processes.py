@@ -1,5 +1,6 @@
 """Calls in processes of this machine, each told its next task when it has sent its last result."""
 
+import time
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +9,8 @@ from typing import Any, ClassVar, Literal
 
 from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores
 from lampest.runs.executors.process import Worker
+
+PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
 
 
 @dataclass(frozen=True)
@@ -60,5 +63,10 @@ class Processes:
                     idle.append(worker)
                     yield arguments[number], outcome
         finally:
-            for worker in (*idle, *(worker for worker, _ in busy.values())):
+            for worker in idle:
                 worker.stop()
+            for worker, _ in busy.values():
+                worker.connection.close()
+            patience = time.monotonic() + PATIENCE_SECONDS
+            for worker, _ in busy.values():
+                worker.leave(patience - time.monotonic())

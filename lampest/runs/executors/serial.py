@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from lampest.files.interrupts import interrupted
 from lampest.runs.executors.executor import Function, Pairs
 
 
@@ -23,5 +24,7 @@ class Serial:
             try:
                 outcome = function(argument)
             except Exception as error:
+                if interrupted(error):
+                    raise KeyboardInterrupt from error
                 outcome = error
             yield argument, outcome

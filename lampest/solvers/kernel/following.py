@@ -75,11 +75,12 @@ class Workbench:
 
     def point(self, cell_resistance: Array) -> "MachineEvaluation":
         """The cost at cells (1, rows, columns) ohm."""
+        from lampest.panel.machine import result_of
         from lampest.solvers.kernel.arithmetic import appraised
 
         shape, arena = cell_resistance.shape, self.arena
-        reading, values, gradient = appraised(
-            arena.addresses, arena.where, arena.memory, self.told, self.data.ties, cell_resistance.ravel()
+        reading, values, gradient = result_of(
+            appraised, arena.addresses, arena.where, arena.memory, self.told, self.data.ties, cell_resistance.ravel()
         )
         reading, gradient = reading.reshape(shape), gradient.reshape(shape)
         return MachineEvaluation(
@@ -161,11 +162,13 @@ def load_machine_code() -> None:
 
 def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     """What the machine code makes of a frame from u (1, rows, columns) on; None where it fell short."""
+    from lampest.panel.machine import result_of
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
     data, arena, settings = bench.data, bench.arena, solver.settings
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
-    ending, position, step, decrement, share, factors, upper, cells, place = descend(
+    ending, position, step, decrement, share, factors, upper, cells, place = result_of(
+        descend,
         arena.addresses,
         arena.where,
         arena.memory,
