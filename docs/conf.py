@@ -21,6 +21,7 @@ nitpicky = True
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4  # headings are linked to as on GitHub
+smartquotes_action = "q"  # two dashes begin an option
 highlight_language = "none"  # of blocks that name none: commands, YAML with a gap
 
 nb_execution_mode = "cache"

@@ -16,6 +16,7 @@ from lampest.cli import app as commands
 from lampest.runs.columns import all_columns
 
 MARKED = re.compile(r"<!-- generated: (\w+) -->\n")
+EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
 
 
 def commands_page() -> str:
@@ -23,6 +24,7 @@ def commands_page() -> str:
     command = typer.main.get_command(commands)
     text = get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="lampest"), name="lampest")
     _, _, chapters = text.partition("\n## ")
+    chapters = EXAMPLE.sub(r"**Example**:\n\n```console\n$ \1\n```", chapters)
     return "## " + re.sub(r"(`[^`\n]*`)|<", lambda found: found[1] or r"\<", chapters)
 
 

@@ -21,6 +21,7 @@ from support import live_pictures
 from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+from lampest.estimate.model_check.check import model_check
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
@@ -32,7 +33,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
@@ -184,6 +185,14 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said(lamprey: Recording) 
         said = engine.shown.thing.model
     assert "series_resistance_ohm near" in said
     assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
+
+
+def test_a_wrong_reading_and_channels_that_differ_are_no_other_circuit() -> None:
+    """The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm."""
+    mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
+    frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
+    check = model_check(mouth.scene, mouth.recorded[frames], None, np.arange(3), np.arange(3, 6))
+    assert check.mark == "yes"
 
 
 def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(

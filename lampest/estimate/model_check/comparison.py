@@ -36,7 +36,7 @@ def better_rival(rivals: list[Rival], question: Question, told: Explanation | No
     """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
 
     rivals : the told circuit first. told : what that explains; None where it does not. A rival under which most cells
-    have moved is none: nothing then shows which have not.
+    have moved is none: nothing then shows which have not; nor is one under which as many have as under the told one.
     """
     if told is None:
         tried = (with_some_in_series(rivals[0], question), *(explanation_of(rival, question) for rival in rivals[1:]))
@@ -55,7 +55,10 @@ def better_rival(rivals: list[Rival], question: Question, told: Explanation | No
     again = told.joint(question, best.moved.reshape(told.moving.shape))
     if not _beaten(again, best):
         return None
-    counts = f"{best.count} cells have moved then, and {min(as_told.count, again.count)} as told"
+    moved = min(as_told.count, again.count)
+    if best.count >= moved:
+        return None
+    counts = f"{best.count} cells have moved then, and {moved} as told"
     return Better(best.rival.name, f"between the unloaded panel and {question.loaded} {counts}")
 
 

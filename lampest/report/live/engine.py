@@ -26,6 +26,7 @@ from lampest.report.live.view import POINTS, Picture, Point, View
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
+LOADED_FRAMES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +145,12 @@ class Engine:
     def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
         """Solve the newest frame again and again until nothing more will come.
 
-        The circuit is held against the unloaded frames, and once more with the first frame that shows a load.
+        The circuit is held against the unloaded frames, and once more with the first three frames that show a load: of
+        one alone nobody knows whether a reading that stands out is wrong.
         """
         carried = Carried.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
         self._check(source.scene, unloaded)
-        seen, checked = 0, False
+        seen, loaded = 0, list[Scan]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
@@ -159,9 +161,12 @@ class Engine:
             carried, picture = solved_scan(carried, news.thing, len(self._unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=carried.zeroed))
             self._look_again(carried.look)
-            if not checked and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
-                checked = True
-                self._check(source.scene, unloaded, news.thing)
+            if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
+                loaded.append(news.thing)
+                if len(loaded) == LOADED_FRAMES:
+                    self._check(source.scene, unloaded, *loaded)
+        if 0 < len(loaded) < LOADED_FRAMES:
+            self._check(source.scene, unloaded, *loaded)
 
     def _with_findings(self, carried: Carried) -> Carried:
         """With what second looks have found meanwhile; without them from here on, should their process have died."""
