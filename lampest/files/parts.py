@@ -79,7 +79,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                 plans[path] = before.longer(found) if before is not None and found.along else found
     ends = {_parent(path): plan.shape[0] for path, plan in plans.items() if _is_time(path)}
     for path, plan in plans.items():
-        _make(target, path, replace(plan, shape=(ends[_parent(path)], *plan.shape[1:])) if plan.along else plan)
+        whole = replace(plan, shape=(ends[_parent(path)], *plan.shape[1:])) if plan.along else plan
+        _make(target, path, whole, max(1, plan.shape[0] // len(parts)) if plan.along else 1)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             _fill(file[group], target, begin)
@@ -100,12 +101,13 @@ def _attributes(node: Any) -> dict[str, Any]:
     return {name: value for name, value in node.attrs.items() if name not in OF_AXES}
 
 
-def _make(target: h5py.Group, path: str, plan: DatasetPlan) -> None:
+def _make(target: h5py.Group, path: str, plan: DatasetPlan, frames: int) -> None:
+    """frames : of a part: a chunk that holds more is unpacked and packed again for every one of them."""
     if not plan.along:
         target.create_dataset(path, plan.shape, plan.dtype)
         return
     length = max(1, CHUNK_VALUES // int(np.prod(plan.shape[1:], initial=1)))
-    chunks = (min(length, plan.shape[0]), *plan.shape[1:])
+    chunks = (min(length, frames), *plan.shape[1:])
     nothing = np.nan if plan.dtype.kind == "f" else None
     packed = {"compression": "gzip", "shuffle": True, "fletcher32": True}
     target.create_dataset(path, plan.shape, plan.dtype, chunks=chunks, fillvalue=nothing, **packed)

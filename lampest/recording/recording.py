@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
+from lampest.files.memory import check_memory
 from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
@@ -19,6 +20,8 @@ from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
+TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
+WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
 AT_ONCE = 1000  # frames of an unfinished file that are looked at together
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
@@ -124,6 +127,8 @@ class Recording:
             if most is not None and prod(hdf5.shape_of(file, base + scene.circuit.signal)) > most:
                 return None
             kept = whole_frames(file, base, scene.circuit.signal) if part == hdf5.ALL else part
+            if part == hdf5.ALL:
+                _check_held(file, base + scene.circuit.signal, base + "sigma", *TRUTHS)
 
             def read(path: str) -> Array | None:
                 """Of the frames kept, (frames, rows, columns); None where the file has none."""
@@ -143,7 +148,7 @@ class Recording:
                 time = hdf5.read_array(file, base + "time", 1, part=kept)
             if optional["role"]:
                 role = hdf5.read_array(file, base + "role", 1, part=kept)
-            truth = {name: read(f"/entry/truth/{name}") for name in ("cell_resistance", "pressure")}
+            truth = {path.rsplit("/", 1)[-1]: read(path) for path in TRUTHS}
             raw = hdf5.has(file, "/entry/raw/sums")
             sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None
             readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
@@ -231,6 +236,14 @@ class Recording:
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
+
+
+def _check_held(file: h5py.File, signal: str, *others: str) -> None:
+    """Raise InputError where a recording is more than the machine can hold, with what the readings become at work."""
+    shape = hdf5.shape_of(file, signal)
+    held = sum(prod(hdf5.shape_of(file, path)) for path in others if hdf5.has(file, path))
+    what = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
+    check_memory(8.0 * (WORK * prod(shape) + held), what)
 
 
 def group_of(circuit: Readout) -> str:

@@ -306,3 +306,26 @@ def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, mon
     assert lampest("plot", results, "--frame", "21").code == 0
     assert lampest("compare", results, "--frames", "0:3").err.count("holds none of the frames") == 1
     assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + 10 * 20
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("live", "--recording", "long.h5", "--estimator", "LSM"),
+        ("tune", "run.yaml"),
+        ("starts", "run.yaml"),
+        ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
+    ],
+)
+def test_what_holds_all_of_a_recording_asks_for_its_memory(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    save(tmp_path, frames(2000))
+    (tmp_path / "run.yaml").write_text(RUN)
+    monkeypatch.setattr("lampest.recording.stored.WHOLE", 600)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
+    ended = lampest(*command)
+    assert ended.code == 2
+    assert "long.h5: 2000 frames of 20 cells at once: 1.83 MiB of memory are needed, and there are 977 KiB" in ended.err
+    assert not (tmp_path / "tared.h5").exists()
