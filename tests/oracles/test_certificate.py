@@ -3,6 +3,7 @@
 Readings of extreme panels come from an elimination in 40 digits that shares no code with the package.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import mpmath
@@ -15,10 +16,13 @@ from lampest.cost.losses import Absolute, Huber, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
 from lampest.solvers.certificate import Bend, certificate
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
@@ -253,3 +257,20 @@ def test_an_absolute_loss_is_certified_with_its_duals() -> None:
     start = evaluation((Misfit(), Gradient(weight=1e-2, loss=Absolute())), cells, measured)
     outcome = Newton(start.cost, Settings()).solve(start.data, start)
     assert check(start, outcome).status is Status.OPTIMUM
+
+
+@pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
+@pytest.mark.parametrize("seed", [0, 1, 3, 5])
+def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, seed: int) -> None:
+    readout = dataclasses.replace(readout, adc_bits=32, noise_lsb=1.0)
+    scene = Scene(Panel(4, 5), readout)
+    cells = 10 ** np.random.default_rng(seed).uniform(1, 10, (4, 5))
+    reading = np.asarray(readout.to_recorded(readout.exact_reading(cells), scene))
+    both = Recording(
+        scene, np.stack([reading] * 2), np.arange(2.0), np.array([0, 1], np.uint8), 1e-3 * np.stack([reading] * 2)
+    )
+    estimator = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
+    found = reconstruct(both, estimator)
+    assert [step.solution.status for step in (found.baseline, *found.steps)] == [Status.OPTIMUM] * 2
+    again = np.asarray(readout.to_recorded(readout.exact_reading(found.steps[0].estimate(0)), scene))
+    np.testing.assert_allclose(again, reading, rtol=1e-5)

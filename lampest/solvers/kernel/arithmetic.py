@@ -725,8 +725,9 @@ def descend(
         if ending == SETTLED:
             break
         usable = False
-    for cell in range(cells):
-        here[0][0, cell] += step[cell]
+    if told[3] <= limits[7]:  # one that is short against the noise alone may lead further than derivatives hold
+        for cell in range(cells):
+            here[0][0, cell] += step[cell]
     return ending, here[0][0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.solvers.certificate import free_cells
+from lampest.solvers.certificate import NEARBY, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.exactly import exactly
@@ -121,10 +121,13 @@ def outcome(point: Iterate, status: Status, iterations: int) -> Outcome:
 def certified(point: Iterate, iterations: int) -> Outcome:
     """An optimum, after the step that certifies it where a factor has made that: what is checked next costs no more.
 
+    Not after one that is small against what the noise leaves open alone: derivatives hold no further than NEARBY.
     Absolute losses keep their duals at the point itself.
     """
     found = replace(outcome(point, Status.OPTIMUM, iterations), certificate=point.certificate)
-    if found.factor is None or not point.certificate.settled or len(found.dual):
+    step = point.certificate.step.reshape(point.at.position.shape)
+    far = float(np.abs(step).max(initial=0.0)) > NEARBY
+    if found.factor is None or not point.certificate.settled or len(found.dual) or far:
         return found
-    position = point.at.position + point.certificate.step.reshape(point.at.position.shape)
+    position = point.at.position + step
     return replace(found, cell_resistance=np.exp(position))
