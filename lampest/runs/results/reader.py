@@ -130,6 +130,11 @@ class FramesRead:
     sizes: dict[str, int]
     part: slice
 
+    @property
+    def count(self) -> int:
+        """FramesRead that are read."""
+        return len(range(self.sizes[MAPS[0]])[self.part])
+
 
 def read_case_ids(path: Path) -> frozenset[str]:
     """The identities of the cases of a results file, without what they found. Raises InputError as `read_results`."""
@@ -155,16 +160,16 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     scene = stored_scene(file, base, f"{base}/{MEASURED.path}")
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
+    hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
     shape = hdf5.shape_of(file, path)
+    frames = FramesRead(dict(zip(MAPS, shape, strict=True)), part)
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
     maps = sum(column.axes == MAPS and not column.shared for column in table)
-    if len(estimators) * maps * len(range(*part.indices(next(iter(shape), 0)))) * prod(shape[1:]) > hdf5.MOST_VALUES:
+    if len(estimators) * maps * frames.count * prod(shape[1:]) > hdf5.MOST_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
-    hdf5.read_array(file, path, len(MAPS), part=part)
-    frames = FramesRead(dict(zip(MAPS, shape, strict=True)), part)
     given = _read_columns(file, base, [column for column in table if column.shared], frames)
     return [_read_case(file, (name, child), given, scene, table, frames) for child in estimators]
 
