@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +29,7 @@ from lampest import (
 
 START = "2026-05-04T09:30:00+02:00"
 Run = Callable[..., SimpleNamespace]
+OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 
 
 def with_error_bars(case: CaseResult) -> CaseResult:
@@ -145,6 +148,26 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
         assert list(ours["flags"]["solved"]["meanings"]) == ["failed", "solved"]
         assert all(name.isidentifier() and len(name) < 64 for name in ours), "Octave and MATLAB take no other names"
     assert held[0]["start_time"] == START
+
+
+@pytest.mark.skipif(OCTAVE is None, reason="there is no Octave here: apt-get install octave")
+def test_octave_reads_the_mat_file_and_the_results_themselves(lampest: Run, results: Path) -> None:
+    """Both give every cell, dimensions the other way round where HDF5 is read as it is."""
+    path = exported(lampest, results, "mat")
+    case = read_results(results).cases[0]
+    program = (
+        f"one = load('{path}').cases{{1}}; two = load('{results}').entry.('{case.recording}').('{case.estimator}');"
+        "printf('%s %s ', one.estimator, one.units.cell_resistance); printf('%.17g ', one.cell_resistance(:));"
+        "printf('%.17g ', permute(two.cell_resistance, [3 2 1])(:));"
+    )
+    ended = subprocess.run(
+        [str(OCTAVE), "--no-init-file", "--eval", program], capture_output=True, text=True, timeout=60
+    )
+    assert ended.returncode == 0, ended.stderr
+    estimator, unit, *numbers = ended.stdout.split()
+    assert (estimator, unit) == (case.estimator, "ohm")
+    cells = case.cell_resistance.ravel(order="F")
+    assert_array_equal(np.array(numbers, dtype=float), np.concatenate([cells, cells]))
 
 
 def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
