@@ -14,6 +14,8 @@ TOLD = "LAMPEST_MEMORY"  # bytes; what a command is told by --memory, and the pr
 SHARE = 0.9  # of what is free: the rest is for what was not counted
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+M_MMAP_THRESHOLD = -3  # of malloc.h
+LARGE_BYTES = 2**20
 GROUP = Path("/sys/fs/cgroup")
 
 
@@ -44,14 +46,14 @@ def allow_memory(text: str) -> None:
     os.environ[TOLD] = str(int(float(size[1]) * UNITS[size[2].upper()]))
 
 
-def give_back() -> None:
-    """Hand what is free within this process back to the machine.
+def large_arrays_apart() -> None:
+    """Let every array of more than LARGE_BYTES have pages of its own from here on, which go back when it goes.
 
-    Large arrays of one part leave holes between which those of the next are put, and 4 MB more are taken now and then.
-    Nothing happens where the C library is not glibc.
+    Otherwise the C library takes arrays of the size that was freed last from what all blocks share. Between the holes
+    of others that grows now and then: by 4 MB in a hundred parts of a long recording. Nothing happens without glibc.
     """
     with suppress(OSError, AttributeError, TypeError):  # TypeError: Windows
-        ctypes.CDLL(None).malloc_trim(0)
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
 
 
 def in_bytes(size: float) -> str:

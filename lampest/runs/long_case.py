@@ -10,7 +10,7 @@ from lampest.estimate.carried import CarriedOver
 from lampest.estimate.parts import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.memory import give_back
+from lampest.files.memory import large_arrays_apart
 from lampest.files.whole import inner_folder, remove_own
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording
@@ -69,6 +69,7 @@ def solve_long(
     case: Case, stored: StoredRecording, file: Path, on_frame: Callable[[], None] = lambda: None
 ) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
+    large_arrays_apart()
     files = PartFiles.beside(case, file)
     parts = Parts.of(stored, case.estimator, _asked(stored))
     solved: list[int] = []  # what stands behind a part that is solved now followed from another one
@@ -76,7 +77,6 @@ def solve_long(
         solved.append(number)
         write_carried(files.carried(number), carried)
         write_results(files.results(number), [case_result(case, estimates)])
-        give_back()
     join_case(file, [files.results(number) for number in files.whole], case.recording)
     files.clear()
     return next(held for held in stored_cases(file) if held.case_id == case.case_id)
