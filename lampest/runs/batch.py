@@ -68,8 +68,9 @@ def run_batch(
     would replace a recording.
     """
     executor.ready()
-    with exclusive(folder), sparing([case.path for case in run.cases]):
-        refuse_input(folder / RESULTS)
+    with exclusive(folder):
+        with sparing(tuple({case.path for case in run.cases})):
+            refuse_input(folder / RESULTS)
         tasks = [Task(case, folder.absolute()) for case in run.cases]
         _clear(folder, tasks, fresh)
         found: dict[Path, CaseResult | StoredCase] = {
