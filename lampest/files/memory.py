@@ -14,7 +14,8 @@ TOLD = "LAMPEST_MEMORY"  # bytes; what a command is told by --memory, and the pr
 SHARE = 0.9  # of what is free: the rest is for what was not counted
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-M_MMAP_THRESHOLD = -3  # of malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+LEFT_BYTES = 2**17  # free ones at the end of what all blocks share; more go back: the C library's own default
 LARGE_BYTES = 2**20
 GROUP = Path("/sys/fs/cgroup")
 
@@ -54,6 +55,7 @@ def large_arrays_apart() -> None:
     """
     with suppress(OSError, AttributeError, TypeError):  # TypeError: Windows
         ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
+        ctypes.CDLL(None).mallopt(M_TRIM_THRESHOLD, LEFT_BYTES)  # it rose with the arrays that were freed so far
 
 
 def in_bytes(size: float) -> str:
