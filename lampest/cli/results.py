@@ -165,9 +165,12 @@ def detect(
         files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
     files += (any_load.write_pressed(folder / any_load.FILE, loads),) if loads else ()
     print_table(event_table(found))
-    if loads:
+    pressing = any_load.pressed_table(loads)
+    if pressing.cells:
         say("whatever it is, in the frame of the largest force:")
-        print_table(any_load.pressed_table(loads))
+    elif loads:
+        say("nothing presses clearly in any frame")
+    print_table(pressing)
     for file in files:
         say(file)
     known = read.estimators()

@@ -21,10 +21,13 @@ TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figu
 def print_table(table: "Table") -> None:
     """Draw rows of text and figures within 100 columns, or as many as the terminal has where they are more.
 
-    Columns in which no row has anything are left out. Where it is too wide, headers and texts take several lines and
-    figures stay on one; where that is not enough, rows of one name in the first column stand together under it.
+    Columns in which no row has anything are left out, and a table without rows altogether. Where it is too wide,
+    headers and texts take several lines and figures stay on one; where that is not enough, rows of one name in the
+    first column stand together under it.
     """
     filled = [number for number in range(len(table.headers)) if any(cells[number] for cells in table.cells)]
+    if not filled:
+        return
     headers = [table.headers[number] for number in filled]
     rows = [[_escaped(cells[number]) for number in filled] for cells in table.cells]
     room = _room()
