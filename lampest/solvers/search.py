@@ -27,6 +27,7 @@ FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 EASY, EASY_INTERIOR = 6, 20  # iterations; warm frames take 2 to 5 and 3 to 6, and a good start 9 of the latter
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
+MOVED, FEW_MOVED = 0.3, 0.05  # of log r, and of the cells
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 
@@ -35,10 +36,10 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
     """The solution from the cheapest start; where the cost has several minima and the solve is hard, of all starts.
 
     The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
-    the convex one. A solve is hard that fails, takes many iterations, or compares with a previous frame where there is
-    none; it is then begun from all of these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far
-    from all others, or, for a first pair of up to 1,024, from cells that do not change; what is verified is a local
-    minimum, the best of these.
+    the convex one. A solve is hard that fails, takes many iterations, ends where more than a twentieth of the cells are
+    others than in the frame before, or compares with a previous frame where there is none; it is then begun from all of
+    these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others, or, for a first
+    pair of up to 1,024, from cells that do not change; what is verified is a local minimum, the best of these.
     Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
     stand in the same minimum; so it does on later frames of small panels. Where these terms are convex in log r and the
@@ -109,7 +110,18 @@ def _compared_with(solver: Newton, data: Data, previous: Array | None, found: So
     """Starts beside an estimate that may be one of several minima, and, where it was hard to find, elsewhere."""
     if _one_minimum(solver.cost, data) or data.overdue:
         return []
-    return _beside(solver, found) + (_elsewhere(data, previous) if found.iterations > EASY_KEPT else [])
+    hard = found.iterations > EASY_KEPT or _far_from(found, previous)
+    return _beside(solver, found) + (_elsewhere(data, previous) if hard else [])
+
+
+def _far_from(found: Solution, previous: Array | None) -> bool:
+    """Whether more than a few cells of a small panel are others than in the frame before: a load came, went or moved.
+
+    A minimum that is not the lowest would be followed through all later frames, in a few iterations each.
+    """
+    if previous is None or not found.solved or previous.size > FAR_CELLS:
+        return False
+    return bool(np.mean(np.abs(np.log(found.cell_resistance / previous)) > MOVED) > FEW_MOVED)
 
 
 def _one_minimum(cost: Cost, data: Data) -> bool:
@@ -134,7 +146,9 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     found = solved_from(solver, points[0])
     easy = EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
     one_minimum = _one_minimum(solver.cost, data)
-    hard = (relative and previous is None) or (found.iterations > easy and not one_minimum)
+    hard = (relative and previous is None) or (
+        not one_minimum and (found.iterations > easy or _far_from(found, previous))
+    )
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
         return found

@@ -83,3 +83,19 @@ def untold() -> Recording:
             1, 77, scene, cells, frames=21, baseline_frames=3, loads=(disc,), course=course, unmodelled=unmodelled
         )
     )
+
+
+def test_a_frame_in_which_a_load_came_is_sought_elsewhere_too() -> None:
+    """However few iterations it took: a wrong minimum would be followed through all later frames."""
+    recording = untold()
+    estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced", error_bars=False)
+    stream, readings = first_stream(recording, recording.readings(), estimator), recording.readings()
+    searched = 0
+    for frame in recording.measured_frames():
+        before = stream.previous
+        stream, step = stream.push(readings[frame])
+        if before is None or np.mean(np.abs(np.log(step.cell_resistance / before)) > 0.3) <= 0.05:
+            continue
+        assert step.solution.starts > 3
+        searched += 1
+    assert searched
