@@ -31,6 +31,7 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
+    from lampest.report.page.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -41,7 +42,7 @@ def run(
     bar = progress("cases")
     with bar as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
-    counts = f"{report.done} cases solved, {report.skipped} were done before, {len(report.failed)} failed"
+    counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
         say(f"lampest: the results that stood there held other cases; they are kept: {report.aside}", to=sys.stderr)

@@ -84,13 +84,13 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
     path = disk.run(disk.text.replace("weight: 1e-3", "weight: 2e-3"))
-    assert "1 cases solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
     assert len(cases(out)) == 3
     disk.recording(disk.folder / "small.h5", time=np.array([0.0, 1.0, 5.0]))
     assert "3 cases solved, 0 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
     damaged = out / "cases" / f"{cases(out)[1].case_id}.h5"
     damaged.write_bytes(damaged.read_bytes()[:2000])
-    assert "1 cases solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
 
 
 def test_order_of_keys_and_comments_change_nothing(disk: SimpleNamespace) -> None:

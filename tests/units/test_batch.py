@@ -33,7 +33,7 @@ def test_case_that_fails_stops_no_other(
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
     ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
     assert (ended.code, ended.err) == (0, "")
-    assert "1 cases solved, 2 were done before" in ended.out
+    assert "1 case solved, 2 were done before" in ended.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 

@@ -18,7 +18,7 @@ from lampest.report.plots import PLOTS, Plot, plot_of
 from lampest.report.plots.maps import MapPainter, Tile
 from lampest.report.plots.results import plot_results
 from lampest.report.plots.scales import banded_scale, share_scale
-from lampest.report.plots.style import new_figure
+from lampest.report.plots.style import change_text, new_figure
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import COLUMNS, FRAMES, Column
 from lampest.runs.results import write_results
@@ -121,3 +121,11 @@ def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
     figure = new_figure(3.0)
     painter.bar(figure, figure.subplots(), "right")
     assert figure.axes[1].get_ylabel() == "share [1]"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(3.71, "+3.7"), (-82.4, "−82"), (9502050701.0, "+9.5·10⁹"), (-1.0e5, "−1.0·10⁵"), (99999.0, "+99999")],
+)
+def test_changes_beyond_five_digits_are_powers_of_ten(value: float, text: str) -> None:
+    assert change_text(value, 10.0) == text

@@ -14,7 +14,15 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
 from lampest.report.plots.plot import Plot, frame_title, shown_index
 from lampest.report.plots.scales import banded_scale
-from lampest.report.plots.style import SMALL_POINT, TALLEST_INCH, TEXT_POINT, WIDTH_INCH, new_figure, shared_labels
+from lampest.report.plots.style import (
+    SMALL_POINT,
+    TALLEST_INCH,
+    TEXT_POINT,
+    WIDTH_INCH,
+    change_text,
+    new_figure,
+    shared_labels,
+)
 from lampest.runs.case import CaseResult
 
 MOST_ACROSS = 7
@@ -76,7 +84,7 @@ def _tile(title: str, change: Array, open_cells: NDArray[np.bool_] | None = None
     known = change[np.isfinite(change)]
     if not known.size:
         return Tile(title, change, "no number")
-    low, high = (f"{value:+.{0 if abs(value) >= 10 else 1}f}".replace("-", "−") for value in (known.min(), known.max()))
+    low, high = (change_text(float(value), 10.0) for value in (known.min(), known.max()))
     return Tile(title, change, f"{low} … {high} %", open_cells)
 
 

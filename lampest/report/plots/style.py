@@ -20,6 +20,7 @@ DOTS_PER_INCH = 200
 LONGEST_TITLE = 22
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
@@ -106,3 +107,13 @@ def shared_legend(figure: Figure, grid: Any) -> None:
     if labelled:
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(labelled)}
         figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", **look)
+
+
+def change_text(value: float, whole: float) -> str:
+    """'+3.7', '−82', '+9.5·10⁹': whole numbers from `whole` on, powers of ten where there would be six digits."""
+    if abs(value) >= 1e5:
+        digits, power = f"{value:+.1e}".split("e")
+        text = f"{digits}·10{str(int(power)).translate(RAISED)}"
+    else:
+        text = f"{value:+.{0 if abs(value) >= whole else 1}f}"
+    return text.replace("-", "−")

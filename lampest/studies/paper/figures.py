@@ -12,7 +12,7 @@ from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
 from lampest.report.plots.scales import banded_scale
-from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, new_figure
+from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, change_text, new_figure
 from lampest.studies.paper.published import Published, PublishedBending, PublishedResponse
 from lampest.studies.paper.side import MEASURED, Side
 
@@ -143,7 +143,7 @@ def _span(change: Array) -> str:
 
 
 def _plain(value: float) -> str:
-    return f"{value:+.{0 if abs(value) >= 100 else 1}f}".replace("-", "−")
+    return change_text(value, 100.0)
 
 
 def _wrapped(text: str) -> str:
