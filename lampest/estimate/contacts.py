@@ -20,8 +20,7 @@ from lampest.estimate.step import Step
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.readouts.wiring import Contacts
-from lampest.posterior.dense import IGNORANCE
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings
 

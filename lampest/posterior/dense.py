@@ -30,10 +30,9 @@ from scipy.linalg import blas, lapack
 from lampest.cost.cost import Cost
 from lampest.cost.residuals import residuals
 from lampest.panel.panel import Array
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import IGNORANCE, LinearModel
 
 MOST_RANKED = 2048
-IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ class DenseErrors:
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
         if len(self._penalties):
             matrix = blas.dsyrk(1.0, self._penalties.T, 1.0, matrix, overwrite_c=True)
-        matrix[np.diag_indices(len(matrix))] += IGNORANCE * self.model.scale
+        matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
 
     @cached_property
@@ -170,7 +169,7 @@ class DenseErrors:
         """The diagonal of S over the free cells."""
         variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
         variance += np.sum(self._held**2, axis=1) + np.sum(self._moved**2, axis=1)
-        variance += IGNORANCE * self.model.scale**2 * np.sum(self.inverse**2, axis=1)
+        variance += self.model.scale**2 * self.inverse**2 @ self.model.ignorance
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
                 variance += np.sum((first @ self.before.both()[one][other]) * second, axis=1)
@@ -181,7 +180,8 @@ class DenseErrors:
         """S over all cells (frames · cells)²; zero for those that are not free."""
         covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
         covariance += self._moved @ self._moved.T
-        covariance += self._held @ self._held.T + IGNORANCE * self.model.scale**2 * self.inverse @ self.inverse
+        covariance += self._held @ self._held.T
+        covariance += self.model.scale**2 * (self.inverse * self.model.ignorance) @ self.inverse
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
                 covariance += first @ self.before.both()[one][other] @ second.T

@@ -15,8 +15,8 @@ from lampest.cost.losses import Loss, PenaltyEvidence
 from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.posterior.dense import IGNORANCE, DenseErrors, positive_inverse, rank
-from lampest.posterior.linear import LinearModel, penalty_bend
+from lampest.posterior.dense import DenseErrors, positive_inverse, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_bend
 from lampest.posterior.sampled import SampledErrors
 
 MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12

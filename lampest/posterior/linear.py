@@ -20,6 +20,7 @@ from lampest.cost.residuals import Part, Residuals, residuals
 from lampest.panel.panel import Array
 
 NEAR_BOUND = 1e-3  # in log r
+IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,21 @@ class LinearModel:
     def free(self) -> NDArray[np.intp]:
         """The numbers of all other cells."""
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
+
+    @cached_property
+    def ignorance(self) -> Array:
+        """(free) precision of log r where neither data nor penalties say anything.
+
+        Of a cell whose own reading is missing 12/ln²(upper/lower), as of any place within its bounds: others are off by
+        a share of what it is off by, and would seem open if that had no end.
+        """
+        given = self.at.data.given
+        if not self.at.data.partial:
+            return np.full(len(self.free), IGNORANCE)
+        lower, upper = self._log_bounds
+        within = 12 / np.maximum(upper - lower, NEAR_BOUND) ** 2
+        unread = np.broadcast_to(given.seen, self.at.cell_resistance.shape).ravel() == 0
+        return np.asarray(np.where(unread, np.maximum(within, IGNORANCE), IGNORANCE)[self.free])
 
     @cached_property
     def _position(self) -> Array:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.posterior.dense import IGNORANCE, DenseErrors, positive_inverse
+from lampest.posterior.dense import DenseErrors, positive_inverse
 from lampest.posterior.interval import one_sided
+from lampest.posterior.linear import IGNORANCE
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from scipy import sparse
 
 from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
-from lampest.posterior.dense import IGNORANCE, rank
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.dense import rank
+from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import local_inverse, misfit_inverse
 from lampest.solvers.newton.smoothing import Smoothing
@@ -87,7 +87,7 @@ class SampledErrors:
         def product(search: Array) -> Array:
             whole[free] = search
             image = self._data(whole) + self._penalties.T @ (self._penalties @ whole)
-            return np.asarray(image[free] + least * search)
+            return np.asarray(image[free] + model.scale * model.ignorance * search)
 
         return product, self._preconditioner(least)
 

@@ -14,8 +14,8 @@ from scipy.linalg import cho_factor, eigh, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from lampest.panel.panel import Array
-from lampest.posterior.dense import IGNORANCE, DenseErrors, rank
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.dense import DenseErrors, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel
 
 Rule = Literal["risk", "evidence", "press"]
 POINTS, BEYOND, LEAST = 80, 1e4, 1e-12

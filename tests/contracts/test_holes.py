@@ -142,3 +142,21 @@ def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tup
     found = lampest.reconstruct(recording, terms=list(terms), formulation="reduced")
     assert found.status[0] == TOO_FEW and all(found.solved[1:])
     assert np.nanmax(np.abs(found.relative_change)) < 5.0
+
+
+def test_a_missing_reading_leaves_the_intervals_of_others_closed() -> None:
+    """Even where the data want next to no penalty: what the unread cell may be ends at its bounds."""
+    rng = np.random.default_rng(4)
+    readout = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
+    scene = lampest.Scene(lampest.Panel(5, 7), readout, systematic="none")
+    cells = 1000 * np.exp(0.3 * rng.standard_normal((5, 7)))
+    exact = readout.exact_reading(np.stack([cells] * 4))
+    readings = exact + readout.sigma(exact) * rng.standard_normal(exact.shape)
+    readings[3, 2, 3] = np.nan
+    recording = lampest.Recording(scene, readings, np.arange(4.0), np.array([0, 0, 0, 1], np.uint8))
+    terms = [lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-12)]
+    found = lampest.reconstruct(recording, terms, formulation="reduced")
+    others = np.isfinite(readings[3])
+    low, high = (bound[0][others] for bound in (found.cell_resistance_lower, found.cell_resistance_upper))
+    assert np.isfinite(high).all() and np.median((high - low) / cells[others]) < 2
+    assert np.mean((low <= cells[others]) & (cells[others] <= high)) >= 0.9

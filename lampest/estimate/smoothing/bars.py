@@ -14,8 +14,7 @@ from lampest.estimate.smoothing.joint import NO_DUAL, Joint
 from lampest.panel.panel import Array
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
-from lampest.posterior.dense import IGNORANCE
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
 # Squared errors of channels and reference were 0.6 to 1.8 times what the joint cost says on simulated lampreys, and up

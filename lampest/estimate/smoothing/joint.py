@@ -20,8 +20,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.chain import Chain
-from lampest.posterior.dense import IGNORANCE
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import IGNORANCE, LinearModel
 
 COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts

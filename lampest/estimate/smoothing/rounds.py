@@ -20,7 +20,8 @@ import numpy as np
 from lampest.estimate.smoothing.joint import Joint, JointData
 from lampest.estimate.smoothing.walk import Walk
 from lampest.panel.panel import Array
-from lampest.posterior.dense import IGNORANCE, positive_inverse
+from lampest.posterior.dense import positive_inverse
+from lampest.posterior.linear import IGNORANCE
 from lampest.solvers.solution import Settings
 
 WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
