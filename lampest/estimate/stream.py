@@ -61,6 +61,7 @@ class Stream:
     weights, weighed_at : those that the data chose for the terms, and how far that frame was from rest; None, 0 before.
     hasty : whether frames take the weights that there are, and the minimum nearest to the frame before, without search
     for lower ones; what that leaves open is told by `due` and `Solution.unsearched`.
+    reading_error : of the logarithm of each reading, the same in all frames, as the frames or else the scene told.
     """
 
     estimator: Estimator
@@ -75,6 +76,7 @@ class Stream:
     weights: tuple[float, ...] | None = None
     weighed_at: float = 0.0
     hasty: bool = False
+    reading_error: float = 0.0
 
     @classmethod
     def begin(
@@ -94,7 +96,9 @@ class Stream:
                 if noise is None
                 else Track(Shared.of(scene, None, noise.hidden), noise=noise.frame)
             )
-        return cls(estimator, scene, period, resting, track=track)._rested()
+        sizes = scene.told_systematic if noise is None or noise.hidden is None else noise.hidden.sizes
+        own = 0.0 if sizes is None else sizes.reading_error or 0.0
+        return cls(estimator, scene, period, resting, track=track, reading_error=own)._rested()
 
     def tared(self, resting: Readings) -> "Stream":
         """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
@@ -103,8 +107,9 @@ class Stream:
         """
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
-        begun = Stream(self.estimator, self.scene, self.period, resting, track=track, hasty=self.hasty)
-        return replace(begun, weights=self.weights, weighed_at=self.weighed_at)._rested()
+        return replace(
+            self, resting=resting, track=track, baseline=None, previous=None, previous_deviation=None, prepared=None
+        )._rested()
 
     def _rested(self) -> "Stream":
         """With its baseline, where that is solved alone."""

@@ -26,9 +26,16 @@ from lampest.solvers.solution import Status
 pytestmark = pytest.mark.slow
 
 DISC = Estimator((Misfit(),), "oral_disc")
+ELECTRONICS = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
 
-def lamprey(seed: int, diameter_mm: float, shape: tuple[int, int] = (9, 11)) -> Recording:
+def lamprey(
+    seed: int,
+    diameter_mm: float,
+    shape: tuple[int, int] = (9, 11),
+    systematic: Systematic | None = ELECTRONICS,
+    **more: float,
+) -> Recording:
     """Three frames of an attached mouth, somewhere on a panel under water, with what the scene says may be off."""
     rng = np.random.default_rng(seed)
     place = (float(rng.uniform(30, 70)), float(rng.uniform(25, 55)))
@@ -37,12 +44,12 @@ def lamprey(seed: int, diameter_mm: float, shape: tuple[int, int] = (9, 11)) -> 
         TwoPointReadout(),
         series_resistance_ohm=140.0,
         water=Water(50.0),
-        systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0),
+        systematic=systematic,
     )
     load = OralDisc(
         kind="oral_disc", centre_mm=place, diameter_mm=diameter_mm, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80
     )
-    off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01)
+    off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01, **more)
     return simulate(Simulation(1, seed, scene, frames=3, loads=(load,), unmodelled=off))
 
 
@@ -62,6 +69,31 @@ def test_the_disc_and_its_cells_come_back(diameter_mm: float) -> None:
     assert np.median(errors) < 1
     assert max(errors) < 3
     assert np.median(np.concatenate(cells)) < 0.05
+
+
+@pytest.mark.parametrize("systematic", [None, Systematic(reading_error=0.05)], ids=["learned", "told"])
+def test_readings_that_stay_off_are_allowed_for(systematic: Systematic | None) -> None:
+    """Each reading off by 5 %, the same in all frames, which still cells tell where the scene does not."""
+    recording = lamprey(2, 34.0, systematic=systematic, reading_error=0.05)
+    found, truth = reconstruct(recording, DISC), recording.truth_cell_resistance
+    assert truth is not None
+    away = np.abs(np.log(found.cell_resistance / truth[recording.measured_frames()]))
+    assert away.mean() < 0.25
+    assert all(step.disc and abs(step.disc.disc.diameter_mm - 34) < 2 for step in found.steps)
+
+
+def test_cells_depart_from_the_disc_as_readings_say() -> None:
+    """A film that answers a fifth less, by an eighth more or less in each cell: the disc alone is off by that."""
+    recording = lamprey(2, 34.0, response_loss=0.2, response_spread=0.12)
+    truth = recording.truth_cell_resistance
+    assert truth is not None
+    loaded, resting = truth[recording.measured_frames()][-1], truth[0]
+    step = reconstruct(recording, DISC).steps[-1]
+    assert step.disc is not None
+    changed = np.abs(np.log(loaded / resting)) > 0.5
+    of_disc = step.disc.fit.change - np.log(loaded / resting)
+    of_cells = np.log(step.disc.cell_resistance / loaded)
+    assert np.sqrt(np.mean(of_cells[changed] ** 2)) < 0.5 * np.sqrt(np.mean(of_disc[changed] ** 2))
 
 
 def test_it_needs_the_noise_and_nothing_to_penalise() -> None:

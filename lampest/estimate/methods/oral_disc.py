@@ -50,17 +50,16 @@ class OralDiscTracker:
     last: OralDiscFit | None = None
 
     @classmethod
-    def of(cls, scene: Scene, period: float, resting: Readings) -> "OralDiscTracker":
-        """Before the first frame. Raises InputError where the noise of the readings is unknown."""
+    def of(cls, scene: Scene, period: float, resting: Readings, reading_error: float) -> "OralDiscTracker":
+        """Before the first frame; reading_error : as `ModelErrors.told_by` takes it.
+
+        Raises InputError where the noise of the readings is unknown.
+        """
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        systematic = scene.told_systematic
-        model_errors = ModelErrors(
-            channel_ohm=0.0 if systematic is None else systematic.channel_spread_ohm,
-            reference=0.0 if systematic is None else systematic.reference_tolerance / np.sqrt(3),
-        )
+        errors = ModelErrors().told_by(scene, reading_error)
         try:
-            baseline = Baseline.of(resting.value, _sigma(resting), scene, model_errors)
+            baseline = Baseline.of(resting.value, _sigma(resting), scene, errors)
         except ValueError as error:
             raise InputError(f"formulation: oral_disc: {error}") from error
         every = period if np.isfinite(period) else 0.0
@@ -102,7 +101,7 @@ class OralDiscMethod(Method):
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        sequence = OralDiscTracker.of(stream.scene, stream.period, stream.resting)
+        sequence = OralDiscTracker.of(stream.scene, stream.period, stream.resting, stream.reading_error)
         data, cost = _judged(stream, stream.resting)
         solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
         baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))

@@ -65,7 +65,7 @@ class Observation(ABC):
     def covariance(self, change: Array) -> Array:
         """σ² + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, cells at rest."""
         slope, resting = self.slope(change), self.baseline.model_errors.resting_sd(self.seconds)
-        both = np.hstack([slope, self._offsets])
+        both = np.hstack([slope, self.offsets])
         total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
 
@@ -75,9 +75,15 @@ class Observation(ABC):
         x = ln r/r0 scatters in proportion to itself, partly alike in neighbours and everywhere (`Baseline.alike`);
         w is what an edge that lies `EDGE_MM` beside its place does.
         """
-        slope, change = self.slope(explained.change), explained.change.ravel()
-        field = self.baseline.alike * np.outer(change, change) + np.diag((EDGE_MM * explained.edges.ravel()) ** 2)
-        return np.asarray(slope @ field @ slope.T)
+        slope = self.slope(explained.change)
+        return np.asarray(slope @ explained.uneven(self.baseline.alike) @ slope.T)
+
+    def spread(self, explained: "Explained", scatter: float) -> Array:
+        """The covariance (cells, cells) of what ln r departs by from the unloaded cells and a load's change."""
+        errors = self.baseline.model_errors
+        shared = explained.shared(errors.bent)
+        resting = np.diag(np.full(explained.change.size, errors.resting_sd(self.seconds) ** 2))
+        return np.asarray(resting + scatter**2 * explained.uneven(self.baseline.alike) + shared.T @ shared)
 
     @abstractmethod
     def direct(self) -> "Direct":
@@ -90,10 +96,10 @@ class Observation(ABC):
     @cached_property
     def target(self) -> Array:
         """The readings without the most probable offsets, (cells) ohm."""
-        return np.asarray(self.measured.ravel() - self._offsets @ self.baseline.offsets)
+        return np.asarray(self.measured.ravel() - self.offsets @ self.baseline.offsets)
 
     @cached_property
-    def _offsets(self) -> Array:
+    def offsets(self) -> Array:
         """E (cells, offsets) ohm: what every offset's standard deviation adds to the readings."""
         return self.baseline.model_errors.offsets(self.measured + self.baseline.series_ohm)
 
@@ -175,6 +181,11 @@ class Explained(NamedTuple):
     change: Array
     edges: Array
     patches: Array
+
+    def uneven(self, alike: Array) -> Array:
+        """x K xᵀ + w², (cells, cells): how cells of a film with a relative deviation of 1 answer, K = `alike`."""
+        change = self.change.ravel()
+        return np.asarray(alike * np.outer(change, change) + np.diag((EDGE_MM * self.edges.ravel()) ** 2))
 
     def shared(self, bent: float) -> Array:
         """(2, cells) ln r of one standard deviation of what all cells share: a bent film, and patches' sizes."""

@@ -1,6 +1,6 @@
 """What the model does not describe: the sources of error that stand beside the noise of the readings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, isfinite
 from typing import Any, ClassVar
 
@@ -9,6 +9,7 @@ import numpy as np
 from lampest.loads.response import RESPONSE_SD
 from lampest.panel.film import OPEN_CREEP
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, Systematic
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,21 @@ class ModelErrors:
         for name, value in vars(self).items():
             if not (isfinite(value) and value >= 0):
                 raise ValueError(f"{name} must be zero or positive, and finite")
+
+    def told_by(self, scene: Scene, reading_error: float) -> "ModelErrors":
+        """With what a scene and its frames say of errors and of the film; what they leave open is assumed.
+
+        reading_error : of the logarithm of each reading, the same in all frames, as frames told.
+        """
+        errors = replace(self, reading_error=reading_error)
+        if scene.film is not None:
+            creep = scene.film.told_creep
+            errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)
+        if scene.systematic is None:
+            return errors
+        told = scene.told_systematic or Systematic()
+        reference = told.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
+        return replace(errors, channel_ohm=told.channel_spread_ohm, reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
         """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""

@@ -1,7 +1,7 @@
 """Results → detections: every estimate of every recording, and the readings themselves."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -176,16 +176,7 @@ def _model_errors(settings: RecognitionSettings, scene: Scene, reading_error: fl
     reading_error : of the logarithm of each reading, the same in all frames, as the frames told.
     """
     errors = settings.model_errors
-    if errors != AS_PUBLISHED.model_errors:
-        return errors
-    errors = replace(errors, reading_error=reading_error)
-    if scene.film is not None:
-        creep = scene.film.told_creep
-        errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)
-    if scene.told_systematic is None:
-        return errors
-    reference = scene.told_systematic.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-    return replace(errors, channel_ohm=scene.told_systematic.channel_spread_ohm, reference=reference)
+    return errors if errors != AS_PUBLISHED.model_errors else errors.told_by(scene, reading_error)
 
 
 def _complete(measured: Array) -> Array:
