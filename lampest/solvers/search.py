@@ -110,7 +110,7 @@ def _compared_with(solver: Newton, data: Data, previous: Array | None, found: So
     """Starts beside an estimate that may be one of several minima, and, where it was hard to find, elsewhere."""
     if _one_minimum(solver.cost, data) or data.overdue:
         return []
-    hard = found.iterations > EASY_KEPT or _far_from(found, previous)
+    hard = found.iterations > _easy(solver, found) or _far_from(found, previous)
     return _beside(solver, found) + (_elsewhere(data, previous) if hard else [])
 
 
@@ -144,10 +144,9 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         return _broken(solver.cost, data)
     points = _with_squared(solver, points)
     found = solved_from(solver, points[0])
-    easy = EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
     one_minimum = _one_minimum(solver.cost, data)
     hard = (relative and previous is None) or (
-        not one_minimum and (found.iterations > easy or _far_from(found, previous))
+        not one_minimum and (found.iterations > _easy(solver, found) or _far_from(found, previous))
     )
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
@@ -159,6 +158,11 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     else:
         points = points[:1]
     return _least(found, _others(solver, (*points[1:], *_evaluable(solver.cost, data, more))))
+
+
+def _easy(solver: Solver, found: Solution) -> int:
+    """Iterations of a frame that was not hard."""
+    return EASY_INTERIOR if not isinstance(solver, Newton) else EASY if found.factor is None else EASY_KEPT
 
 
 def _elsewhere(data: Data, previous: Array | None) -> list[Array]:

@@ -1,7 +1,8 @@
 """How many frames the machine code solves, and whether Newton's method, which takes the others, finds the same.
 
-Run it with: OMP_NUM_THREADS=1 python -m tests.studies.kernel data/*.h5 (recordings; without any, invented scenes), or
-with --parts 10 for the microseconds of each part of a frame on a square panel.
+Run it with: OMP_NUM_THREADS=1 python -m tests.studies.kernel data/*.h5 (recordings; without any, invented scenes),
+with --parts 10 for the microseconds of each part of a frame on a square panel, or with --side 32 for whole frames of
+the bench's three recordings both ways.
 Of every method: frames after the first, the share solved in one call, the largest relative difference of the objective
 (negative: the machine code's is lower; of costs below a millionth a reading, of that) and of log r, how many statuses
 differ, and how many are no settled minimum by second derivatives taken at the very place. Every frame is solved both
@@ -10,6 +11,8 @@ ways from the same estimate of the frame before.
 
 import sys
 from dataclasses import replace
+from pathlib import Path
+from time import process_time
 from typing import Any
 from unittest.mock import patch
 
@@ -19,15 +22,19 @@ import lampest
 from lampest.cost.problem import Evaluation
 from lampest.estimate.sequence import frame_period
 from lampest.estimate.stream import Stream
+from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.solvers import search
 from lampest.solvers.certificate import certificate
 from lampest.solvers.kernel import following
-from lampest.solvers.kernel.following import Workbench, descended, from_previous
+from lampest.solvers.kernel.following import Workbench, descended, from_previous, load_machine_code, serves
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.search import best_solution
 from lampest.solvers.solution import check
+from lampest.studies.bench.problems import first_estimate, frame_data, solver_of
+from lampest.studies.bench.settings import BenchFile, read_bench
 from tests.studies.speed import least, simulated
 
 MOST_FRAMES = 60
@@ -134,10 +141,46 @@ def parts(side: int) -> None:
     print("factors of its own:", found.iterations, "with the frame before's,", new.iterations, "without")
 
 
+def both_ways(side: int) -> None:
+    """Print how long frames of the bench's recordings take by Newton's classes and by machine code, in turn."""
+    bench = replace(read_bench(Path("configs/bench.yaml")), frames=6)
+    load_machine_code(side**2 > DENSE_UNKNOWNS)
+    for recording, name in ((recording, name) for recording in range(3) for name in bench.estimators):
+        spent, ends = by_turns(bench, bench.recording((side, side), recording), name)
+        middle, most = 1e3 * np.median(spent, axis=0), 1e3 * np.max(spent, axis=0)
+        print(
+            f"{side} x {side} recording {recording} {name:9s} ms by classes {middle[0]:7.2f} (at most {most[0]:7.2f}), "
+            f"by machine code {middle[1]:6.2f} ({most[1]:7.2f}); {', '.join(ends)}",
+            flush=True,
+        )
+
+
+def by_turns(bench: BenchFile, recording: lampest.Recording, name: str) -> tuple[list[list[float]], list[str]]:
+    """(s of the processor by classes and with machine code, how far the latter's objective is above) of every frame."""
+    best, kept, spent, ends = first_estimate(bench, recording, name), None, [], []
+    for frame in range(bench.frames + 1):
+        given = frame_data(bench, recording, name, frame, best)
+        solver, previous = solver_of(bench, name, "reduced", given()), None if best is None else best[None]
+        found, times = [], []
+        for machine in (False, True):
+            with patch.object(following, "serves", serves if machine else lambda *given: False):
+                data, begin = given(), process_time()
+                found.append(best_solution(solver, data, previous, kept if machine else None))
+                times.append(process_time() - begin)
+        if frame:
+            spent.append(times)
+            ends.append(f"{found[1].objective / found[0].objective - 1:.0e} ({found[1].starts})")
+        if found[1].solved:
+            best, kept = found[1].cell_resistance[-1], found[1].factor
+    return spent, ends
+
+
 def main(paths: list[str]) -> None:
     """Print all methods of all recordings."""
     if paths[:1] == ["--parts"]:
         return parts(int(paths[1]))
+    if paths[:1] == ["--side"]:
+        return both_ways(int(paths[1]))
     recordings = {path: lampest.Recording.load(path) for path in paths} or scenes()
     for title, recording in recordings.items():
         for name in METHODS:

@@ -259,9 +259,11 @@ def test_a_wrong_factor_spoils_nothing() -> None:
 
 SCRIPT = """
 import numpy as np
+from lampest.solvers.kernel import following
 from units.test_kernel import READOUTS, TERMS, Estimator, Readings, begun, both, frames
 found = []
-for readout, terms in (("two_point", "LSR-gdCR"), ("diode", "LSM"), ("grounded", "huber")):
+cases = [(256, "two_point", "LSR-gdCR"), (256, "diode", "LSM"), (256, "grounded", "huber")]
+for following.DENSE_UNKNOWNS, readout, terms in cases + [(0, "diode", "LSR-gdCR"), (0, "two_point", "LSM")]:
     scene, recorded = frames(READOUTS[readout])
     stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
     found.append(both(stream, Readings.of(scene, recorded[2]))[1].cell_resistance)

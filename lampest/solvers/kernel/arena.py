@@ -77,6 +77,12 @@ class Arena:
         return np.array(self.functions.hessian.pattern, dtype=np.int64)
 
     @cached_property
+    def band(self) -> int:
+        """How far apart cells stand, by number, of which a term's second derivatives know both."""
+        one, other = self.entries[:, self.entries[0] < self.cells]
+        return int(np.abs(one - other).max(initial=0))
+
+    @cached_property
     def _buffers(self) -> list[Any]:
         """The three functions with their memory, which lives as long as they do."""
         return [
@@ -100,7 +106,8 @@ class Arena:
         """Of what evaluates, of the three functions, of BLAS, and of the clock."""
         buffers = [capsule_address(buffer._self()) for buffer in self._buffers]
         subroutines = [blas_address(name) for name in ("dsyrk", "dpotrf", "dpotrs", "dgemm")]
-        return np.array([evaluation_address(), *buffers, *subroutines, clock_address()], dtype=np.int64)
+        larger = [blas_address(name) for name in ("dpbtrf", "dpbtrs", "dgesv")]
+        return np.array([evaluation_address(), *buffers, *subroutines, clock_address(), *larger], dtype=np.int64)
 
     def told(self, cost: Cost, data: Data) -> Array:
         """What the terms are given, as the memory's end holds it."""

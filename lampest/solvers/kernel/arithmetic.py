@@ -1,4 +1,6 @@
-"""The arithmetic of a warm frame on a small panel, in one call: the easy cases of `lampest.solvers.newton`.
+"""The arithmetic of a warm frame, in one call: `descend` with a factor, `pursue` by conjugate gradients.
+
+Both are the easy cases of `lampest.solvers.newton`.
 
 With the blocks of Z over rows (r) and columns (c), by elimination of the rows from L(g) + diag(t):
 S = C − gᵀR⁻¹g, Z_cc = S⁻¹, Z_rc = R⁻¹g S⁻¹, Z_rr = R⁻¹ + R⁻¹g Z_rcᵀ, R and C diagonal. With weights e of the readings
@@ -15,27 +17,40 @@ import numpy as np
 from lampest.panel.machine import call, machine_code
 
 FELL_SHORT, SETTLED = 0, 1
+FREELY, STOPPED, DOWN = 0, 1, 2
 MOST_STEPS, MOST_STOPS, MOST_SEEN = 60, 6, 8
 STRAIGHT = 0.2  # of log r
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
+ROUGH, FINE = 0.1, 0.01  # of a step by conjugate gradients, and of the last one, which is taken unseen
+MOST_PRODUCTS = 1500  # of a frame; beyond, it is not an easy one
+SAMPLES, LEAST_SHARE = 4, 0.05  # of a line's readings; of a cell's own response, as in the two-point stencil
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
 
 @machine_code
 def _product(addresses: Any, one: Any, turned: bool, other: Any, other_turned: bool, result: Any) -> None:
-    """result = A·B, of either its transpose where it is `turned`; BLAS reads rows as columns."""
+    """result = A·B, of either its transpose where it is `turned`."""
+    _add_product(addresses, 1.0, one, turned, other, other_turned, 0.0, result)
+
+
+@machine_code
+def _add_product(
+    addresses: Any, share: float, one: Any, turned: bool, other: Any, other_turned: bool, left: float, result: Any
+) -> None:
+    """result = share·A·B + left·result; all may be parts of matrices. BLAS reads rows as columns."""
     rows, columns = result.shape
     inner = one.shape[0] if turned else one.shape[1]
-    words, factors = np.empty(7, dtype=np.int32), np.empty(2)
+    words, factors = np.empty(8, dtype=np.int32), np.empty(2)
     words[0] = TRANSPOSED if other_turned else PLAIN
     words[1] = TRANSPOSED if turned else PLAIN
-    words[2], words[3], words[4], words[5], words[6] = columns, rows, inner, other.shape[1], one.shape[1]
-    factors[0], factors[1] = 1.0, 0.0
+    words[2], words[3], words[4] = columns, rows, inner
+    words[5], words[6], words[7] = other.strides[0] // 8, one.strides[0] // 8, result.strides[0] // 8
+    factors[0], factors[1] = share, left
     start, unit = words.ctypes.data, factors.ctypes.data
     call(
         addresses[7],
         (start, start + 4, start + 8, start + 12, start + 16, unit, other.ctypes.data, start + 20,
-         one.ctypes.data, start + 24, unit + 8, result.ctypes.data, start + 8),
+         one.ctypes.data, start + 24, unit + 8, result.ctypes.data, start + 28),
     )  # fmt: skip
     factors[0] = words[0]
 
@@ -729,6 +744,434 @@ def descend(
         for cell in range(cells):
             here[0][0, cell] += step[cell]
     return ending, here[0][0].copy(), step, told[1], told[2], factors, kept, kept_cells, kept_at
+
+
+@machine_code
+def _loaded(addresses: Any, own: Any, block: Any, matrix: Any, result: Any) -> None:
+    """result = W·A (lines, lines), W = [[diag, B], [Bᵀ, diag]] of `own` (lines) and `block` B (rows, columns)."""
+    rows, lines = len(block), len(matrix)
+    for line in range(lines):
+        for other in range(lines):
+            result[line, other] = own[line] * matrix[line, other]
+    _add_product(addresses, 1.0, block, False, matrix[rows:], False, 1.0, result[:rows])
+    _add_product(addresses, 1.0, block, True, matrix[:rows], False, 1.0, result[rows:])
+
+
+@machine_code
+def _add_diagonal(share: float, one: Any, other: Any, result: Any) -> None:
+    """result += share·diag(A·B), A symmetric."""
+    for line in range(len(one)):
+        for place in range(len(one)):
+            result[place] += share * one[line, place] * other[line, place]
+
+
+@machine_code
+def _modelled(addresses: Any, where: Any, arena: Any, entries: Any, point: Any, straight: int, whole: bool) -> Any:
+    """(model, links): what products with ∇²φ need at the point that was priced last, in u or in 1/r (`straight` -1).
+
+    model : (12, cells) g, ∂²φ/∂y², the slopes p, q, t of the readings' equation, ∂φ/∂y times its six bends, and what
+    stands on the diagonal beside those. links : of the terms' second derivatives between cells, with both their cells.
+    Not `whole`: Gauss and Newton's.
+    """
+    vectors = point[0]
+    cells = vectors.shape[1]
+    model, count = np.zeros((12, cells)), 0
+    stiffness = _stiffness(addresses, where, arena, entries, cells)
+    for cell in range(cells):
+        model[0, cell], model[1, cell] = 1 / vectors[1, cell], stiffness[cell]
+        for part in range(3):
+            model[2 + part, cell] = arena[where[4] + (1 + part) * cells + cell]
+        direct, through = vectors[2, cell], vectors[3, cell]
+        if whole:
+            for part in range(6):
+                model[5 + part, cell] = vectors[4, cell] * arena[where[4] + (4 + part) * cells + cell]
+            model[11, cell] = direct - through - straight * (direct + through)
+        else:
+            model[11, cell] = max(direct, 0.0)
+    links = np.empty((3, entries.shape[1]))
+    for number in range(entries.shape[1]):
+        one, other = entries[0, number], entries[1, number]
+        if one < cells:
+            links[0, count], links[1, count] = one, other
+            links[2, count] = arena[where[5] + number] * vectors[1, one] * vectors[1, other]
+            count += 1
+    return model, links[:, :count].copy()
+
+
+@machine_code
+def _bent_along(
+    addresses: Any, rows: int, model: Any, links: Any, point: Any, whole: bool, step: Any, image: Any
+) -> None:
+    """image ← ∇²φ·step (cells), of a model at a point, without a matrix of cells × cells.
+
+    With dZ = Z L_{g s} Z the change of Z and dy that of the readings: g·bᵀ (Z W' Z + Z L_{g s} K + K L_{g s} Z) b,
+    where W' is of the weights ∂²φ/∂y² dy and of what the slopes change by.
+    """
+    _, impedance, twice = point
+    lines, cells = len(impedance), len(step)
+    columns = lines - rows
+    block, own, cross = np.empty((rows, columns)), np.zeros(lines), np.empty((rows, columns))
+    for cell in range(cells):
+        j, k, drawn = cell // columns, cell % columns, model[0, cell] * step[cell]
+        block[j, k] = -drawn
+        own[j] += drawn
+        own[rows + k] += drawn
+    moved, pulled, change = np.empty((lines, lines)), np.empty((lines, lines)), np.zeros(lines)
+    _loaded(addresses, own, block, impedance, moved)
+    _add_product(addresses, 1.0, impedance[:rows], False, moved[:, rows:], False, 0.0, cross)
+    _add_diagonal(1.0, impedance, moved, change)
+    own[:] = 0.0
+    for cell in range(cells):
+        j, k = cell // columns, rows + cell % columns
+        p, q, t = change[j], change[k], cross[j, k - rows]
+        weight = model[1, cell] * (model[2, cell] * p + model[3, cell] * q + model[4, cell] * t)
+        own[j] += weight * model[2, cell] + model[5, cell] * p + model[6, cell] * q + model[7, cell] * t
+        own[k] += weight * model[3, cell] + model[6, cell] * p + model[8, cell] * q + model[9, cell] * t
+        half = weight * model[4, cell] + model[7, cell] * p + model[9, cell] * q + model[10, cell] * t
+        block[j, k - rows] = half / 2
+    _loaded(addresses, own, block, impedance, pulled)
+    _add_product(addresses, 1.0, impedance[:rows], False, pulled[:, rows:], False, 0.0, cross)
+    change[:] = 0.0
+    _add_diagonal(1.0, impedance, pulled, change)
+    if whole:
+        _add_product(addresses, 1.0, twice[:rows], False, moved[:, rows:], False, 1.0, cross)
+        _add_product(addresses, 1.0, moved[:, :rows], True, twice[:, rows:], False, 1.0, cross)
+        _add_diagonal(2.0, twice, moved, change)
+    for cell in range(cells):
+        j, k = cell // columns, rows + cell % columns
+        bent = model[0, cell] * (change[j] + change[k] - 2 * cross[j, k - rows])
+        image[cell] = bent + model[11, cell] * step[cell]
+    for number in range(links.shape[1]):
+        image[int(links[0, number])] += links[2, number] * step[int(links[1, number])]
+
+
+@machine_code
+def _own_slopes(rows: int, model: Any, impedance: Any) -> Any:
+    """(own, lines): ∂y/∂g of every cell's own reading (cells), and the mean of a line's readings for its other cells.
+
+    Sampled at SAMPLES places of the line; both times −1, and not times g.
+    """
+    cells, lines = model.shape[1], len(impedance)
+    columns = lines - rows
+    own, shared, counts = np.empty(cells), np.zeros(lines), np.zeros(lines)
+    for cell in range(cells):
+        own[cell] = _slope(rows, model, impedance, cell, cell)
+        j, k = cell // columns, cell % columns
+        for number in range(SAMPLES):
+            away = 1 + number * (columns - 1) // SAMPLES
+            if away < columns:
+                shared[j] += _slope(rows, model, impedance, cell, j * columns + (k + away) % columns)
+                counts[j] += 1
+            away = 1 + number * (rows - 1) // SAMPLES
+            if away < rows:
+                shared[rows + k] += _slope(rows, model, impedance, cell, (j + away) % rows * columns + k)
+                counts[rows + k] += 1
+    for line in range(lines):
+        shared[line] /= max(counts[line], 1.0)
+    return own, shared
+
+
+@machine_code
+def _slope(rows: int, model: Any, impedance: Any, reading: int, cell: int) -> float:
+    """−∂y/∂g of one reading by one cell."""
+    columns = len(impedance) - rows
+    j, k = reading // columns, rows + reading % columns
+    m, n = cell // columns, rows + cell % columns
+    at_row, at_column = impedance[j, m] - impedance[j, n], impedance[k, m] - impedance[k, n]
+    both = model[4, reading] * at_row * at_column
+    return float(model[2, reading] * at_row * at_row + model[3, reading] * at_column * at_column + both)
+
+
+@machine_code
+def _preconditioner(addresses: Any, rows: int, model: Any, links: Any, point: Any, band: int) -> Any:
+    """(base, heavy, inner, whether it is one): what stands for (∇²φ)⁻¹ over all cells.
+
+    Where terms tie cells (`band` > 0, how far apart): base (cells, band + 1), the Cholesky factor of what the terms and
+    each cell's own reading say. Else that of J's stencil, whose diagonal d is a cell and whose columns U are the lines:
+    base (cells, 1) 1/(d²w + r²c), heavy (cells) d·w, inner (2·lines)², see
+    `lampest.panel.readouts.two_point.stencil`, with the lines' part K from what J says.
+    """
+    _, impedance, _ = point
+    cells, lines = model.shape[1], len(impedance)
+    columns = lines - rows
+    own, shared = _own_slopes(rows, model, impedance)
+    base, largest = np.zeros((cells, band + 1)), 0.0
+    for cell in range(cells):
+        base[cell, 0] = max(model[11, cell], 0.0)
+    for number in range(links.shape[1]):
+        one, other = int(links[0, number]), int(links[1, number])
+        if one >= other:
+            base[other, one - other] += links[2, number]
+    if band > 0:
+        for cell in range(cells):
+            base[cell, 0] += max(model[1, cell], 0.0) * (own[cell] * model[0, cell]) ** 2
+            largest = max(largest, base[cell, 0])
+        for cell in range(cells):
+            base[cell, 0] += 1e-9 * largest
+        return base, np.empty(0), np.empty((0, 0)), bool(_factored_band(addresses, base))
+    heavy, weights = np.empty(cells), np.empty(cells)
+    for cell in range(cells):
+        largest = max(largest, model[1, cell])
+    inner, right = np.zeros((2 * lines, 2 * lines)), np.zeros((2 * lines, 2 * lines))
+    for cell in range(cells):
+        j, k, least = cell // columns, rows + cell % columns, LEAST_SHARE * abs(own[cell])
+        rest = own[cell] - shared[j] - shared[k]
+        if abs(rest) < least or rest * own[cell] < 0:
+            rest = least if own[cell] > 0 else -least
+        weight = max(model[1, cell], 1e-6 * largest)
+        whole = rest * rest * weight + base[cell, 0] / model[0, cell] ** 2
+        base[cell, 0] = 1 / whole if whole > 0 else 0.0
+        heavy[cell], weights[cell] = rest * weight, weight
+        _add_between(inner, 0, 0, j, k, heavy[cell] ** 2 * base[cell, 0] - weight)
+        _add_between(inner, 0, lines, j, k, heavy[cell] * base[cell, 0])
+        _add_between(inner, lines, 0, j, k, heavy[cell] * base[cell, 0])
+        _add_between(inner, lines, lines, j, k, base[cell, 0])
+    for line in range(lines):
+        if shared[line] == 0:
+            return base, heavy, np.empty((0, 0)), True
+        inner[line, lines + line] += 1 / shared[line]
+        inner[lines + line, line] += 1 / shared[line]
+    for line in range(2 * lines):
+        right[line, line] = 1.0
+    return base, heavy, right, _divided_by(addresses, inner, right)
+
+
+@machine_code
+def _add_between(matrix: Any, above: int, left: int, j: int, k: int, value: float) -> None:
+    """matrix += what a cell between lines j and k adds to Uᵀ diag(x) U, in one of four blocks."""
+    matrix[above + j, left + j] += value
+    matrix[above + k, left + k] += value
+    matrix[above + j, left + k] += value
+    matrix[above + k, left + j] += value
+
+
+@machine_code
+def _factored_band(addresses: Any, base: Any) -> bool:
+    """A banded matrix, (size, band + 1) downwards from its diagonal, to its Cholesky factor; whether it is definite."""
+    words = np.empty(5, dtype=np.int32)
+    words[0], words[1], words[2], words[3], words[4] = LOWER, len(base), base.shape[1] - 1, base.shape[1], 0
+    start = words.ctypes.data
+    call(addresses[9], (start, start + 4, start + 8, base.ctypes.data, start + 12, start + 16))
+    return bool(words[4] == 0)
+
+
+@machine_code
+def _divided_by(addresses: Any, matrix: Any, right: Any) -> bool:
+    """right ← A⁻¹·right, symmetric both; A is overwritten. Whether A has an inverse."""
+    words, pivots = np.empty(2, dtype=np.int32), np.empty(len(matrix), dtype=np.int32)
+    words[0], words[1] = len(matrix), 0
+    start = words.ctypes.data
+    call(
+        addresses[11],
+        (start, start, matrix.ctypes.data, start, pivots.ctypes.data, right.ctypes.data, start, start + 4),
+    )
+    return bool(words[1] == 0 and pivots[0] > 0)
+
+
+@machine_code
+def _preconditioned(addresses: Any, rows: int, model: Any, found: Any, moving: Any, values: Any, result: Any) -> None:
+    """result ← P⁻¹·values over the moving cells, of what `_preconditioner` found; that of some is positive, too."""
+    base, heavy, inner, _ = found
+    cells, band = len(values), base.shape[1] - 1
+    if band > 0:
+        result[:] = values
+        words = np.empty(6, dtype=np.int32)
+        words[0], words[1], words[2], words[3], words[4], words[5] = LOWER, cells, band, 1, band + 1, 0
+        start = words.ctypes.data
+        call(
+            addresses[10],
+            (start, start + 4, start + 8, start + 12, base.ctypes.data, start + 16, result.ctypes.data, start + 4,
+             start + 20),
+        )  # fmt: skip
+        for cell in range(cells):
+            result[cell] = result[cell] if moving[cell] and words[5] == 0 else 0.0
+        return
+    lines = len(inner) // 2
+    columns = cells // rows
+    sums, back = np.zeros(2 * lines), np.zeros(2 * lines)
+    for cell in range(cells):
+        result[cell] = base[cell, 0] * values[cell] / model[0, cell]
+    if lines > 0:
+        for cell in range(cells):
+            j, k = cell // columns, rows + cell % columns
+            sums[j] += heavy[cell] * result[cell]
+            sums[k] += heavy[cell] * result[cell]
+            sums[lines + j] += result[cell]
+            sums[lines + k] += result[cell]
+        for line in range(2 * lines):
+            for other in range(2 * lines):
+                back[other] += inner[line, other] * sums[line]
+        for cell in range(cells):
+            j, k = cell // columns, rows + cell % columns
+            pulled = heavy[cell] * (back[j] + back[k]) + back[lines + j] + back[lines + k]
+            result[cell] -= base[cell, 0] * pulled
+    for cell in range(cells):
+        result[cell] = result[cell] / model[0, cell] if moving[cell] else 0.0
+
+
+@machine_code
+def _conjugated(
+    addresses: Any, rows: int, model: Any, links: Any, point: Any, whole: bool, found: Any, moving: Any,
+    accuracy: float, begun: bool, told: Any, step: Any,
+) -> bool:  # fmt: skip
+    """step (cells) ← nearer to −(∇²φ)⁻¹ ∇φ over the moving cells, the others as they are; whether nothing bent down.
+
+    begun : whether it is not zero. told[0] : the products left; told[1] : ∇φ's strength where a step of zero began,
+    against which `accuracy` is. Source: Steihaug, SIAM J. Numer. Anal. 20, 1983.
+    """
+    cells = len(step)
+    residual, scaled, image = np.empty(cells), np.empty(cells), np.empty(cells)
+    if begun:
+        _bent_along(addresses, rows, model, links, point, whole, step, image)
+        told[0] -= 1
+    for cell in range(cells):
+        residual[cell] = -(point[0][2, cell] + point[0][3, cell]) - (image[cell] if begun else 0.0)
+        residual[cell] = residual[cell] if moving[cell] else 0.0
+    _preconditioned(addresses, rows, model, found, moving, residual, scaled)
+    search, strength = scaled.copy(), _dot(residual, scaled)
+    if not begun:
+        told[1] = strength
+    while strength > accuracy**2 * told[1] and told[0] > 0:
+        _bent_along(addresses, rows, model, links, point, whole, search, image)
+        told[0] -= 1
+        bend = 0.0
+        for cell in range(cells):
+            image[cell] = image[cell] if moving[cell] else 0.0
+            bend += search[cell] * image[cell]
+        if not bend > 0:
+            return False
+        for cell in range(cells):
+            step[cell] += strength / bend * search[cell]
+            residual[cell] -= strength / bend * image[cell]
+        _preconditioned(addresses, rows, model, found, moving, residual, scaled)
+        before, strength = strength, _dot(residual, scaled)
+        for cell in range(cells):
+            search[cell] = scaled[cell] + strength / before * search[cell]
+    return bool(told[0] > 0)
+
+
+@machine_code
+def _approached(
+    addresses: Any, rows: int, model: Any, links: Any, point: Any, whole: bool, found: Any, bounds: Any, straight: int,
+    moving: Any, accuracy: float, told: Any, step: Any,
+) -> int:  # fmt: skip
+    """step ← Newton's over the moving cells, of which those stop at their bounds that it would take beyond.
+
+    DOWN where the cost bends down, STOPPED where cells stopped, else FREELY. Step and bounds as in `_bent`.
+    """
+    cells, rough, ending = len(step), max(accuracy, ROUGH), FREELY
+    step[:] = 0.0
+    for stops in range(MOST_STOPS + 2):
+        if not _conjugated(addresses, rows, model, links, point, whole, found, moving, rough, stops > 0, told, step):
+            return DOWN
+        beyond = 0
+        for cell in range(cells):
+            low = _bent(bounds[0, cell] - point[0][0, cell], straight)
+            high = _bent(bounds[1, cell] - point[0][0, cell], straight)
+            held = min(max(step[cell], low), high)
+            if moving[cell] and held != step[cell]:
+                step[cell], moving[cell] = held, 0
+                beyond += 1
+        if beyond > 0:
+            ending = STOPPED
+        elif rough == accuracy:
+            break
+        else:
+            rough = accuracy
+    return ending
+
+
+@machine_code
+def _ventured(
+    addresses: Any, where: Any, arena: Any, ties: Any, bounds: Any, limits: Any, here: Any, there: Any, along: Any,
+    straight: int, costs: Any,
+) -> bool:  # fmt: skip
+    """Whether a step or a share of it leads to a better point, which `there` is then; as `_trial`, straight in 1/r
+    where `straight` is −1.
+    """
+    vectors, target = here[0], np.empty(len(along))
+    for number in range(len(SHARES)):
+        promise = 0.0
+        for cell in range(len(along)):
+            moved = _unbent(SHARES[number] * along[cell], straight)
+            moved = min(max(vectors[0, cell] + max(moved, -limits[5]), bounds[0, cell]), bounds[1, cell])
+            target[cell] = moved
+            promise -= (vectors[2, cell] + vectors[3, cell]) * _bent(moved - vectors[0, cell], straight)
+        _put(there[0], target, bounds)
+        costs[3], costs[4] = _priced(addresses, where, arena, ties, there)
+        costs[5], gain = promise, costs[0] - costs[3]
+        if promise > 0 and gain >= limits[2] * promise:
+            return True
+        if abs(gain) <= limits[3] * abs(costs[0]):
+            residual = _residual(vectors, bounds, costs[1])
+            if _residual(there[0], bounds, costs[4]) < limits[4] * residual:
+                return True
+    return False
+
+
+@machine_code
+def pursue(
+    addresses: Any, where: Any, arena: Any, given: Any, entries: Any, ties: Any, bounds: Any, start: Any, straight: int,
+    band: int, limits: Any, sigma: Any,
+) -> Any:  # fmt: skip
+    """(ending, u, the last step, its decrement and share, steps before it) of one larger frame.
+
+    As `descend`, without matrices of cells × cells. straight : −1 where steps are straight in 1/r, 0 in u. band : how
+    far apart cells stand that a term ties.
+    """
+    rows, cells = where[9], len(start)
+    lines = rows + cells // rows
+    for number in range(len(given)):
+        arena[where[6] + number] = given[number]
+    here, there = _blank(lines, cells), _blank(lines, cells)
+    step, along, moving = np.zeros(cells), np.zeros(cells), np.zeros(cells, dtype=np.int64)
+    told, costs, spent = np.zeros(4), np.zeros(6), np.zeros(2)
+    _put(here[0], start, bounds)
+    costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
+    ending, solves, spent[0] = FELL_SHORT, 0, MOST_PRODUCTS
+    found, found_at = (np.zeros((cells, band + 1)), np.zeros(cells), np.zeros((0, 0)), False), np.full(cells, np.inf)
+    for turn in range(MOST_STEPS):
+        residual = _residual(here[0], bounds, costs[1])
+        if not (abs(costs[0]) < np.inf and residual < np.inf) or _overdue(addresses, limits) or solves >= limits[13]:
+            break
+        near, better = residual <= limits[0], False
+        accuracy = FINE if near else min(ROUGH, np.sqrt(residual))
+        for attempt in range(2):
+            whole = attempt == 0 and (turn > 0 or straight == 0 or near)
+            if attempt == 0 and not whole:
+                continue
+            moving[:] = 0
+            moving[_free(here[0], bounds)] = 1
+            model, links = _modelled(addresses, where, arena, entries, here, straight, whole)
+            if _away(here[0][0], found_at) > limits[6]:
+                found, found_at = _preconditioner(addresses, rows, model, links, here, band), here[0][0].copy()
+            if not found[3]:
+                break
+            way = _approached(
+                addresses, rows, model, links, here, whole, found, bounds, straight, moving, accuracy, spent, along
+            )
+            if way == DOWN:
+                continue
+            told[0] = 0.0
+            for cell in range(cells):
+                step[cell] = _unbent(along[cell], straight)
+                told[0] -= (here[0][2, cell] + here[0][3, cell]) * along[cell]
+            sure = near and way == FREELY and whole
+            if sure and _certified(addresses, where, arena, entries, limits, sigma, step, told):
+                ending = SETTLED
+                break
+            better = _ventured(addresses, where, arena, ties, bounds, limits, here, there, along, straight, costs)
+            if better:
+                break
+            _priced(addresses, where, arena, ties, here)
+        if not better:
+            break
+        here, there, solves = there, here, solves + 1
+        costs[0], costs[1] = costs[3], costs[4]
+    if ending == SETTLED and told[3] <= limits[7]:
+        for cell in range(cells):
+            here[0][0, cell] += step[cell]
+    return ending, here[0][0].copy(), step, told[1], told[2], solves
 
 
 @machine_code

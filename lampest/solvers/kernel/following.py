@@ -15,6 +15,7 @@ from lampest.panel.compiled import evaluation_address
 from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MILLIONTH, NEARBY, SHARE, Bend, Certificate
+from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS, pursued
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.steps import DECREASE, EQUAL, HALVED
@@ -137,27 +138,31 @@ def _shortcut(solver: Newton, data: Data, start: Evaluation) -> Outcome | None:
 
 
 def serves(cost: Cost, data: Data) -> bool:
-    """Whether there is machine code for a cost: one frame of a small panel without wire, losses that are smooth, and
-    terms of which each speaks of cells or of one reading.
+    """Whether there is machine code for a cost: one frame of a panel without wire that is not large, losses that are
+    smooth, and terms of which each speaks of cells or of one reading.
     """
-    if len(data.measured) > 1 or data.measured.size > DENSE_UNKNOWNS or data.wiring is not None or len(cost.slope):
+    if len(data.measured) > 1 or data.measured.size > LARGER_UNKNOWNS or data.wiring is not None or len(cost.slope):
         return False
     entries = cost.functions.entries
     return entries.at_model is not None and not entries.crossed and evaluation_address() != 0
 
 
 @cache
-def load_machine_code() -> None:
+def load_machine_code(larger: bool) -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
-    from lampest.solvers.kernel.arithmetic import appraised, descend
+    from lampest.solvers.kernel.arithmetic import appraised, descend, pursue
 
-    addresses, where, arena = np.zeros(9, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
+    addresses, where, arena = np.zeros(12, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
     entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
     where[9], bounds[0], bounds[1], open_cell[0] = 1, -np.inf, np.inf, np.inf
     appraised(addresses, where, arena, NOTHING, ties, open_cell)
     limits = np.zeros(4 + len(LIMITS))
     limits[-1] = np.inf
-    descend(addresses, where, arena, NOTHING, entries, ties, bounds, open_cell, *NO_FACTOR, limits, NOTHING)
+    begun = (addresses, where, arena, NOTHING, entries, ties, bounds, open_cell)
+    if larger:
+        pursue(*begun, 0, 0, limits, NOTHING)
+    else:
+        descend(*begun, *NO_FACTOR, limits, NOTHING)
 
 
 def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
@@ -165,7 +170,10 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     from lampest.panel.machine import result_of
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
-    data, arena, settings = bench.data, bench.arena, solver.settings
+    data, arena = bench.data, bench.arena
+    limits = np.array([solver.settings.tolerance, *LIMITS, solver.settings.max_iterations, CLOCK, data.until])
+    if data.measured.size > DENSE_UNKNOWNS:
+        return pursued(solver, bench, start, limits)
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
     ending, position, step, decrement, share, factors, upper, cells, place = result_of(
         descend,
@@ -178,7 +186,7 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
         np.concatenate(data.log_bounds).reshape(2, -1),
         start.ravel(),
         *(NO_FACTOR if kept is None else (kept.triangle, kept.cells, kept.position)),
-        np.array([settings.tolerance, *LIMITS, settings.max_iterations, CLOCK, data.until]),
+        limits,
         data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
     )
     if ending != SETTLED:

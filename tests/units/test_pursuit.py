@@ -1,0 +1,149 @@
+"""Panels between small and large: one call without matrices finds what Newton's method finds, and says when not."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import lampest
+from lampest.cost.problem import Evaluation
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.recording.readings import Readings
+from lampest.solvers.certificate import certificate
+from lampest.solvers.kernel import following, pursuing
+from lampest.solvers.kernel.following import Workbench, from_previous
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.solution import Settings, Status
+from tests.units.test_kernel import READOUTS, TERMS, assert_same, begun, both, frames
+
+
+@pytest.fixture(autouse=True)
+def larger() -> Iterator[None]:
+    """Panels of any size are as those that are too large for a factor."""
+    with patch.object(following, "DENSE_UNKNOWNS", 0):
+        yield
+
+
+@pytest.mark.parametrize("readout", READOUTS)
+@pytest.mark.parametrize("terms", ["LSM", "LSR-CR", "LSR-gdCR", "huber"])
+def test_every_readout(readout: str, terms: str) -> None:
+    scene, recorded = frames(READOUTS[readout])
+    stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
+    for frame in recorded[2:]:
+        readings = Readings.of(scene, frame)
+        assert_same(*both(stream, readings))
+        stream, step = stream.push(readings)
+        assert step.solution.factor is None
+
+
+@pytest.mark.parametrize("terms", [name for name in TERMS if name != "huber"])
+def test_holes_and_faults(terms: str) -> None:
+    """Readings that say nothing, a bound at a rail, and an open cell that is held."""
+    scene, recorded = frames(READOUTS["two_point"], faults=lampest.Faults(open=((1, 1),)))
+    recorded[:, 3, 4] = np.nan
+    recorded[:, 0, 2] = np.inf
+    stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
+    assert_same(*both(stream, Readings.of(scene, recorded[2])))
+
+
+@pytest.mark.parametrize("terms", ["LSM", "LSR-CR", "LSR-dCR", "log"])
+def test_cells_pressed_against_bounds(terms: str) -> None:
+    scene, recorded = frames(READOUTS["two_point"], 6)
+    estimator = Estimator(TERMS[terms], "reduced", bounds=Bounds(lower=850.0, upper=1250.0), error_bars=False)
+    stream, held = begun(scene, recorded, estimator), 0
+    for frame in recorded[2:]:
+        readings = Readings.of(scene, frame)
+        newton, found = both(stream, readings)
+        assert_same(newton, found)
+        held += int(np.sum((found.cell_resistance <= 850.0 * 1.001) | (found.cell_resistance >= 1250.0 * 0.999)))
+        stream, _ = stream.push(readings)
+    assert held > 20
+
+
+@pytest.mark.parametrize("readout", READOUTS)
+@pytest.mark.parametrize("terms", ["LSM", "LSR-gdCR", "huber"])
+@pytest.mark.parametrize("straight", [0, -1])
+def test_products_are_those_with_second_derivatives(readout: str, terms: str, straight: int) -> None:
+    """H·s in u = log r, and with ∂φ/∂u added to its diagonal in relative 1/r; Gauss and Newton's never bends down."""
+    from lampest.solvers.kernel import arithmetic
+
+    scene, recorded = frames(READOUTS[readout])
+    stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
+    data, previous = stream.given(Readings.of(scene, recorded[2]))
+    assert previous is not None
+    cost = stream.estimator.problem(scene, 1, 0.2).cost
+    at = Evaluation.at(cost, data, previous)
+    curvature = Curvature(at, Smoothing.start(at))
+    bench = Workbench(cost, data)
+    bench.point(previous)
+    arena, point = bench.arena, arithmetic._blank(11, 30)
+    point[0][1] = previous.ravel()
+    arithmetic._priced(arena.addresses, arena.where, arena.memory, data.ties, point)
+    for whole in (True, False):
+        given = (arena.addresses, arena.where, arena.memory, arena.entries, point, straight, whole)
+        model, links = arithmetic._modelled(*given)
+        matrix = np.empty((30, 30))
+        for cell, unit in enumerate(np.eye(30)):
+            arithmetic._bent_along(arena.addresses, 5, model, links, point, whole, unit, matrix[cell])
+        assert_allclose(matrix, matrix.T, rtol=1e-7, atol=1e-9 * np.abs(matrix).max())
+        if whole:
+            expected = curvature.matrix - straight * np.diag(curvature.gradient)
+            assert_allclose(matrix, expected, rtol=1e-6, atol=1e-9 * np.abs(matrix).max())
+        else:
+            assert np.linalg.eigvalsh(matrix)[0] > -1e-9 * np.abs(matrix).max()
+        found = arithmetic._preconditioner(arena.addresses, 5, model, links, point, arena.band)
+        inverse, moving = np.empty((30, 30)), np.ones(30, dtype=np.int64)
+        for cell, unit in enumerate(np.eye(30)):
+            arithmetic._preconditioned(arena.addresses, 5, model, found, moving, unit, inverse[cell])
+        assert found[3] and np.linalg.eigvalsh((inverse + inverse.T) / 2)[0] > 0
+        assert_allclose(inverse, inverse.T, rtol=1e-6, atol=1e-9 * np.abs(inverse).max())
+
+
+@pytest.mark.parametrize("terms", TERMS)
+def test_what_is_certified_is_a_settled_minimum(terms: str) -> None:
+    """By a factor of second derivatives at the very place."""
+    scene, recorded = frames(READOUTS["two_point"], 6)
+    stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
+    for frame in recorded[2:]:
+        readings = Readings.of(scene, frame)
+        data, _ = stream.given(readings)
+        stream, step = stream.push(readings)
+        at = Evaluation.at(stream.estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None])
+        curvature = Curvature(at, Smoothing.start(at))
+        assert certificate(curvature, curvature.gradient).settled
+
+
+def test_newton_goes_on_where_it_falls_short() -> None:
+    """Terms that tie cells further apart than it knows, and an end of patience."""
+    scene, recorded = frames(READOUTS["two_point"])
+    estimator = Estimator(TERMS["LSR-gCR"], "reduced", error_bars=False)
+    stream = begun(scene, recorded, estimator)
+    readings = Readings.of(scene, recorded[2])
+    right = stream.push(readings)[1].solution.cell_resistance
+    data, previous = stream.given(readings)
+    solver = estimator.problem(scene, 1, 0.2)
+    assert previous is not None and from_previous(solver, data, previous) is not None
+    with patch.object(pursuing, "WIDEST", 0):
+        assert from_previous(solver, data, previous) is None
+        assert_allclose(stream.push(readings)[1].solution.cell_resistance, right, rtol=1e-6)
+    assert from_previous(replace(solver, settings=Settings(max_iterations=1)), data, previous * 9) is None
+    assert from_previous(solver, data.limited(0.0), previous) is None
+
+
+def test_cells_that_come_off_arrive() -> None:
+    """Straight in conductance they take few steps to their bound."""
+    scene, recorded = frames(READOUTS["two_point"])
+    stream = begun(scene, recorded, Estimator(TERMS["LSM"], "reduced", error_bars=False))
+    opened = 1000 * np.ones((5, 6))
+    opened[1, 1] = opened[2, 4] = 1e9
+    readout = READOUTS["two_point"]
+    values = readout.to_recorded(readout.exact_reading(opened), scene)
+    noise = readout.sigma(values) * np.random.default_rng(5).standard_normal((5, 6))
+    newton, found = both(stream, Readings.of(scene, values + noise))
+    assert newton.status is found.status is Status.OPTIMUM
+    assert found.objective <= newton.objective * (1 + 1e-9)
+    assert min(found.cell_resistance[0, 1, 1], found.cell_resistance[0, 2, 4]) > 1e5 and found.iterations <= 8
