@@ -11,6 +11,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.far_off import far_off
 from lampest.estimate.noise.seen import NoiseSeen
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
@@ -171,6 +172,8 @@ class Stream:
             model = baseline.surroundings()
             if stream.track is not None and model is not None:
                 track = stream.track.resting(model, remembered=self.estimator.relative)
+                if track.baseline is not None and self.resting.partial:
+                    track = replace(track, baseline=track.baseline.bent(*far_off(alone, self.resting, baseline)))
                 stream = replace(stream, track=track, previous_deviation=track.deviation)
         return stream.with_baseline(baseline)
 
@@ -181,7 +184,7 @@ class Stream:
         if len(data.measured) == 2:
             stream, step = with_contacts(self, readings, step)
         found = step.estimate(-1)
-        track, step = stream._barred(step)
+        track, step = stream._barred(step, readings)
         prepared = self.estimator.method.kept(step.solution, self.prepared)
         step = step.bare()
         return replace(
@@ -202,13 +205,14 @@ class Stream:
         """What stands behind a frame of which nothing earlier is known."""
         return Background(self.scene, self.period)
 
-    def _barred(self, step: Step) -> tuple[Track | None, Step]:
-        """The step with error bars, where they are wanted and can be had."""
+    def _barred(self, step: Step, readings: Readings) -> tuple[Track | None, Step]:
+        """The step that was solved from readings with error bars, where they are wanted and can be had."""
         if self.track is None or (model := step.surroundings()) is None:
             return self.track, step
         begin = perf_counter()
         with suppress(*BROKEN):
             track, bars = self.track.advanced(model)
+            bars = bars.bent(*far_off(self, readings, step)) if readings.partial else bars
             return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         return self.track, step
 

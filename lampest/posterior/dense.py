@@ -10,8 +10,9 @@ far as terms read them. With C = 1 and one noise for all data this is the Laplac
 of a residual's variance that is the previous frame's error where a term's weight allows for that (an arrival cost), so
 that it counts once: Joseph's form of a Kalman filter's covariance, right also for a gain that reads only the diagonal
 of S₀. A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of
-1, of ω x̂²/s², how much larger it is than its weight allows, and of c = Σ ω x̂² / (s² γ), the same for its term, where
-data determine γ of the term's residuals; c = 1 where the weight maximises the evidence. Where a loss pulls more than
+1, of ω x̂²/s², how much larger it is than its weight allows (of cells that were not read, see `least_widening`), and of
+c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals; c = 1 where the weight
+maximises the evidence. Where a loss pulls more than
 its curvature accounts for, H is the rest: beyond the corner of Huber's loss a residual has no curvature and still
 pulls, with H = weight · corner.
 Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
@@ -31,6 +32,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.residuals import residuals
 from lampest.panel.panel import Array
 from lampest.posterior.linear import IGNORANCE, LinearModel
+from lampest.posterior.unread import least_widening
 
 MOST_RANKED = 2048
 
@@ -132,8 +134,7 @@ class DenseErrors:
     def _pulled(self) -> Array:
         """s² (C − B)."""
         model = self.model
-        squares = model.penalty_curvature * model.penalty**2 / model.scale
-        widened = np.maximum(1.0, squares)
+        squares, widened = model.penalty_squares, least_widening(model)
         for number, expected in self._determined.items():
             own = model.penalty_term == number
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(expected, 1.0))
@@ -208,6 +209,10 @@ class DenseErrors:
         for which, carried in self._carried:
             answer = answer + carried @ (last, baseline)[which]
         return np.asarray(answer)
+
+    def inverse_column(self, place: int) -> Array:
+        """The column of A⁻¹ of one free cell, by its place among them."""
+        return np.asarray(self.inverse[:, place])
 
     @cached_property
     def resolution(self) -> Array:

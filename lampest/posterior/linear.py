@@ -69,13 +69,17 @@ class LinearModel:
         Of a cell whose own reading is missing 12/ln²(upper/lower), as of any place within its bounds: others are off by
         a share of what it is off by, and would seem open if that had no end.
         """
-        given = self.at.data.given
-        if not self.at.data.partial:
-            return np.full(len(self.free), IGNORANCE)
-        lower, upper = self._log_bounds
+        lower, upper = (bound[self.free] for bound in self._log_bounds)
         within = 12 / np.maximum(upper - lower, NEAR_BOUND) ** 2
-        unread = np.broadcast_to(given.seen, self.at.cell_resistance.shape).ravel() == 0
-        return np.asarray(np.where(unread, np.maximum(within, IGNORANCE), IGNORANCE)[self.free])
+        return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
+
+    @cached_property
+    def unread(self) -> NDArray[np.bool_]:
+        """(free) whether a cell's own reading says nothing."""
+        if not self.at.data.partial:
+            return np.zeros(len(self.free), dtype=bool)
+        seen = np.broadcast_to(self.at.data.given.seen, self.at.cell_resistance.shape).ravel()
+        return np.asarray(seen[self.free] == 0)
 
     @cached_property
     def _position(self) -> Array:
@@ -146,6 +150,11 @@ class LinearModel:
     def penalty(self) -> Array:
         """x̂ of the penalties."""
         return self._penalties.values(self.at)
+
+    @property
+    def penalty_squares(self) -> Array:
+        """ω x̂²/s² of the penalties."""
+        return np.asarray(self.penalty_curvature * self.penalty**2 / self.scale)
 
     @cached_property
     def penalty_term(self) -> NDArray[np.intp]:

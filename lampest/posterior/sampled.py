@@ -15,6 +15,7 @@ from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.posterior.dense import rank
 from lampest.posterior.linear import IGNORANCE, LinearModel
+from lampest.posterior.unread import least_widening
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import local_inverse, misfit_inverse
 from lampest.solvers.newton.smoothing import Smoothing
@@ -108,8 +109,7 @@ class SampledErrors:
     def _widened(self) -> Array:
         """C − B, as in the closed form, with γ from probes."""
         model = self.model
-        squares = model.penalty_curvature * model.penalty**2 / model.scale
-        widened = np.maximum(1.0, squares)
+        squares, widened = model.penalty_squares, least_widening(model)
         terms = np.unique(model.penalty_term)
         for number in terms:
             own = model.penalty_term == number
@@ -167,6 +167,12 @@ class SampledErrors:
             right = self._adjoint(model.data_curvature * rows[:, number]) - back[:, number]
             answers[:, number] = self._inverse(right[model.free])
         return answers
+
+    def inverse_column(self, place: int) -> Array:
+        """The column of A⁻¹ of one free cell, by its place among them."""
+        unit = np.zeros(len(self.model.free))
+        unit[place] = 1.0
+        return self._inverse(unit)
 
     @property
     def resolution(self) -> Array:

@@ -7,9 +7,11 @@ rule asks for, determinants and traces too, is a sum over κ.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, eigh, solve_triangular
 from scipy.optimize import minimize_scalar
 
@@ -18,7 +20,7 @@ from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import IGNORANCE, LinearModel
 
 Rule = Literal["risk", "evidence", "press"]
-POINTS, BEYOND, LEAST = 80, 1e4, 1e-12
+POINTS, BEYOND, LEAST, TOLD = 80, 1e4, 1e-12, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,19 +104,27 @@ class Spectrum:
 
         The latter is the mean of two estimates: the distance to the estimate without a penalty, which is unbiased and
         noisy (Eldar, IEEE Trans. Signal Process. 57, 2009), and what the penalty would do to the present estimate.
+        Where the data tell nothing, as of a cell that was not read, the penalty decides whatever its weight.
         """
         left = 1 / (1 + weight * self.stiffness)
-        apart = self.change(weight) + self.misfit_slope
-        pulled = weight * self.penalty_slope * left
+        apart = np.where(self.told, self.change(weight) + self.misfit_slope, 0.0)
+        pulled = np.where(self.told, weight * self.penalty_slope * left, 0.0)
         everything = np.ones(len(left))
         unbiased = apart @ self.gram @ apart + (2 * left - everything) @ self.spread @ everything
         present = pulled @ self.gram @ pulled + left @ self.spread @ left
         return float(unbiased + present) / 2
 
+    @cached_property
+    def told(self) -> NDArray[np.bool_]:
+        """Which directions the data tell more of than `IGNORANCE` does; all, where they tell of none."""
+        told = np.sum(self.directions**2, axis=0) > TOLD
+        return np.asarray(told | ~told.any())
+
     @property
     def extent(self) -> tuple[float, float]:
-        """log of the smallest and of the largest λ that make a difference."""
-        seen = self.stiffness[self.stiffness > LEAST * self.stiffness.max()]
+        """log of the smallest and of the largest λ that make a difference to what the data tell."""
+        stiffness = self.stiffness[self.told]
+        seen = stiffness[stiffness > LEAST * stiffness.max()]
         return -float(np.log(BEYOND * seen.max())), float(np.log(BEYOND / seen.min()))
 
     def best(self, rule: Rule) -> float:

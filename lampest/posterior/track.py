@@ -41,6 +41,10 @@ class Change:
             joined(frame.above, baseline.below, ends),
         )
 
+    def bent(self, below: Array, above: Array) -> "Change":
+        """As `Certainty.bent`."""
+        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
+
 
 @dataclass(frozen=True, eq=False)
 class Bars:
@@ -48,6 +52,11 @@ class Bars:
 
     frame: Certainty
     change: Change | None
+
+    def bent(self, below: Array, above: Array) -> "Bars":
+        """As `Certainty.bent`."""
+        change = None if self.change is None else self.change.bent(below, above)
+        return Bars(self.frame.bent(below, above), change)
 
 
 @dataclass(frozen=True, eq=False)
