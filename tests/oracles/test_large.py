@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
+from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
@@ -21,7 +22,9 @@ from lampest.recording.recording import Recording
 from lampest.solvers import linearised
 from lampest.solvers.newton import curvature, newton
 from lampest.solvers.newton.inside import from_inside
-from lampest.solvers.solution import Status
+from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.newton.straight import from_afar
+from lampest.solvers.solution import Settings, Status
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -141,3 +144,38 @@ def test_least_squares_from_inside_ends_where_stops_at_bounds_end(monkeypatch: p
     assert np.sum(inside.open_cell) > 38
     assert inside.status is stopped.status is Status.OPTIMUM
     assert inside.objective == pytest.approx(stopped.objective, rel=1e-8)
+
+
+def pressed_patch() -> Evaluation:
+    """LSR-∇CR at equal cells, of a panel with a patch of a hundredth: in log r the cost bends down there."""
+    generator = np.random.default_rng(4)
+    truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
+    truth[4:12, 5:13] *= 0.01
+    readings = two_point_resistance(truth)[None]
+    recorded = Recording(Scene(Panel(18, 20), TwoPointReadout()), readings, np.zeros(1), np.ones(1, dtype=np.uint8))
+    estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
+    data = estimator.data(recorded.readings()[0].alone(), Background(recorded.scene))
+    return Evaluation.at(estimator.cost(recorded.scene, 1, False), data, data.uniform_start)
+
+
+def test_straight_in_r_the_cost_never_bends_down() -> None:
+    """(diag r; J)ᵀ H (diag r; J) is what squares of residuals bend, also where ∇²φ bends down."""
+    bends = curvature.Curvature(at := pressed_patch(), Smoothing.start(at))
+    straight = np.stack([bends.straight_product(unit) for unit in np.eye(at.cell_resistance.size)])
+    assert_allclose(straight, straight.T, atol=1e-12 * np.abs(straight).max())
+    assert np.linalg.eigvalsh(bends.matrix)[0] < 0
+    assert np.linalg.eigvalsh(straight)[0] > -1e-12 * np.abs(straight).max()
+
+
+def test_steps_straight_in_r_end_beside_an_optimum() -> None:
+    """From afar, where Newton's method alone takes many iterations; it confirms the point in a few."""
+    start = pressed_patch()
+    solver = newton.Newton(start.cost, Settings())
+    near, steps = from_afar(start)
+    assert 5 < steps < 60
+    assert near.objective < 0.1 * start.objective
+    assert from_afar(near)[1] <= 1
+    found = solver.solve(start.data, start)
+    assert found.status is Status.OPTIMUM
+    assert steps < found.iterations <= steps + 8
+    assert start.elsewhere(found.cell_resistance).objective == pytest.approx(near.objective, rel=0.01)

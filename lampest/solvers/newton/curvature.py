@@ -90,10 +90,18 @@ class Curvature:
         change, bent = np.empty_like(cells), np.empty_like(cells)
         for frame, part in enumerate(step.reshape(cells.shape)):
             change[frame], bent[frame] = self._second_orders[frame].products(part)
+        whole: Array = self._of_terms(step, change) + bent.ravel() + (self.direct - self.through) * step
+        return whole
+
+    def straight_product(self, step: Array) -> Array:
+        """(diag r; J)ᵀ H (diag r; J)·p: what a change of r by r·p bends where readings follow it in proportion."""
+        return self._of_terms(step, self.forward(step))
+
+    def _of_terms(self, step: Array, change: Array) -> Array:
+        cells = self.at.cell_resistance
         force = self.terms @ np.concatenate([cells.ravel() * step, change.ravel()])
         direct, through = np.split(force, 2)
-        product = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
-        whole: Array = product + bent.ravel() + (self.direct - self.through) * step
+        whole: Array = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
         return whole
 
     @property
@@ -107,18 +115,24 @@ class Curvature:
     @property
     def only_misfit(self) -> bool:
         """Whether nothing but the readings of one frame bends the cost."""
-        frames = len(self.at.networks)
-        return frames == 1 and not len(self._entries[0].cells)
+        cells, functions = self.at.cell_resistance, self.at.cost.functions
+        rough = functions.rough_jacobian.pattern[1] < cells.size
+        return len(cells) == 1 and not (len(functions.entries.cells) or rough.any())
 
     @cached_property
     def local(self) -> sparse.csr_array:
         """A sparse, positive stand-in for ∇²φ: the terms' part, and of J only what a cell does to its own reading."""
+        scale = sparse.diags_array(self.at.cell_resistance.ravel())
+        rest = np.maximum(self.direct - self.through, 0)
+        return sparse.csr_array(scale @ self.straight_local @ scale + sparse.diags_array(rest))
+
+    @cached_property
+    def straight_local(self) -> sparse.csr_array:
+        """The same of `straight_product`, by changes of r in ohm."""
         cells = self.at.cell_resistance.ravel()
-        scale = sparse.diags_array(cells)
         model = self.terms.diagonal()[len(cells) :]
-        response = np.stack([network.own_response() for network in self.at.networks]).ravel()
-        rest = model * response**2 + np.maximum(self.direct - self.through, 0)
-        return sparse.csr_array(scale @ self.terms[: len(cells), : len(cells)] @ scale + sparse.diags_array(rest))
+        response = np.stack([network.own_response() for network in self.at.networks]).ravel() / cells
+        return sparse.csr_array(self.terms[: len(cells), : len(cells)] + sparse.diags_array(model * response**2))
 
     @cached_property
     def matrix(self) -> Array:

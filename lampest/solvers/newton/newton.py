@@ -21,6 +21,7 @@ from lampest.solvers.newton.groping import advanced
 from lampest.solvers.newton.inside import from_inside
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
+from lampest.solvers.newton.straight import from_afar
 from lampest.solvers.solution import Outcome, Settings, Status
 
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
@@ -57,6 +58,8 @@ class Newton:
         if self.shortcut is not None and (found := self.shortcut(self, data, start)) is not None:
             return found
         start, iteration = from_inside(start)
+        start, further = from_afar(start)
+        iteration += further
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
         unsettled = 0
