@@ -20,6 +20,7 @@ from lampest.files.interrupts import delayed_interrupt, ended_where_hung
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.search import BROKEN
@@ -63,6 +64,7 @@ class Stream:
     hasty : whether frames take the weights that there are, and the minimum nearest to the frame before, without search
     for lower ones; what that leaves open is told by `due` and `Solution.unsearched`.
     reading_error : of the logarithm of each reading, the same in all frames, as the frames or else the scene told.
+    frame_noise : what readings of a frame share by chance, as the frames told, or None.
     """
 
     estimator: Estimator
@@ -78,6 +80,7 @@ class Stream:
     weighed_at: float = 0.0
     hasty: bool = False
     reading_error: float = 0.0
+    frame_noise: FrameNoise | None = None
 
     @classmethod
     def begin(
@@ -99,7 +102,9 @@ class Stream:
             )
         sizes = scene.told_systematic if noise is None or noise.hidden is None else noise.hidden.sizes
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
-        return cls(estimator, scene, period, resting, track=track, reading_error=own)._rested()
+        shared = None if noise is None else noise.frame
+        begun = cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=shared)
+        return begun._rested()
 
     def tared(self, resting: Readings) -> "Stream":
         """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.

@@ -11,6 +11,7 @@ from lampest.files.document import plain_content, to_yaml
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import FIGURES, Column, all_columns
 from lampest.runs.config import Case
+from lampest.runs.frame_noise import arrays_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
@@ -59,6 +60,7 @@ def _filled(
         noise_sentence=estimates.noise.sentence,
         noise_learned=estimates.noise.learned,
         reading_error=estimates.noise.reading_error,
+        frame_noise=arrays_of(estimates.noise.frame),
         start_time=estimates.recording.start_time or "",
         film_sentence="" if estimates.film is None else estimates.film.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},

@@ -1,6 +1,7 @@
 """Recognition against scenes whose truth is known, and the parts it is made of."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,11 @@ from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.events import events, states
+from lampest.report.detect.run import detect
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors import local
+from lampest.runs.results import Results, read_results
 
 pytestmark = pytest.mark.slow
 
@@ -354,3 +360,20 @@ def test_a_mouth_touches_attaches_and_lets_go() -> None:
     assert happened[1].values[2] == pytest.approx(34, abs=1)
     assert happened[1].values[4] < -5
     assert np.isnan(happened[2].values).all()
+
+
+@pytest.mark.parametrize("effect", [{"gain_spread": 0.004}, {"supply_ripple_lsb": 2.0}], ids=["gain", "ripple"])
+def test_what_readings_of_a_frame_share_is_no_load(effect: dict[str, float], tmp_path: Path) -> None:
+    """A supply that is off by 0.4 % from frame to frame, or hums by 2 LSB: unloaded frames tell, results carry it."""
+    mouth = replace(MOUTH, rim_kpa=None)
+    recorded(mouth, unmodelled=Unmodelled(**effect), baseline_frames=8).save(tmp_path / "mouth.h5")
+    text = "schema: 1\nrecordings: [mouth.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"
+    (tmp_path / "run.yaml").write_text(text)
+    run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", local(1, 1))
+    results = read_results(tmp_path / "out" / "results.h5")
+    (case,) = results.cases
+    told, untold = (
+        detect(Results((replace(case, frame_noise=noise),)))[0].labels[-1] for noise in (case.frame_noise, {})
+    )
+    assert "lamprey" in told.split(OR) and "unlike any" not in told
+    assert "unlike any" in untold

@@ -86,6 +86,7 @@ def test_every_array_of_a_case_is_a_column() -> None:
         "noise_sentence",
         "noise_learned",
         "reading_error",
+        "frame_noise",
         "film_sentence",
         "start_time",
     } | {folder.name for folder in FIGURES}

@@ -18,12 +18,14 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Faults, Scene, Systematic, Water
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import QUANTITIES
 from lampest.report.detect.report import event_table, write_detections
 from lampest.report.detect.run import MOST_SOURCES, GivenRecording, detect, detect_file, looked_at
 from lampest.report.plots.timeline import plot_timelines
-from lampest.runs.results import CaseResult, Results, write_results
+from lampest.runs.frame_noise import arrays_of
+from lampest.runs.results import CaseResult, Results, read_results, write_results
 
 FRAMES = 3
 MOUTH = {
@@ -184,3 +186,17 @@ def test_settings_out_of_range_are_refused() -> None:
     for wrong in ({"patch_mm": 0.0}, {"noise_percent": -1.0}, {"top_row_depth_mm": -5.0}):
         with pytest.raises(ValueError, match="must be"):
             RecognitionSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_noise_that_frames_share_comes_back_from_results(tmp_path: Path) -> None:
+    scene = solved_case().scene
+    noise = FrameNoise(scene, 5, 0.002, np.zeros((10, 0)), np.full((10, 2), 1e-3))
+    file = tmp_path / "results.h5"
+    write_results(file, [dataclasses.replace(solved_case(), frame_noise=arrays_of(noise))])
+    given = GivenRecording.of(read_results(file).cases[0], RecognitionSettings())
+    assert given.noise is not None
+    np.testing.assert_array_equal(next(given.frames()).common, noise.columns(given.measured[:1], False))
+    with h5py.File(file, "r+") as opened:
+        opened["entry/mouth/LSM"].attrs["frame_apart"] = np.zeros((8, 2))
+    with pytest.raises(InputError, match="frame_apart must have 10 rows"):
+        detect_file(file)

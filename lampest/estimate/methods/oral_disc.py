@@ -24,6 +24,7 @@ from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import BROKEN
@@ -38,6 +39,7 @@ class OralDiscTracker:
     """Where a sequence of such fits stands.
 
     panel, water : (rows, columns) kPa. baseline : of the unloaded readings. period : s between frames.
+    noise : what readings of a frame share by chance, or None.
     frames : how many were fitted. detector, last : prepared for the panel, and the fit before; None at first.
     """
 
@@ -45,30 +47,31 @@ class OralDiscTracker:
     water: Array
     baseline: Baseline
     period: float
+    noise: FrameNoise | None = None
     frames: int = 0
     detector: Detector | None = None
     last: OralDiscFit | None = None
 
     @classmethod
-    def of(cls, scene: Scene, period: float, resting: Readings, reading_error: float) -> "OralDiscTracker":
-        """Before the first frame; reading_error : as `ModelErrors.told_by` takes it.
-
-        Raises InputError where the noise of the readings is unknown.
-        """
+    def of(cls, stream: "Stream") -> "OralDiscTracker":
+        """Before the first frame. Raises InputError where the noise of the readings is unknown."""
+        scene, resting, noise = stream.scene, stream.resting, stream.frame_noise
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        errors = ModelErrors().told_by(scene, reading_error)
+        errors = ModelErrors().told_by(scene, stream.reading_error)
+        common = None if noise is None else noise.columns(resting.value[None], True)
         try:
-            baseline = Baseline.of(resting.value, _sigma(resting), scene, errors)
+            baseline = Baseline.of(resting.value, _sigma(resting), scene, errors, common)
         except ValueError as error:
             raise InputError(f"formulation: oral_disc: {error}") from error
-        every = period if np.isfinite(period) else 0.0
-        return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every)
+        every = stream.period if np.isfinite(stream.period) else 0.0
+        return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every, noise)
 
     def push(self, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
         """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
         seconds = (self.frames + 1) * self.period
-        frame = Direct(readings.value, _sigma(readings), self.baseline, self.water, seconds)
+        common = None if self.noise is None else self.noise.columns(readings.value[None], False)
+        frame = Direct(readings.value, _sigma(readings), self.baseline, self.water, seconds, common=common)
         detector = self.detector or Detector.of(self.panel, RecognitionSettings().patch_of(self.panel), frame)
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
@@ -101,7 +104,7 @@ class OralDiscMethod(Method):
     def begin(self, stream: "Stream") -> "Stream":
         """The stream with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        sequence = OralDiscTracker.of(stream.scene, stream.period, stream.resting, stream.reading_error)
+        sequence = OralDiscTracker.of(stream)
         data, cost = _judged(stream, stream.resting)
         solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
         baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))

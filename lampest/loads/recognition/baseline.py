@@ -58,11 +58,14 @@ class Baseline:
         return np.asarray(np.exp(-square / (2 * NEAR_PITCHES**2)))
 
     @classmethod
-    def of(cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors) -> "Baseline":
+    def of(
+        cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors, common: Array | None = None
+    ) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², by Gauss-Newton steps.
 
         measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
-        scene : what they were taken in. Raises ValueError unless its readout is a two-point one.
+        scene : what they were taken in. common : (cells, n) ohm, a root of the covariance of what they share by chance;
+        None: nothing. Raises ValueError unless its readout is a two-point one.
         """
         if not isinstance(scene.circuit, TwoPointReadout):
             raise ValueError("recognition knows readout.kind: two_point only")
@@ -78,16 +81,17 @@ class Baseline:
         mean = np.zeros(cells + offsets)
         mean[:cells] = np.log(np.median(CIRCUIT.uniform_start(measured)))
         noise, state = sigma.ravel() ** 2, mean
+        shared = 0.0 if common is None else common @ common.T
         for step in range(STEPS):
             network = network_of(state[:cells].reshape(rows, columns))
             slope = np.hstack([network.sensitivity(), spread])
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             across = prior @ slope.T
             innovation = residual + slope @ (state - mean)
-            factor = cho_factor(slope @ across + np.diag(noise))
+            factor = cho_factor(slope @ across + np.diag(noise) + shared)
             if step == ROUGHLY:
                 noise = np.where(_alone(factor, innovation), (FAR_OFF * measured.ravel()) ** 2, noise)
-                factor = cho_factor(slope @ across + np.diag(noise))
+                factor = cho_factor(slope @ across + np.diag(noise) + shared)
             move = mean + across @ cho_solve(factor, innovation) - state
             state = state + move * min(1.0, 1.0 / np.abs(move[:cells]).max(initial=1e-300))
             if step > ROUGHLY and np.abs(move).max() < SETTLED:

@@ -11,6 +11,7 @@ from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
 from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Uncertain, Whitening, outliers, without
 from lampest.loads.recognition.memory import Remembered
+from lampest.loads.recognition.over_time import OverTime
 from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
 from lampest.loads.recognition.together import Together, discs_of, twins
@@ -35,6 +36,7 @@ FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left ou
 CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
 NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
 STILL = 0.02  # relative change of readings below which a panel is not searched again
+ONE_MOVED = 2.0  # times that, or 6 σ, of one reading alone
 MOST_AT_ONCE = 3
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -51,7 +53,7 @@ class Detector:
     search : templates all over the panel. response : the film's relative deviation that `LEVELS` multiply.
     previous : the verdict on the last frame, or None. changed : ln r/r0 of its field, where a field was fitted.
     searched : (rows, columns) ohm of the frame in which all of the panel was searched last.
-    remembered : what the film remembers of loads.
+    remembered : what the film remembers of loads. together : what frames of the present load say together.
     """
 
     panel: Panel
@@ -65,6 +67,7 @@ class Detector:
     changed: Array | None = None
     searched: Array | None = None
     remembered: Remembered | None = None
+    together: OverTime = OverTime()
 
     @classmethod
     def of(cls, panel: Panel, patch_mm: float, first: Observation, loads: tuple[Candidate, ...] = LOADS) -> "Detector":
@@ -76,7 +79,7 @@ class Detector:
         return cls(panel, patch_mm, loads, exact, coarse, search, first.baseline.model_errors.response)
 
     def push(self, frame: Observation) -> tuple["Detector", Verdict]:
-        """The verdict on a frame, and the detector for the next one, by what the film remembers of those before."""
+        """The verdict on a frame in the light of those before, and the detector for the next one."""
         remembered = self.remembered or Remembered.nothing(self.panel.shape)
         resting = remembered.rest(frame.baseline, frame.seconds)
         here = self
@@ -85,15 +88,17 @@ class Detector:
             rest = Whitening.at_rest(frame)
             here = replace(self, rest=rest, search=self.search.against(rest))
         detector, verdict = here._pushed(frame)
+        together, shown = self.together.after(verdict, UNIFORM + self.loads)
         return replace(
             detector,
             rest=self.rest,
             search=self.search,
             remembered=remembered.after(verdict.best.change, frame.seconds),
-        ), verdict
+            together=together,
+        ), shown
 
     def _pushed(self, frame: Observation) -> tuple["Detector", Verdict]:
-        """The same of a frame with the baseline that the film has left."""
+        """The verdict on a frame alone, with the baseline that the film has left."""
         calm, whitening = self._at_rest(frame)
         if whitening is not None:
             verdict = self._judged(calm, self._uniform(calm, whitening))
@@ -163,11 +168,11 @@ class Detector:
         return verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS
 
     def _moved(self, frame: Observation) -> bool:
-        """Whether readings are no longer those in which all of the panel was searched last."""
+        """Whether readings are no longer those in which all of the panel was searched last; on large panels a few."""
         if self.searched is None:
             return True
         step = (frame.measured - self.searched) / np.hypot(3 * frame.sigma, STILL * frame.measured)
-        return bool(np.sqrt(np.mean(np.minimum(step * step, 100.0))) > 1)
+        return bool(np.sqrt(np.mean(np.minimum(step * step, 100.0))) > 1 or np.abs(step).max() > ONE_MOVED)
 
     def _searched(self, frame: Observation) -> tuple[Fit, ...]:
         """Coarse fits of all loads from wherever the change looks like something; one of each, the best first."""

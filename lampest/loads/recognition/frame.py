@@ -1,7 +1,7 @@
 """One frame as a likelihood: what a pressure on the cells makes of the readings, weighed by all that is uncertain."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -40,7 +40,8 @@ class Observation(ABC):
     """A frame's readings and what they are compared with.
 
     measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
-    unloaded frames too. seconds : since the baseline.
+    unloaded frames too. seconds : since the baseline. common : (cells, n) ohm, a root of the covariance of what the
+    frame's readings share by chance, its gain and patterns along scanned lines; None: nothing.
     """
 
     measured: Array
@@ -48,6 +49,7 @@ class Observation(ABC):
     baseline: Baseline
     water: Array
     seconds: float
+    common: Array | None = field(default=None, kw_only=True)
 
     @abstractmethod
     def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -63,10 +65,15 @@ class Observation(ABC):
         return loaded - self._unloaded, slope
 
     def covariance(self, change: Array) -> Array:
-        """σ² + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm²: readings, baseline, cells at rest."""
+        """σ² + V Vᵀ + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
+
+        Of each reading, of all in a frame, of the baseline, and of cells at rest.
+        """
         slope, resting = self.slope(change), self.baseline.model_errors.resting_sd(self.seconds)
         both = np.hstack([slope, self.offsets])
         total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
+        if self.common is not None:
+            total += self.common @ self.common.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
 
     def film(self, explained: "Explained") -> Array:
@@ -157,7 +164,7 @@ class TwoStep(Observation):
 
     def direct(self) -> Direct:
         """Without the estimate."""
-        return Direct(self.measured, self.sigma, self.baseline, self.water, self.seconds)
+        return Direct(self.measured, self.sigma, self.baseline, self.water, self.seconds, common=self.common)
 
     def bend(self, change: Array) -> Array:
         """What the straight line misses of f(r)."""

@@ -17,7 +17,7 @@ from lampest.panel.panel import Array, Panel
 
 MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5
 CLEAR = 1.5  # ln r/r0 beyond which a cell counts no more than one there
-WAYS, LEAST, FAINTEST = 3, 0.3, 0.08  # places for one more load; ln r/r0 in all, and beside the clearest, of one
+WAYS, LEAST, FAINTEST = 3, 0.15, 0.08  # places for one more load; ln r/r0 in all, and beside the clearest, of one
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 

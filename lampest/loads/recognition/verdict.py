@@ -1,7 +1,8 @@
 """All candidates before one frame: which are how probable, and what one may call it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -10,7 +11,7 @@ from lampest.loads.recognition.candidates import UNIFORM
 from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.prior import prior_cost
-from lampest.loads.recognition.several import Several
+from lampest.loads.recognition.several import AND
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
@@ -31,7 +32,8 @@ class Verdict:
     probabilities : by kind, in the order of the candidates that were asked for, then 'unlike any'; several loads count
     as their first. Both sum up to 1. goodness : χ² per reading of the best fit.
     label : its name, or several joined by 'or', the likeliest first. evidence : ln of the frame's probability under the
-    best fit and of that beforehand, up to what all fits to the same frame share.
+    best fit and of that beforehand, up to what all fits to the same frame share. as_good : labels of targets that do as
+    well as the best.
     """
 
     fits: tuple[Fit, ...]
@@ -40,6 +42,34 @@ class Verdict:
     goodness: float
     label: str
     evidence: float
+    as_good: tuple[str, ...] = ()
+
+    @cached_property
+    def by_label(self) -> Mapping[str, float]:
+        """How probable each label is."""
+        found: dict[str, float] = {}
+        for fit, share in zip(self.fits, self.shares, strict=True):
+            found[fit.candidate.label] = found.get(fit.candidate.label, 0.0) + share
+        return found
+
+    def with_odds(self, by_label: Mapping[str, float], candidates: Sequence[Candidate]) -> "Verdict":
+        """The same frame where labels are as probable as that; candidates : all that were asked for.
+
+        Labels that none of its fits has count for its probabilities and in its label, too.
+        """
+        own, kinds = self.by_label, [candidate.label for candidate in (*candidates, FIELD)]
+        shares = tuple(
+            by_label[fit.candidate.label] * share / max(own[fit.candidate.label], 1e-300)
+            for fit, share in zip(self.fits, self.shares, strict=True)
+        )
+        probabilities = [0.0] * len(kinds)
+        for label, share in by_label.items():
+            probabilities[kinds.index(label.split(AND)[0])] += share
+        likeliest = max(by_label, key=lambda label: by_label[label]).split(AND)
+        alarm = any(candidate.target and candidate.label in likeliest for candidate in candidates)
+        named = _named(by_label, SURE_OF_TARGET if alarm else SURE)
+        named += [label for label in self.as_good if label not in named]
+        return replace(self, shares=shares, probabilities=tuple(probabilities), label=OR.join(named))
 
     @property
     def best(self) -> Fit:
@@ -67,8 +97,7 @@ def judged(
     none. Where the likeliest is hollow, that is so of a target whose suction no cell shows, too: a rim may hide it.
 
     Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
-    not fitted, because nothing stands out, have no probability. Frames are not multiplied with each other: the errors
-    of the baseline and of the response are the same in all of them, and would be taken for evidence.
+    not fitted, because nothing stands out, have no probability. What frames of one load say together: `over_time`.
     """
     within = np.array([bounded(panel, fit) for fit in fits])
     before = np.array([prior_cost(panel, fit, response) for fit in fits])
@@ -77,33 +106,25 @@ def judged(
     counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
     tempered = counts * evidence - before
     shares = np.exp(tempered - logsumexp(tempered))
-    kinds = [candidate.label for candidate in (*candidates, FIELD)]
-    probabilities = [0.0] * len(kinds)
-    by_label: dict[str, float] = {}
-    for fit, share in zip(fits, map(float, shares), strict=True):
-        first = fit.candidate.parts[0] if isinstance(fit.candidate, Several) else fit.candidate
-        probabilities[kinds.index(first.label)] += share
-        by_label[fit.candidate.label] = by_label.get(fit.candidate.label, 0.0) + share
     best = fits[int(np.argmax(shares))].candidate
-    named = _named(by_label, SURE_OF_TARGET if best.target else SURE)
+    as_good: tuple[str, ...] = ()
     if best not in (*UNIFORM, FIELD):
         score = counts * (np.array([fit.score for fit in fits]) - within) + (0.0 if best.hollow else before)
-        named += [label for label in _as_good(fits, score, int(np.argmax(shares))) if label not in named]
-    return Verdict(
-        fits, tuple(map(float, shares)), tuple(probabilities), goodness, OR.join(named), float(max(evidence - before))
-    )
+        as_good = _as_good(fits, score, int(np.argmax(shares)))
+    one = Verdict(fits, tuple(map(float, shares)), (), goodness, "", float(max(evidence - before)), as_good)
+    return one.with_odds(one.by_label, candidates)
 
 
-def _as_good(fits: Sequence[Fit], score: Array, best: int) -> list[str]:
+def _as_good(fits: Sequence[Fit], score: Array, best: int) -> tuple[str, ...]:
     """The targets whose score is at most AS_GOOD above that of the best."""
-    return [
+    return tuple(
         fit.candidate.label
         for fit, high in zip(fits, score, strict=True)
         if fit.candidate.target and high < score[best] + AS_GOOD
-    ]
+    )
 
 
-def _named(by_label: dict[str, float], enough: float) -> list[str]:
+def _named(by_label: Mapping[str, float], enough: float) -> list[str]:
     """The likeliest labels that share `enough` of the probability."""
     order = sorted(by_label, key=lambda label: -by_label[label])
     needed = int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1

@@ -85,7 +85,8 @@ class Zero:
         change = cell_map(replace(middle, measured=measured, sigma=sigma, baseline=rest))
         if stands_out(change):
             return self.broken(), detector
-        baseline = Baseline.of(measured, sigma, self.scene, self.baseline.model_errors)
+        common = None if middle.common is None else OF_MEDIAN / np.sqrt(len(first)) * middle.common
+        baseline = Baseline.of(measured, sigma, self.scene, self.baseline.model_errors, common)
         seconds = self.calm[-1].frame.seconds - self.calm[0].frame.seconds
         said = (
             f"nothing was there for {len(self.calm)} frames ({seconds:.3g} s): no cell was off by more than "

@@ -19,11 +19,13 @@ from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.recognition.zero import Zero
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import AT_LEAST, VALUE, Readings
 from lampest.recording.stand_in import StandIn
 from lampest.report.detect.detection import Detection
 from lampest.runs.case import SHARED
 from lampest.runs.executors import each_of
+from lampest.runs.frame_noise import frame_noise_of
 from lampest.runs.results import CaseResult, Results, read_results
 
 AS_PUBLISHED = RecognitionSettings()
@@ -105,7 +107,8 @@ def _detected(task: "tuple[GivenRecording, CaseResult | None]") -> Detection:
 class GivenRecording:
     """A recording as the recognition is given it.
 
-    case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa.
+    case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa. noise : what the readings of a
+    frame share by chance, or None.
     measured, sigma : (frames, rows, columns) ohm; what stands in for a missing reading has so large a σ that it does
     not count. enough : (frames) whether there is something to look at. baseline : the unloaded panel.
     zero_after : frames without a load from which that is taken anew.
@@ -119,6 +122,7 @@ class GivenRecording:
     enough: NDArray[np.bool_]
     baseline: Baseline
     zero_after: int
+    noise: FrameNoise | None
 
     @classmethod
     def of(cls, case: CaseResult, settings: RecognitionSettings) -> "GivenRecording":
@@ -130,12 +134,15 @@ class GivenRecording:
         resting = _noise(case, case.sigma_baseline, unloaded, settings)
         try:
             errors = _model_errors(settings, scene, case.reading_error)
-            baseline = Baseline.of(unloaded, resting, scene, errors)
+            noise = frame_noise_of(case.frame_noise, scene)
+            common = None if noise is None else noise.columns(unloaded[None], True)
+            baseline = Baseline.of(unloaded, resting, scene, errors, common)
         except ValueError as error:
             raise InputError(f"{case.recording}: {told_reason(error, case.recording)}") from error
         side = np.where(case.valued, VALUE, AT_LEAST)  # what is no value is not asked on which side it bounds
         enough = Readings(measured, None, side, np.ones(side.shape)).enough(scene)
-        return cls(case, settings.patch_of(scene.panel), water, measured, sigma, enough, baseline, settings.zero_after)
+        patch_mm, after = settings.patch_of(scene.panel), settings.zero_after
+        return cls(case, patch_mm, water, measured, sigma, enough, baseline, after, noise)
 
     def frames(self) -> Iterator[Direct]:
         """All frames; the baseline ended one period before the first."""
@@ -143,7 +150,8 @@ class GivenRecording:
         period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         for place, measured in enumerate(self.measured):
             seconds = float(time[place] - time[0]) + period
-            yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds)
+            common = None if self.noise is None else self.noise.columns(measured[None], False)
+            yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds, common=common)
 
 
 def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
@@ -167,7 +175,8 @@ def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
 
 
 def _compared(frame: Direct, estimate: Array) -> Observation:
-    return TwoStep(frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds, estimate)
+    told = frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds
+    return TwoStep(*told, estimate, common=frame.common)
 
 
 def _model_errors(settings: RecognitionSettings, scene: Scene, reading_error: float) -> ModelErrors:

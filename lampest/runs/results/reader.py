@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import h5py
+import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError, meant
@@ -16,6 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.runs.case import REQUIRED, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
+from lampest.runs.frame_noise import NAMES
 from lampest.runs.published import PublishedFigures, published_from
 from lampest.runs.results.scene import stored_scene
 from lampest.runs.results.writer import FORMAT
@@ -202,6 +204,7 @@ def _read_case(
             noise_sentence=str(texts.get("noise_check", "")),
             noise_learned=str(texts.get("noise_learned", "")),
             reading_error=hdf5.read_number(file, base, "reading_error", 0.0),
+            frame_noise={name: np.asarray(texts[f"frame_{name}"]) for name in NAMES if f"frame_{name}" in texts},
             film_sentence=str(texts.get("film", "")),
             start_time=_start_time(file, recording),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),

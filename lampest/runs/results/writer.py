@@ -137,6 +137,7 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
             hdf5.set_attributes(estimate, noise_learned=case.noise_learned)
         if case.reading_error:
             hdf5.set_attributes(estimate, reading_error=float(case.reading_error))
+        hdf5.set_attributes(estimate, **{f"frame_{name}": value for name, value in case.frame_noise.items()})
         if case.film_sentence:
             hdf5.set_attributes(estimate, film=case.film_sentence)
         own = [*(column for column in table if not column.shared), FRAME]
