@@ -38,6 +38,18 @@ class SecondOrder(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Afar:
+    """diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U (cells, lines) whose columns are the lines.
+
+    own (rows, columns), along (k, rows, columns), mixed (k·lines)².
+    """
+
+    own: Array
+    along: Array
+    mixed: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Network(ABC):
     """cell_resistance, conductance : (rows, columns) ohm and siemens, each other's reciprocal.
 
@@ -83,6 +95,13 @@ class Network(ABC):
 
         weight : w > 0 of the readings. diagonal : c ≥ 0 of the cells; all (rows, columns).
         """
+
+    def normal_from_afar(self, weight: Array) -> Afar:
+        """What approximates JᵀWJ for weights w ≥ 0 of the readings (rows, columns): J's diagonal, and what lines add,
+        where a kind knows that.
+        """
+        own: Array = weight * self.own_response() ** 2
+        return Afar(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
 
     def potentials(self) -> Array:
         """(lines, patterns) volt per ampere: what every line stands at while a unit current enters line `pattern`."""

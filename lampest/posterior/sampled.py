@@ -17,7 +17,8 @@ from lampest.posterior.dense import rank
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.unread import least_widening
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import local_inverse, misfit_inverse
+from lampest.solvers.newton.directions import misfit_inverse
+from lampest.solvers.newton.local import local_inverse
 from lampest.solvers.newton.smoothing import Smoothing
 
 SAMPLES, PROBES = 100, 8

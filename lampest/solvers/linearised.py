@@ -12,7 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import local_inverse
+from lampest.solvers.newton.local import local_inverse
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solution, Status, approximation
 

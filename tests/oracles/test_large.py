@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import linalg
 
 from lampest import two_point_resistance
 from lampest.cost.given import Background
@@ -16,12 +17,13 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import convex
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
-from lampest.panel.readouts.two_point.stencil import Stencil, StencilSquare
+from lampest.panel.readouts.two_point.stencil import Stencil, StencilSquare, square_from_afar
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import linearised
 from lampest.solvers.newton import curvature, newton
 from lampest.solvers.newton.inside import from_inside
+from lampest.solvers.newton.rough import Rough
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.straight import from_afar
 from lampest.solvers.solution import Settings, Status
@@ -113,6 +115,10 @@ def test_the_square_of_a_stencil_inverts_what_it_stands_for() -> None:
     matrix = response.T @ (weight.reshape(-1, 1) * response) + np.diag(diagonal.ravel())
     chosen = np.flatnonzero(free)
     values = np.where(free, generator.standard_normal((4, 5)), 0.0)
+    parts = square_from_afar(conductance, resistance, weight)
+    lines = np.concatenate([row[:, None] == np.arange(4), column[:, None] == np.arange(5)], axis=1)
+    across = np.concatenate([one.reshape(-1, 1) * lines for one in parts.along], axis=1)
+    assert_allclose(matrix, np.diag(parts.own.ravel() + diagonal.ravel()) + across @ parts.mixed @ across.T, rtol=1e-10)
     solved = StencilSquare.of(conductance, resistance, weight, diagonal, free)(values)
     assert_allclose(solved[~free], 0.0)
     expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[free])
@@ -171,7 +177,7 @@ def test_steps_straight_in_r_end_beside_an_optimum() -> None:
     """From afar, where Newton's method alone takes many iterations; it confirms the point in a few."""
     start = pressed_patch()
     solver = newton.Newton(start.cost, Settings())
-    near, steps = from_afar(start)
+    near, steps, _ = from_afar(start)
     assert 5 < steps < 60
     assert near.objective < 0.1 * start.objective
     assert from_afar(near)[1] <= 1
@@ -179,3 +185,23 @@ def test_steps_straight_in_r_end_beside_an_optimum() -> None:
     assert found.status is Status.OPTIMUM
     assert steps < found.iterations <= steps + 8
     assert start.elsewhere(found.cell_resistance).objective == pytest.approx(near.objective, rel=0.01)
+
+
+def test_lines_precondition_what_neighbours_and_readings_bend() -> None:
+    """Beside the convex start, by changes of log r: symmetric, positive, and near the inverse along most directions."""
+    at = pressed_patch()
+    at = at.elsewhere(
+        np.clip(at.data.readout.start(at.data.measured[0], at.data.upper[0]), at.data.lower, at.data.upper)
+    )
+    bends = curvature.Curvature(at, Smoothing.start(at))
+    count, spread = at.cell_resistance.size, {}
+    everything, cells = np.arange(count), at.cell_resistance.ravel()
+    straight = np.stack([bends.straight_product(unit) for unit in np.eye(count)])
+    for lined in (False, True):
+        solve = Rough.of(bends, np.zeros(count), lined).over(everything, cells)
+        inverse = np.stack([solve(unit) for unit in np.eye(count)])
+        assert_allclose(inverse, inverse.T, atol=1e-6 * np.abs(inverse).max())
+        values = linalg.eigvals(straight @ inverse).real
+        assert values.min() > 0
+        spread[lined] = np.quantile(values, 0.98) / np.quantile(values, 0.02)
+    assert spread[True] < 0.3 * spread[False], spread

@@ -14,7 +14,7 @@ from scipy import sparse
 from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation
 from lampest.panel.conjugate import DENSE_UNKNOWNS
-from lampest.panel.network import SecondOrder
+from lampest.panel.network import Afar, SecondOrder
 from lampest.panel.panel import Array
 from lampest.solvers.newton.smoothing import Smoothing
 
@@ -122,17 +122,27 @@ class Curvature:
     @cached_property
     def local(self) -> sparse.csr_array:
         """A sparse, positive stand-in for ∇²φ: the terms' part, and of J only what a cell does to its own reading."""
-        scale = sparse.diags_array(self.at.cell_resistance.ravel())
-        rest = np.maximum(self.direct - self.through, 0)
-        return sparse.csr_array(scale @ self.straight_local @ scale + sparse.diags_array(rest))
-
-    @cached_property
-    def straight_local(self) -> sparse.csr_array:
-        """The same of `straight_product`, by changes of r in ohm."""
         cells = self.at.cell_resistance.ravel()
-        model = self.terms.diagonal()[len(cells) :]
-        response = np.stack([network.own_response() for network in self.at.networks]).ravel() / cells
-        return sparse.csr_array(self.terms[: len(cells), : len(cells)] + sparse.diags_array(model * response**2))
+        scale = sparse.diags_array(cells)
+        rest = self.own + self.bent_up
+        return sparse.csr_array(scale @ self.terms[: len(cells), : len(cells)] @ scale + sparse.diags_array(rest))
+
+    @property
+    def own(self) -> Array:
+        """What a cell's own reading bends."""
+        response = np.stack([network.own_response() for network in self.at.networks]).ravel()
+        return np.asarray(self.terms.diagonal()[response.size :] * response**2)
+
+    @property
+    def bent_up(self) -> Array:
+        """What the change of variable adds to the diagonal, where that is positive."""
+        return np.maximum(self.direct - self.through, 0)
+
+    @property
+    def afar(self) -> Afar:
+        """What the readings of one frame bend, as the network looks from afar."""
+        weight = self.terms.diagonal()[self.at.cell_resistance.size :].reshape(self.at.cell_resistance.shape)
+        return self.at.networks[0].normal_from_afar(weight[0])
 
     @cached_property
     def matrix(self) -> Array:

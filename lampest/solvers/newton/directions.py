@@ -5,14 +5,14 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.linalg import lapack
-from scipy.sparse.linalg import splu
 
 from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.local import local_inverse
 from lampest.solvers.newton.reach import within_reach
+from lampest.solvers.newton.rough import Rough
 from lampest.solvers.newton.softest import softest
 
 LEAST_SIZE, LEAST_DAMPING = 1e-3, 1e-3
@@ -175,7 +175,8 @@ def preconditioner(curvature: Curvature, free: NDArray[np.intp], kept: Factor | 
     if kept is not None and not kept.exact and kept.near(cells, FOLLOWED) and not len(curvature.at.cost.slope):
         return kept
     everything = np.arange(cells.size)
-    return Factor(everything, cells, local_inverse(curvature.local, np.zeros(cells.size), everything))
+    rough = Rough.of(curvature, curvature.bent_up, lined=True)
+    return Factor(everything, cells, rough.over(everything, cells.ravel()))
 
 
 def raised(damping: float) -> float:
@@ -204,19 +205,6 @@ def misfit_inverse(curvature: Curvature, free: NDArray[np.intp], diagonal: Array
         whole[free] = values
         return inverse(whole.reshape(shape)).ravel()[free]
 
-    return solve
-
-
-def local_inverse(local: sparse.csr_array, damping: Array, free: NDArray[np.intp]) -> Linear:
-    """The inverse of what the terms and each cell's own reading say, on the free cells; sparse LU, symmetric order."""
-    matrix = sparse.csr_array(local + sparse.diags_array(damping))[free][:, free]
-    least = 1e-9 * np.abs(matrix.diagonal()).max(initial=1e-300)
-    matrix = sparse.csc_array(matrix + sparse.diags_array(np.full(len(free), least)))
-    if matrix.nnz == len(free):
-        diagonal = matrix.diagonal()
-        return lambda values: values / diagonal
-    options = {"SymmetricMode": True}
-    solve: Linear = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
     return solve
 
 

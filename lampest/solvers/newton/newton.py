@@ -58,10 +58,10 @@ class Newton:
         if self.shortcut is not None and (found := self.shortcut(self, data, start)) is not None:
             return found
         start, iteration = from_inside(start)
-        start, further = from_afar(start)
+        start, further, rough = from_afar(start)
         iteration += further
         smoothing = Smoothing.start(start)
-        point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0), data)
+        point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0, rough), data)
         unsettled = 0
         stands = stalled = False
         while iteration < self.settings.max_iterations:

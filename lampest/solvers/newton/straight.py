@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.conjugate import Linear, conjugate_gradients
+from lampest.panel.conjugate import conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import free_cells
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import local_inverse
+from lampest.solvers.newton.directions import Factor
+from lampest.solvers.newton.rough import Rough
 from lampest.solvers.newton.smoothing import Smoothing
 
 NEAR = 1e-4  # of the cost's scale, its gradient: from here Newton's method takes two to four steps
@@ -28,13 +28,17 @@ FARTHEST = 2.0  # times that r changes in a step: 30 ended 0.7 % higher in the m
 ACCURACY = 0.1  # of a step by conjugate gradients
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 DECREASE = 1e-4  # as in Nocedal & Wright, section 3.1
+MANY = 24  # products of a first step: lines count then. 5 to 15 are usual, 25 to 60 where readings are weighed
 WORN, FEW = 1.5, 8  # times the products that a new factor takes, and at least so many: when it is made anew
 
 
-def from_afar(start: Evaluation) -> tuple[Evaluation, int]:
-    """Where Newton's method may go on, and the steps; `start` itself and none where that alone is as good."""
+def from_afar(start: Evaluation) -> tuple[Evaluation, int, Factor | None]:
+    """Where Newton's method may go on, the steps, and what it may precondition its own with, if that serves well.
+
+    `start` itself, none and nothing where Newton's method alone is as good.
+    """
     if not _serves(start):
-        return start, 0
+        return start, 0, None
     here, steps = _Straight(start), 0
     while steps < MOST_STEPS and here.residual > NEAR and not start.data.overdue:
         moved = here.moved()
@@ -44,7 +48,7 @@ def from_afar(start: Evaluation) -> tuple[Evaluation, int]:
         here, steps = moved, steps + 1
         if slow:
             break
-    return here.at, steps
+    return here.at, steps, here.factor
 
 
 def _serves(start: Evaluation) -> bool:
@@ -55,37 +59,23 @@ def _serves(start: Evaluation) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rough:
-    """solve : the inverse, in ohm, of what terms and each cell's own reading say, over all cells. products : how many
-    the first step by conjugate gradients took with it.
+class _Straight:
+    """at : the cost. rough : what conjugate gradients are preconditioned with, if it still serves. products, last : how
+    many the first and the last step with the last one took.
     """
 
-    solve: Linear
-    products: int = 0
-
-    @classmethod
-    def of(cls, curvature: Curvature) -> "_Rough":
-        """At a point."""
-        local = curvature.straight_local
-        return cls(local_inverse(local, np.zeros(local.shape[0]), np.arange(local.shape[0])))
-
-    def over(self, free: NDArray[np.intp], cells: Array) -> Linear:
-        """Of relative steps of the free ones of the cells (cells) ohm."""
-        whole = np.zeros(len(cells))
-
-        def solve(values: Array) -> Array:
-            whole[free] = values / cells[free]
-            return np.asarray(self.solve(whole)[free] / cells[free])
-
-        return solve
-
-
-@dataclass(frozen=True, eq=False)
-class _Straight:
-    """at : the cost. rough : what conjugate gradients are preconditioned with, if it still serves."""
-
     at: Evaluation
-    rough: _Rough | None = None
+    rough: Rough | None = None
+    products: int = 0
+    last: int = 0
+
+    @property
+    def factor(self) -> Factor | None:
+        """What `rough` is for Newton's method, if steps take FEW products with it."""
+        if self.rough is None or self.last > FEW:
+            return None
+        everything = np.arange(len(self.cells))
+        return Factor(everything, self.at.cell_resistance, self.rough.over(everything, self.cells))
 
     @cached_property
     def curvature(self) -> Curvature:
@@ -104,14 +94,18 @@ class _Straight:
 
     def moved(self) -> "_Straight | None":
         """After one step; None where no share of it leads lower."""
-        step, rough = self._step()
+        lined = self.products > MANY
+        rough = self.rough or Rough.of(self.curvature, np.zeros(len(self.cells)), lined)
+        step, products = self._step(rough)
+        first = self.products if self.rough else products
+        kept = rough if products <= max(WORN * first, FEW) else None
         for share in SHARES:
             if (found := self._lower(share * step)) is not None:
-                return _Straight(found, rough)
+                return _Straight(found, kept, first, products)
         return None
 
-    def _step(self) -> tuple[Array, _Rough | None]:
-        """δr/r that is best for squares, zero at cells that press against a bound; and what still preconditions."""
+    def _step(self, rough: Rough) -> tuple[Array, int]:
+        """δr/r that is best for squares, zero at cells that press against a bound; and how many products that took."""
         free, products = np.flatnonzero(free_cells(self.at, self.curvature.gradient)), 0
         whole, step = np.zeros(len(self.cells)), np.zeros(len(self.cells))
 
@@ -121,12 +115,9 @@ class _Straight:
             whole[free] = search
             return self.curvature.straight_product(whole)[free]
 
-        used = self.rough or _Rough.of(self.curvature)
         right = -self.curvature.gradient[free]
-        step[free], _ = conjugate_gradients(product, used.over(free, self.cells), right, ACCURACY)
-        if not used.products:
-            return step, _Rough(used.solve, products)
-        return step, used if products <= max(WORN * used.products, FEW) else None
+        step[free], _ = conjugate_gradients(product, rough.over(free, self.cells), right, ACCURACY)
+        return step, products
 
     def _lower(self, step: Array) -> Evaluation | None:
         """The cost after a relative step, within the bounds and FARTHEST, if it is lower."""

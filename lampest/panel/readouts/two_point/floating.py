@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, Network, Numbers, SecondOrder, inverse_of
+from lampest.panel.network import Afar, Block, Network, Numbers, SecondOrder, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.stencil import StencilSquare
+from lampest.panel.readouts.two_point.stencil import StencilSquare, square_from_afar
 
 
 def grounding(two_point_resistance: Array) -> Array:
@@ -95,6 +95,10 @@ class FloatingNetwork(Network):
     def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> StencilSquare:
         """From what a network looks like from afar."""
         return StencilSquare.of(self.conductance, self.reading(), weight, diagonal, free)
+
+    def normal_from_afar(self, weight: Array) -> Afar:
+        """Diagonal, rows and columns; see `square_from_afar`."""
+        return square_from_afar(self.conductance, self.reading(), weight)
 
     def log_determinant(self) -> float:
         """log det Z."""

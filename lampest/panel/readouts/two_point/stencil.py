@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.kirchhoff import line_sums
+from lampest.panel.network import Afar
 from lampest.panel.panel import Array
 
 LEAST_SHARE = 0.05  # of R²: where the lines alone explain a cell's own response, the diagonal must not vanish
@@ -78,6 +79,18 @@ class StencilSquare:
         back = self.heavy * (above[:rows, None] + above[rows:]) + (below[:rows, None] + below[rows:])
         solved: Array = (first - self.inverse * back) * self.cell_resistance
         return solved
+
+
+def square_from_afar(conductance: Array, two_point_resistance: Array, weight: Array) -> Afar:
+    """JᵀWJ with J = S·diag(g), as its parts: diag(g²d²w), [g·dwU, g·U] and M of `StencilSquare`; w ≥ 0 (rows, columns).
+
+    conductance, two_point_resistance : (rows, columns) siemens and ohm.
+    """
+    cells, lines = _parts(conductance, two_point_resistance)
+    heavy = conductance * cells * weight
+    mixed = lines[:, None] * _between_lines(weight) * lines
+    inner = np.block([[np.zeros_like(mixed), np.diag(lines)], [np.diag(lines), mixed]])
+    return Afar(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
 
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
