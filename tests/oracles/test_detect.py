@@ -31,6 +31,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.detect.detection import QUANTITIES, numbers_of
 from lampest.report.detect.events import events, states
 from lampest.report.detect.run import detect
 from lampest.runs.batch import run_batch
@@ -135,6 +136,21 @@ def test_a_mouth_that_bears_its_suction_may_be_one(form: dict[str, Any]) -> None
     names = set(verdict.label.split(OR))
     assert "lamprey" in names and names <= {"lamprey", "cup"} and verdict.goodness < 1.4
     assert disc_of(verdict).diameter_mm == pytest.approx(36, abs=2.0)
+
+
+def test_what_may_be_either_is_as_large_as_either_may_be() -> None:
+    verdict = seen(frames_of(recorded(LOADS["cup"])))[-1].with_odds(
+        {"cup": 0.5, "lamprey": 0.5, "ring": 0.0}, CANDIDATES
+    )
+    place = [quantity.name for quantity in QUANTITIES].index("diameter")
+    (one, first), (other, second) = (
+        [float(part[place]) for part in numbers_of(replace(verdict, fits=(fit,), shares=(1.0,)))]
+        for fit in verdict.fits
+        if fit.candidate.label in ("cup", "lamprey")
+    )
+    value, error = (float(part[place]) for part in numbers_of(verdict))
+    assert value == pytest.approx((one + other) / 2)
+    assert error == pytest.approx(np.sqrt((first**2 + second**2) / 2 + (one - other) ** 2 / 4))
 
 
 def test_two_mouths_are_two() -> None:

@@ -23,6 +23,7 @@ from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
+from lampest.report.detect.detection import QUANTITIES, numbers_of
 from tests.studies.mouth_report import Seen, report
 from tests.studies.mouth_scenes import MAKERS, cells, film, recorded
 
@@ -65,14 +66,10 @@ def seen(kind: str, side: int, film_kind: str, seed: int, count: int) -> list[Se
 
 
 def diameter_of(verdict: Verdict) -> tuple[float, float]:
-    """(value, standard deviation) in mm of the most probable load; NaN where it has none."""
-    fit = verdict.best
-    names = [quantity.name for quantity in fit.candidate.quantities]
-    if "diameter" not in names:
-        return np.nan, np.nan
-    values, slopes = fit.candidate.report(fit.parameters)
-    place = names.index("diameter")
-    return float(values[place]), float(np.sqrt(slopes[place] @ fit.covariance @ slopes[place]))
+    """(value, standard deviation) in mm as `detect` reports it; NaN where the most probable load has none."""
+    values, errors = numbers_of(verdict)
+    place = [quantity.name for quantity in QUANTITIES].index("diameter")
+    return float(values[place]), float(errors[place])
 
 
 def read(path: Path) -> Iterator[Seen]:

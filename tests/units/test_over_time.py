@@ -61,6 +61,13 @@ def test_one_wrong_frame_makes_no_alarm() -> None:
     assert wrong[1].probabilities[[kind.label for kind in KINDS].index("lamprey")] < 0.999
 
 
+def test_what_touched_and_now_sucks_is_judged_anew() -> None:
+    ring = frame(ring=1 - 1e-9, lamprey=1e-9)
+    assert [one.label for one in said([ring, ring, frame(**MOUTH)])] == ["ring", "ring", "lamprey"]
+    cup = frame(cup=0.7, lamprey=0.3)
+    assert set(said([cup, cup, frame(**MOUTH)])[-1].label.split(OR)) == {"lamprey", "cup"}
+
+
 def test_frames_that_go_on_convince_and_what_has_left_is_forgotten() -> None:
     assert said([frame(**FIN)] * 3 + [frame(**MOUTH)] * 4)[-1].label.split(OR)[0] == "lamprey"
     gone = Verdict(frame().fits, (1.0, 0.0), (), 1.0, "", 0.0).with_odds({"nothing": 1.0, "flat load": 0.0}, CANDIDATES)

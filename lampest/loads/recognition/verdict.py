@@ -59,7 +59,7 @@ class Verdict:
         """
         own, kinds = self.by_label, [candidate.label for candidate in (*candidates, FIELD)]
         shares = tuple(
-            by_label[fit.candidate.label] * share / max(own[fit.candidate.label], 1e-300)
+            by_label.get(fit.candidate.label, 0.0) * share / max(own[fit.candidate.label], 1e-300)
             for fit, share in zip(self.fits, self.shares, strict=True)
         )
         probabilities = [0.0] * len(kinds)
