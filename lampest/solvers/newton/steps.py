@@ -89,6 +89,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
     damping, accuracy = point.damping, min(0.1, residual**0.5)
     while damping <= LARGEST_DAMPING:
         moving, known = free, np.zeros(len(position))
+        first: Array | None = None
         for left in reversed(range(MOST_STOPS)):
             towards = direction(point.curvature, moving, known, damping, accuracy, point.factor)
             step, damping = towards.step, towards.damping
@@ -105,10 +106,24 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             if not again:
                 break
             # A cell that stops at its bound leaves its partners' steps wrong: let it stop there and ask them again.
-            stopped = first_stops(point.curvature, beyond, (reached - position) / np.where(beyond, step, 1))
+            share = (reached - position) / np.where(beyond, step, 1)
+            first = share[beyond].min() * step if first is None else first
+            stopped = first_stops(point.curvature, beyond, share)
             moving, known = moving & ~stopped, np.where(stopped, reached - position, known)
+        if first is not None and (moved := _cut_short(point, data, first, residual)) is not None:
+            return moved
         damping = raised(damping)
     return None
+
+
+def _cut_short(point: Iterate, data: Data, step: Array, residual: float) -> Iterate | None:
+    """The next point where a step ends at the first bound that it meets: cells that a heavy penalty ties together,
+    though each to the next but loosely, do not stop one by one.
+    """
+    lower, upper = (bound.ravel() for bound in data.log_bounds)
+    target = np.clip(point.at.position.ravel() + step, lower, upper)
+    promised = -float(point.curvature.gradient @ step)
+    return trial(point, data, target, 0.0, residual, promised)
 
 
 def by_kept_factor(point: Iterate, data: Data, residual: float, free: NDArray[np.bool_]) -> Iterate | None:
