@@ -28,7 +28,8 @@ SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
 NEARBY = 0.01  # of log r: second derivatives change by about as much, and a predicted step with them
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
 REPRODUCED = 1e-5  # of a reading: what second derivatives of readings add to JᵀΩJ is no larger part of it
-REPRODUCED_UNKNOWNS = 600  # cells, up to which a solve with J is asked for where no noise says what may be off
+SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings are what the cost asks for
+REPRODUCED_UNKNOWNS = 1024  # cells, up to which a solve with J is asked for where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
 SURE = 1e-3  # of what squares of residuals bend
 ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
@@ -124,7 +125,8 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
 def _of_reproduced(curvature: Curvature) -> Certificate | None:
     """Where nothing but the readings enters and every one is reproduced, φ is nearly zero, its least: s = −J⁻¹ e.
 
-    e : how far each reading is off, relative. J alone has the digits that H = JᵀΩJ loses. None elsewhere.
+    e : how far each reading is off, relative. J alone has the digits that H = JᵀΩJ loses. Where no noise is known, nor
+    is it what a reading may be off by: then also where cells nearby reproduce them all. None elsewhere.
     """
     if not all(term.reads_measurement for term in curvature.at.cost.terms) or not curvature.only_misfit:
         return None
@@ -132,15 +134,18 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
     if not np.all(bend > 0):
         return None
     missed = curvature.by_reading.ravel() / bend / reading
-    most = DENSE_UNKNOWNS if curvature.at.data.noise_known else REPRODUCED_UNKNOWNS
-    if float(np.abs(missed).max()) > REPRODUCED or len(reading) > most:
+    known, close = curvature.at.data.noise_known, float(np.abs(missed).max()) <= REPRODUCED
+    if len(reading) > (DENSE_UNKNOWNS if known else REPRODUCED_UNKNOWNS) or (known and not close):
         return None
     sensitivity = curvature.at.networks[0].sensitivity() / reading[:, None]
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return Certificate.at(curvature, Bend.FLAT, np.zeros(len(reading)), np.inf)
+        return Certificate.at(curvature, Bend.FLAT, np.zeros(len(reading)), np.inf) if close else None
+    inside = _within_bounds(curvature.at, np.arange(len(step)), step)
+    if not close and (float(np.abs(step).max()) > SOLVED or not np.array_equal(inside, step)):
+        return None
     decrement = float(np.sqrt(np.sum(bend * (missed * reading) ** 2)))
-    return Certificate.at(curvature, Bend.UP, _within_bounds(curvature.at, np.arange(len(step)), step), decrement)
+    return Certificate.at(curvature, Bend.UP, inside, decrement)
 
 
 def at_kinks(curvature: Curvature, gradient: Array, free: NDArray[np.intp], kinks: Kinks) -> Certificate:
