@@ -213,14 +213,19 @@ class Evaluation:
         return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.rough)), dtype=float)
 
     @property
+    def last_bits(self) -> Array:
+        """What residuals with an absolute loss that are zero may hold."""
+        return ROUNDING * self.rough_reach
+
+    @property
     def rounding(self) -> float:
         """What φ may be off by where residuals that are zero hold their last bits, times their weight."""
-        return float(np.sum(self.cost.slope * ROUNDING * self.rough_reach)) if len(self.cost.slope) else 0.0
+        return float(np.sum(self.cost.slope * self.last_bits)) if len(self.cost.slope) else 0.0
 
     def dual_gap(self, dual: Array) -> float:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient. Rounding of x counts for none."""
-        rounding = ROUNDING * self.rough_reach
-        return float(np.sum(self.cost.slope * np.maximum(np.abs(self.rough) - dual * self.rough - rounding, 0.0)))
+        left = np.abs(self.rough) - dual * self.rough - self.last_bits
+        return float(np.sum(self.cost.slope * np.maximum(left, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.

@@ -20,6 +20,7 @@ from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, preconditioner
+from lampest.solvers.newton.downhill import downhill
 from lampest.solvers.newton.kinks import Kinks, Straight, standing
 from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, Squares
 
@@ -151,12 +152,16 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
 def at_kinks(curvature: Curvature, gradient: Array, free: NDArray[np.intp], kinks: Kinks) -> Certificate:
     """Where rows of absolute losses stay at their kink: over moves that keep them there, after one that brings them.
 
-    Along all others the cost has a corner.
+    Along all others the cost has a corner. Where what bends down is the last bits of heavy rows, the cost does not fall.
     """
     along = kinks.along
     matrix, slope = kinks.reduced(curvature.matrix[np.ix_(free, free)], gradient[free])
     usual = np.einsum("ij,i,ij->j", along, _usual_bend(curvature)[free], along)
     bend, part = _bent(matrix, slope, ROUNDING * usual)
+    if bend is Bend.DOWN:
+        towards = np.zeros(len(gradient))
+        towards[free] = along @ np.linalg.eigh(matrix)[1][:, 0]
+        bend = bend if downhill(curvature.at, towards) is not None else Bend.FLAT
     decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
     return Certificate.at(curvature, bend, _within_bounds(curvature.at, free, kinks.back + along @ part), decrement)
 

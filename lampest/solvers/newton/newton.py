@@ -13,17 +13,19 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.solvers.certificate import NEARBY, free_cells
+from lampest.solvers.certificate import NEARBY, Bend, free_cells
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.exactly import exactly
 from lampest.solvers.newton.groping import advanced
 from lampest.solvers.newton.inside import from_inside
+from lampest.solvers.newton.pieces import by_pieces, has_pieces
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
 from lampest.solvers.newton.straight import from_afar
 from lampest.solvers.solution import Outcome, Settings, Status
 
+GROPING = 15  # iterations: who has kinks or corners and still moves is taken piece by piece
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
 
 STALLED = 1e-11  # of the cost with absolute losses rounded: steps that lower it by less follow the rounding's valleys
@@ -53,7 +55,8 @@ class Newton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so.
 
-        Iterations are the factors and the solves by conjugate gradients; steps that use a factor again do not count.
+        Iterations are the factors and the solves by conjugate gradients, and pieces of kinked losses; steps that use a
+        factor again do not count.
         """
         if self.shortcut is not None and (found := self.shortcut(self, data, start)) is not None:
             return found
@@ -62,11 +65,18 @@ class Newton:
         iteration += further
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0, rough), data)
-        unsettled = 0
-        stands = stalled = False
+        unsettled, pieces = 0, has_pieces(self.cost, point.at.cell_resistance.size)
+        stands = stalled = stuck = False
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return outcome(point, Status.TIME, iteration)
+            if pieces and (stuck or iteration >= GROPING):
+                point, ended, count = by_pieces(point, data)
+                iteration += count
+                if ended:
+                    return certified(point, iteration)
+                unsettled, stands, stalled, stuck, pieces = 0, False, False, False, False
+                continue
             residual, gap = point.residual(), point.gap()
             near = residual <= max(self.settings.tolerance, 0.1 * gap) or (stands and point.converged)
             flat = near and (unsettled == MOST_UNSETTLED or not point.falls)
@@ -76,8 +86,12 @@ class Newton:
                 point, iteration, unsettled, stands, stalled = point.sharpened(), iteration + 1, 0, False, False
                 continue
             if stalled and not near:
+                if stuck := pieces:
+                    continue
                 return outcome(point, Status.BREAKDOWN, iteration)
             if near and (unsettled == MOST_UNSETTLED or point.certificate.settled):
+                if stuck := pieces and point.certificate.bend is Bend.DOWN:
+                    continue
                 return certified(point, iteration)
             unsettled += near
             moved = (certain_step(point, data, residual) if near else None) or advanced(point, data, residual)
@@ -86,6 +100,8 @@ class Newton:
                     return certified(ended, iteration + 1)
                 if not near and not stands and point.converged:
                     stands = True
+                    continue
+                if stuck := pieces:
                     continue
                 return outcome(point, Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
             stands, stalled = False, _stalled(point, moved)

@@ -6,6 +6,7 @@ itself, with rows and columns sorted, a penalty may outweigh the data by the squ
 Source: Björck, Numerical Methods for Least Squares Problems, 1996, sections 4.4 (heavy rows) and 9.2 (Gauss, Newton).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from lampest.cost.problem import Evaluation
 from lampest.cost.residuals import Part, residuals
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature, block_diagonal
@@ -33,16 +35,10 @@ class Squares:
     @classmethod
     def of(cls, curvature: Curvature, free: NDArray[np.intp]) -> "Squares":
         """Of a point, over its free cells."""
-        at = curvature.at
-        cells = sparse.diags_array(at.cell_resistance.ravel())
-        sensitivity = block_diagonal([network.sensitivity() for network in at.networks])[:, free]
-        found, matrices, rights = residuals(at.cost), [], []
-        for part in (found.data, found.penalties):
-            value = part.values(at)
-            pull, bend = _pulls(curvature, part, value)
+        matrices, rights = [], []
+        for part, value, slope in sloped(curvature.at, free):
+            pull, bend = pulls(curvature, part, value)
             root = np.sqrt(bend)
-            direct = sparse.csc_array(part.jacobian("by_cells", at) @ cells)[:, free].toarray()
-            slope = direct + part.jacobian("by_model", at) @ sensitivity
             matrices.append(slope * root[:, None])
             rights.append(pull / np.where(root > 0, root, 1.0))
         matrix = np.concatenate(matrices)
@@ -107,7 +103,17 @@ def _factored(matrix: Array, right: Array) -> tuple[Array, Array, NDArray[np.int
     return upper, turn.T @ right[heavy], order
 
 
-def _pulls(curvature: Curvature, part: Part, value: Array) -> tuple[Array, Array]:
+def sloped(at: Evaluation, free: NDArray[np.intp]) -> Iterator[tuple[Part, Array, Array]]:
+    """(rows, x, ∂x/∂u (rows, free cells)) of the residuals that read readings, and of all others."""
+    cells = sparse.diags_array(at.cell_resistance.ravel())
+    sensitivity = block_diagonal([network.sensitivity() for network in at.networks])[:, free]
+    found = residuals(at.cost)
+    for part in (found.data, found.penalties):
+        direct = sparse.csc_array(part.jacobian("by_cells", at) @ cells)[:, free].toarray()
+        yield part, part.values(at), np.asarray(direct + part.jacobian("by_model", at) @ sensitivity)
+
+
+def pulls(curvature: Curvature, part: Part, value: Array) -> tuple[Array, Array]:
     """weight·(ρ'(x), κ) of every row; absolute losses are smoothed."""
     cost, smoothing = curvature.at.cost, curvature.smoothing
     bend: Array = 2 * cost.weights[part.term]
