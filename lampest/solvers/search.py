@@ -42,10 +42,11 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
 
     The first start is the previous estimate; without one, r = R_m·MN/(M + N − 1) or the convex one; without a penalty,
     the convex one. A solve is hard that fails, takes many iterations, ends where more than a twentieth of the cells are
-    others than in the frame before, or compares with a previous frame where there is none; it is then begun from all of
-    these and, on panels of up to 400 cells, from 1.2 R_m and 20 R_m, which are far from all others, or, for a first
-    pair of up to 1,024, from cells that do not change, while on larger ones starts that cost thirty times the cheapest
-    are left out; what is verified is a local minimum, the best of these.
+    others than in the frame before, or has no frame before on a panel of up to 400 cells, unless cells reproduce all
+    readings of which nobody knows that others do; it is then begun from all of these and, on such panels, from 1.2 R_m
+    and 20 R_m, which are far from all others, and a first frame from between its bounds, or, for a first pair of up to
+    1,024, from cells that do not change, while on larger ones starts that cost thirty times the cheapest are left out;
+    what is verified is a local minimum, the best of these.
     Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
     stand in the same minimum; so it does on later frames of small panels. Where these terms are convex in log r and the
@@ -130,6 +131,11 @@ def _far_from(found: Solution, previous: Array | None) -> bool:
     return bool(np.mean(np.abs(np.log(found.cell_resistance / previous)) > MOVED) > FEW_MOVED)
 
 
+def _missed(found: Solution) -> bool:
+    """Whether readings are left that no cells reproduce; only where all are met is it known that no other cells do."""
+    return found.at is not None and found.objective > SAME * found.at.cost_scale
+
+
 def _one_minimum(cost: Cost, data: Data) -> bool:
     """Whether only one minimum was ever found beside a known previous frame, whatever the number of iterations."""
     if not all(term.loss.convex for term in cost.terms):
@@ -150,9 +156,10 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
         return _broken(solver.cost, data)
     points = _with_squared(solver, points)
     found = solved_from(solver, points[0])
-    one_minimum = _one_minimum(solver.cost, data)
+    first = previous is None and isinstance(solver, Newton) and data.measured[0].size <= FAR_CELLS
+    one_minimum = _one_minimum(solver.cost, data) and not (first and _missed(found))
     hard = (relative and previous is None) or (
-        not one_minimum and (found.iterations > _easy(solver, found) or _far_from(found, previous))
+        not one_minimum and (first or found.iterations > _easy(solver, found) or _far_from(found, previous))
     )
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
@@ -191,8 +198,10 @@ def _easy(solver: Solver, found: Solution) -> int:
 def _elsewhere(data: Data, previous: Array | None) -> list[Array]:
     """Where a hard solve is begun beside what it went on from."""
     near = [] if previous is None else [data.uniform_start, convex(data, None)]
-    far = data.measured[0].size <= FAR_CELLS
-    return near + ([data.apparent_resistance * factor for factor in FAR_FACTORS] if far else _unchanged(data))
+    if data.measured[0].size > FAR_CELLS:
+        return near + _unchanged(data)
+    between = [np.sqrt(data.lower * data.upper)] if previous is None and len(data.measured) == 1 else []
+    return near + [data.apparent_resistance * factor for factor in FAR_FACTORS] + between
 
 
 def _others(solver: Solver, points: Iterable[Evaluation]) -> list[Solution]:
