@@ -152,7 +152,7 @@ def _of_reproduced(curvature: Curvature) -> Certificate | None:
 def at_kinks(curvature: Curvature, gradient: Array, free: NDArray[np.intp], kinks: Kinks) -> Certificate:
     """Where rows of absolute losses stay at their kink: over moves that keep them there, after one that brings them.
 
-    Along all others the cost has a corner. Where what bends down is the last bits of heavy rows, the cost does not fall.
+    Along all others the cost has a corner. What seems to bend down may be the last bits of heavy rows.
     """
     along = kinks.along
     matrix, slope = kinks.reduced(curvature.matrix[np.ix_(free, free)], gradient[free])

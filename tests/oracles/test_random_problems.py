@@ -32,19 +32,15 @@ def test_the_cost_is_that_of_the_second_statement(number: int) -> None:
     np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
 
 
-# Ends without an estimate: half of its readings are bounds, and absolute losses leave saddles.
-UNSOLVED = [(11, 6)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed, number", UNSOLVED)
-def test_what_is_not_solved_says_so(seed: int, number: int) -> None:
-    assert examine(seed, number).verdict == "unsolved"
+# Ended without an estimate once: kinks of readings and of penalties at once, and cells tied loosely by a heavy penalty
+# that met their bounds one by one; or at the higher one of two minima, of a first frame.
+UNSOLVED = [(11, 6), (31, 28), (31, 36), (31, 183), (31, 576), (31, 714), (31, 173)]
+HIGHER = [(31, 287), (31, 691)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "number"), [pair for pair in (*((11, number) for number in FEW), *ROUNDED) if pair not in UNSOLVED]
+    ("seed", "number"), [*((11, number) for number in FEW if number != 6), *ROUNDED, *UNSOLVED, *HIGHER]
 )
 def test_no_other_solver_finds_less(seed: int, number: int) -> None:
     found = examine(seed, number)

@@ -71,9 +71,9 @@ class Newton:
             if data.overdue:
                 return outcome(point, Status.TIME, iteration)
             if pieces and (stuck or iteration >= GROPING):
-                point, ended, count = by_pieces(point, data)
+                point, whole, count = by_pieces(point, data)
                 iteration += count
-                if ended:
+                if whole:
                     return certified(point, iteration)
                 unsettled, stands, stalled, stuck, pieces = 0, False, False, False, False
                 continue

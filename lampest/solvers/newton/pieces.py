@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.losses import Huber
+from lampest.cost.losses import Huber, Loss
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import Bend, free_cells
@@ -37,30 +37,30 @@ def has_pieces(cost: Cost, unknowns: int) -> bool:
     return unknowns <= ORTHOGONAL_UNKNOWNS and any(_in_pieces(term.loss) for term in cost.terms)
 
 
-def _in_pieces(loss: object) -> bool:
-    return isinstance(loss, Huber) or getattr(loss, "enters", "") == "dual"
+def _in_pieces(loss: Loss) -> bool:
+    return isinstance(loss, Huber) or loss.enters == "dual"
 
 
 def by_pieces(point: Iterate, data: Data) -> tuple[Iterate, bool, int]:
     """(where this ends, whether at a minimum with its duals and certificate, pieces that were solved)."""
-    at, reach, dual = point.at, FIRST, np.zeros(len(point.at.rough))
-    for count in range(1, MOST_ROUNDS + 1):
-        if data.overdue:
-            break
+    at, reach, count = point.at, FIRST, 0
+    while count < MOST_ROUNDS and not data.overdue:
+        count += 1
         tried = _Local.of(at, data).tried(reach)
-        at, dual, reach = tried.at or at, tried.dual, tried.reach
+        at, reach = tried.at or at, tried.reach
         still = tried.promised <= STILL * at.cost_scale or reach < SHORTEST
         if not still and (tried.at is None or tried.length > CLOSE):
             continue
-        if not len(dual):
+        if not len(at.rough):
             break
-        dual = _Local.of(at, data).tried(FIRST).dual if still else dual
+        dual = _Local.of(at, data).tried(FIRST).dual if still else tried.dual
         near = Iterate(Curvature(at, Straight(0.0, dual)), at.objective, 0.0)
         if (ended := exactly(near, data)) is not None:
             return ended, True, count
-        if still and (lower := _lower(near)) is None:
+        lower = _lower(near) if still else at
+        if lower is None:
             return near, True, count
-        at, reach = (lower, FIRST) if still else (at, reach)
+        at, reach = lower, FIRST if still else reach
     return _rounded(at), False, count
 
 
