@@ -15,7 +15,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton, certified
 from lampest.solvers.newton.pieces import by_pieces, has_pieces
-from lampest.solvers.newton.quadratic import Piece
+from lampest.solvers.newton.quadratic import ConvexPiece
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.steps import Iterate
 from lampest.solvers.search import best_solution
@@ -24,7 +24,7 @@ from lampest.solvers.solution import Settings, Status, check
 CELLS, ROWS = 12, 30
 
 
-def piece(seed: int, heavy: float = 1.0) -> Piece:
+def piece(seed: int, heavy: float = 1.0) -> ConvexPiece:
     """Scattered rows, a third of them with corners, a third `heavy` times as heavy and some of these twice."""
     random = np.random.default_rng(seed)
     root, slopes = random.standard_normal((5, CELLS)), random.standard_normal((ROWS, CELLS))
@@ -34,7 +34,7 @@ def piece(seed: int, heavy: float = 1.0) -> Piece:
     slopes[20:] *= heavy
     residual[20:] *= heavy
     bound = np.full(CELLS, 0.4)
-    return Piece(random.standard_normal(CELLS), root.T @ root, residual, slopes, corner, -bound, bound)
+    return ConvexPiece(random.standard_normal(CELLS), root.T @ root, residual, slopes, corner, -bound, bound)
 
 
 @pytest.mark.parametrize("heavy", [1.0, 1e4, 1e8])
@@ -57,7 +57,7 @@ def test_the_least_of_a_piece(seed: int, heavy: float) -> None:
 
 def test_without_squares_it_is_a_linear_program() -> None:
     own = piece(7)
-    flat = Piece(own.gradient, 0 * own.squares, own.residual, own.slopes, 0 * own.corner, own.low, own.high)
+    flat = ConvexPiece(own.gradient, 0 * own.squares, own.residual, own.slopes, 0 * own.corner, own.low, own.high)
     found = linprog(
         np.concatenate([own.gradient, np.ones(2 * ROWS)]),
         A_eq=np.hstack([own.slopes, -np.eye(ROWS), np.eye(ROWS)]),

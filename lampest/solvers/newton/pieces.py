@@ -21,7 +21,7 @@ from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.downhill import STILL, downhill, moved, settled
 from lampest.solvers.newton.exactly import exactly
 from lampest.solvers.newton.kinks import Kinks, Straight, standing
-from lampest.solvers.newton.quadratic import Piece
+from lampest.solvers.newton.quadratic import ConvexPiece
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, pulls, sloped
 from lampest.solvers.newton.steps import Iterate
@@ -99,7 +99,7 @@ class _Local:
 
     at: Evaluation
     moving: NDArray[np.intp]
-    piece: Piece
+    piece: ConvexPiece
     term: NDArray[np.intp]
 
     @classmethod
@@ -122,7 +122,7 @@ class _Local:
             terms.append(part.term[own])
         term = np.concatenate(terms)
         rows = (np.concatenate(values), np.concatenate(slopes), (weight * corner)[term])
-        return cls(at, moving, Piece(gradient, squares, *rows, low, high), term)
+        return cls(at, moving, ConvexPiece(gradient, squares, *rows, low, high), term)
 
     def tried(self, reach: float) -> _Tried:
         """One step of at most `reach`; where the residuals bend too much for it, with what they bent taken off."""
@@ -144,7 +144,7 @@ class _Local:
     def _falls(self, there: Evaluation, promised: float) -> bool:
         return promised > 0 and settled(self.at) - settled(there) >= TRUSTED * promised
 
-    def _within(self, reach: float, residual: Array) -> Piece:
+    def _within(self, reach: float, residual: Array) -> ConvexPiece:
         low, high = np.maximum(self.piece.low, -reach), np.minimum(self.piece.high, reach)
         return replace(self.piece, residual=residual, low=low, high=high)
 

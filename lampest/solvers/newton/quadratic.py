@@ -26,7 +26,7 @@ STIFF = 1e4  # of what else holds a cell: a row that is stiffer is kept apart
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class ConvexPiece:
     """gradient : g and squares : B, of the cells. residual : x, slopes : A and corner : κ, of the rows, times their
     weight. low, high : l < h, of the cells.
     """
@@ -49,7 +49,7 @@ class Piece:
 
     def least(self) -> tuple[Array, Array]:
         """(s, z) of the minimum, as near as double precision lets it be."""
-        state = best = _Inside.begun(self)
+        state = best = _Central.begun(self)
         last, idle = SMALL * state.short, 0
         for _ in range(MOST_STEPS):
             found = state.moved() if best.short > last and idle < IDLE else None
@@ -61,10 +61,10 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class _Inside:
+class _Central:
     """step : s. dual : z. over, under : p, n > 0. pull, push : v, w > 0, what the bounds exert."""
 
-    piece: Piece
+    piece: ConvexPiece
     step: Array
     dual: Array
     over: Array
@@ -73,7 +73,7 @@ class _Inside:
     push: Array
 
     @classmethod
-    def begun(cls, piece: Piece) -> "_Inside":
+    def begun(cls, piece: ConvexPiece) -> "_Central":
         """In the middle of everything, with equal products."""
         room = piece.high - piece.low
         step = np.clip(np.zeros_like(room), piece.low + 0.1 * room, piece.high - 0.1 * room)
@@ -112,7 +112,7 @@ class _Inside:
         room = self.piece.high - self.piece.low
         return float(sum(one.sum() for one in self.products) + np.abs(self.missed).sum() + np.abs(self.left) @ room)
 
-    def moved(self) -> "_Inside | None":
+    def moved(self) -> "_Central | None":
         """After one step; None where rounding has won."""
         zero = tuple(np.zeros_like(one) for one in self.products)
         try:
@@ -186,6 +186,6 @@ class _Inside:
         falls = (float((-room[way < 0] / way[way < 0]).min(initial=1.0)) for room, way in pairs)
         return min(falls)
 
-    def _along(self, change: tuple[Array, ...], length: float) -> "_Inside":
+    def _along(self, change: tuple[Array, ...], length: float) -> "_Central":
         own = (self.step, self.dual, self.over, self.under, self.pull, self.push)
-        return _Inside(self.piece, *(here + length * way for here, way in zip(own, change, strict=True)))
+        return _Central(self.piece, *(here + length * way for here, way in zip(own, change, strict=True)))
