@@ -24,7 +24,7 @@ def settled(at: Evaluation) -> float:
     return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.rough), at.last_bits)))
 
 
-def moved(at: Evaluation, step: Array) -> Evaluation | None:
+def stepped(at: Evaluation, step: Array) -> Evaluation | None:
     """The cost after a step of u (cells), within the bounds; None where the network cannot be solved."""
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:
@@ -36,4 +36,4 @@ def moved(at: Evaluation, step: Array) -> Evaluation | None:
 def _beside(at: Evaluation, along: Array) -> Iterator[Evaluation]:
     size = float(np.abs(along).max(initial=0.0)) or 1.0
     steps = (sign * length / size * along for length in LENGTHS for sign in (1.0, -1.0))
-    yield from (there for step in steps if (there := moved(at, step)) is not None)
+    yield from (there for step in steps if (there := stepped(at, step)) is not None)

@@ -18,7 +18,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import Bend, free_cells
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.downhill import STILL, downhill, moved, settled
+from lampest.solvers.newton.downhill import STILL, downhill, settled, stepped
 from lampest.solvers.newton.exactly import exactly
 from lampest.solvers.newton.kinks import Kinks, Straight, standing
 from lampest.solvers.newton.quadratic import ConvexPiece
@@ -151,7 +151,7 @@ class _Local:
     def _at(self, step: Array) -> Evaluation | None:
         whole = np.zeros(self.at.position.size)
         whole[self.moving] = step
-        return moved(self.at, whole)
+        return stepped(self.at, whole)
 
     def _rough(self, dual: Array) -> Array:
         """The duals of absolute losses alone, in the cost's order."""
