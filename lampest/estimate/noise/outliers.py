@@ -1,9 +1,10 @@
 """Readings that leap: far from what the same reading is in the frames around it, which agree.
 
 A loose contact or a lost bit moves one reading for one frame; a touch moves many together. Among unloaded frames a
-leap is left out of the mean; between measured ones it is replaced by the median of its neighbours in time.
+leap is left out of the mean; between measured ones its neighbours in time stand for it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,24 +37,67 @@ def leaps(value: Array, scale: Array, most_share: float = 1.0) -> Leaps:
 
     None leaps in a frame in which more than most_share do, in fewer than LEAST_FRAMES frames, or beside σ = 0.
     """
-    middle, spread = around(value)
-    away = np.abs(value - middle)
+    expected = [by_median(value), *by_line(value)]
     scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
     with np.errstate(divide="ignore", invalid="ignore"):
-        beside = np.fmax(*(lines_median(away / scale, axis) for axis in (1, 2))) * scale
-        leaping = (scale > 0) & (away > np.fmax(np.fmax(FAR * scale, STEADIER * spread), ALONE * beside))
+        leaping = (scale > 0) & np.any([strays(value, scale, one) for one in expected], axis=0)
     crowded = leaping.mean(axis=(1, 2)) > most_share
-    return Leaps(leaping & ~crowded[:, None, None] & (len(value) >= LEAST_FRAMES), middle, spread)
+    middle, spread = nearest_of(expected)
+    apart = np.max([np.abs(there - middle) for there, _ in expected], axis=0)
+    return Leaps(
+        leaping & ~crowded[:, None, None] & (len(value) >= LEAST_FRAMES), middle, np.hypot(spread, np.nan_to_num(apart))
+    )
 
 
-def around(value: Array) -> tuple[Array, Array]:
-    """(median, scatter) of each reading in the NEAREST other frames; NaN where none says anything."""
+Expected = tuple[Array, Array]  # (what neighbours in time let expect, how far off that may be) of each reading
+
+
+def nearest_of(expected: Sequence[Expected]) -> Expected:
+    """For each reading the one that may be off by less; NaN where none says anything."""
+    middle, spread = expected[0]
+    for other, wider in expected[1:]:
+        nearer = wider < spread
+        middle, spread = np.where(nearer, other, middle), np.where(nearer, wider, spread)
+    return middle, spread
+
+
+def neighbours(value: Array) -> tuple[Array, NDArray[np.intp]]:
+    """The NEAREST other frames of every frame, (neighbours, frames, rows, columns), and how far off each is."""
     frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
     within = np.clip(frames - NEAREST // 2, 0, len(value) - width)[:, None] + np.arange(width)
-    nearest = within[within != frames[:, None]].reshape(len(value), width - 1)
-    neighbours = value[nearest.T]
-    middle = median(neighbours)
-    return middle, TO_SIGMA * median(np.abs(neighbours - middle))
+    nearest = within[within != frames[:, None]].reshape(len(value), width - 1).T
+    return value[nearest], nearest - frames
+
+
+def by_median(value: Array) -> Expected:
+    """Their median, with their scatter."""
+    beside, _ = neighbours(value)
+    middle = median(beside)
+    return middle, TO_SIGMA * median(np.abs(beside - middle))
+
+
+def by_line(value: Array) -> list[Expected]:
+    """The line through them, where there are enough: of a load that moves, or breathes.
+
+    Twice what it leaves may be off: two degrees of freedom tell little, and a load does not move along a line.
+    """
+    beside, offset = neighbours(value)
+    if len(beside) < NEAREST:
+        return []
+    centre = offset.mean(axis=0)[:, None, None]
+    apart = offset[..., None, None] - centre
+    size = np.sum(apart**2, axis=0)
+    height, slope = beside.mean(axis=0), np.sum(apart * beside, axis=0) / size
+    left = np.sum((beside - height - slope * apart) ** 2, axis=0) / (len(beside) - 2)
+    return [(height - slope * centre, 2 * np.sqrt(left * (1 + 1 / len(beside) + centre**2 / size)))]
+
+
+def strays(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
+    """Whether a reading is far from what is expected, while its row and its column are not."""
+    middle, spread = expected
+    away = np.abs(value - middle)
+    beside = np.fmax(*(lines_median(away / scale, axis) for axis in (1, 2))) * scale
+    return np.asarray(away > np.fmax(np.fmax(FAR * scale, STEADIER * spread), ALONE * beside))
 
 
 def lines_median(values: Array, axis: int) -> Array:
