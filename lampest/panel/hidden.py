@@ -25,11 +25,12 @@ USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, gl
 class Possible:
     """What is known of hidden errors. sizes : of each. root : (n, n) of the covariance of z, as columns are ordered.
 
-    None: of the sizes alone.
+    None: of the sizes alone. sure : whether each reading's own error is told, or there beyond chance.
     """
 
     sizes: Systematic
     root: Array | None
+    sure: bool = True
 
 
 def usual(scene: Scene) -> Systematic | None:

@@ -102,7 +102,8 @@ def with_still_cells(
     strongest = strongest_frame(seen.readings.plain_values, resting.value, measured)
     asked = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
     hidden = unseen(scene, sizes, resting, seen.readings[asked], seen.frame)
-    said = "" if hidden is None else said_of_readings(hidden.sizes.reading_error or 0.0, sizes.reading_error or 0.0)
+    own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.sure else 0.0
+    said = said_of_readings(own, sizes.reading_error or 0.0)
     return replace(seen, hidden=hidden, sentence=joined([seen.sentence, said]))
 
 
