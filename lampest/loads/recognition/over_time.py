@@ -6,7 +6,8 @@ With q_t(l) the probability of label l in frame t
 
 A mean and no sum, because errors of film and baseline are the same in all frames of a load, and would be taken for
 evidence. MOST keeps a fit that ended in a wrong minimum from outvoting all other frames. All begins anew in
-frames in which nothing stands out, and where what only touched begins to suck, as mouths and cups do.
+frames in which nothing stands out, and where what only touched begins to suck, as mouths and cups do; a first frame
+alone is no alarm.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,7 +48,7 @@ class OverTime:
             for label in labels
         }
         together = OverTime(odds, AGE * before.frames + 1, not best.sucks and best is not FIELD)
-        return together, verdict.with_odds(together.probabilities(), candidates)
+        return together, verdict.with_odds(together.probabilities(), candidates, alone=together.frames == 1)
 
     def probabilities(self) -> dict[str, float]:
         """P of every label."""

@@ -52,10 +52,13 @@ class Verdict:
             found[fit.candidate.label] = found.get(fit.candidate.label, 0.0) + share
         return found
 
-    def with_odds(self, by_label: Mapping[str, float], candidates: Sequence[Candidate]) -> "Verdict":
+    def with_odds(
+        self, by_label: Mapping[str, float], candidates: Sequence[Candidate], alone: bool = False
+    ) -> "Verdict":
         """The same frame where labels are as probable as that; candidates : all that were asked for.
 
-        Labels that none of its fits has count for its probabilities and in its label, too.
+        Labels that none of its fits has count for its probabilities and in its label, too. alone : whether no frame
+        bears it out; a target is then named with what is likeliest beside it.
         """
         own, kinds = self.by_label, [candidate.label for candidate in (*candidates, FIELD)]
         shares = tuple(
@@ -65,10 +68,12 @@ class Verdict:
         probabilities = [0.0] * len(kinds)
         for label, share in by_label.items():
             probabilities[kinds.index(label.split(AND)[0])] += share
-        likeliest = max(by_label, key=lambda label: by_label[label]).split(AND)
-        alarm = any(candidate.target and candidate.label in likeliest for candidate in candidates)
-        named = _named(by_label, SURE_OF_TARGET if alarm else SURE)
+        targets = {candidate.label for candidate in candidates if candidate.target}
+        order = sorted(by_label, key=lambda label: (-by_label[label], -own.get(label, 0.0)))
+        named = _named(by_label, order, SURE if targets.isdisjoint(order[0].split(AND)) else SURE_OF_TARGET)
         named += [label for label in self.as_good if label not in named]
+        if alone and targets.issuperset(part for label in named for part in label.split(AND)):
+            named += [label for label in order if targets.isdisjoint(label.split(AND))][:1]
         return replace(self, shares=shares, probabilities=tuple(probabilities), label=OR.join(named))
 
     @property
@@ -124,9 +129,8 @@ def _as_good(fits: Sequence[Fit], score: Array, best: int) -> tuple[str, ...]:
     )
 
 
-def _named(by_label: Mapping[str, float], enough: float) -> list[str]:
-    """The likeliest labels that share `enough` of the probability."""
-    order = sorted(by_label, key=lambda label: -by_label[label])
+def _named(by_label: Mapping[str, float], order: list[str], enough: float) -> list[str]:
+    """The first labels of an order that share `enough` of the probability."""
     needed = int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1
     return order[:needed]
 
