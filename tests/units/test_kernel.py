@@ -263,7 +263,8 @@ from lampest.solvers.kernel import following
 from units.test_kernel import READOUTS, TERMS, Estimator, Readings, begun, both, frames
 found = []
 cases = [(256, "two_point", "LSR-gdCR"), (256, "diode", "LSM"), (256, "grounded", "huber")]
-for following.DENSE_UNKNOWNS, readout, terms in cases + [(0, "diode", "LSR-gdCR"), (0, "two_point", "LSM")]:
+for most, readout, terms in cases + [(0, "diode", "LSR-gdCR"), (0, "two_point", "LSM")]:
+    following.DENSE_UNKNOWNS = following.PLAIN_UNKNOWNS = most
     scene, recorded = frames(READOUTS[readout])
     stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
     found.append(both(stream, Readings.of(scene, recorded[2]))[1].cell_resistance)

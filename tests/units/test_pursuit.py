@@ -24,7 +24,7 @@ from tests.units.test_kernel import READOUTS, TERMS, assert_same, begun, both, f
 @pytest.fixture(autouse=True)
 def larger() -> Iterator[None]:
     """Panels of any size are as those that are too large for a factor."""
-    with patch.object(following, "DENSE_UNKNOWNS", 0):
+    with patch.multiple(following, DENSE_UNKNOWNS=0, PLAIN_UNKNOWNS=0):
         yield
 
 

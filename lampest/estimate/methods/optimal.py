@@ -8,13 +8,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method
 from lampest.files.errors import InputError
-from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.kernel.following import load_machine_code, serves
+from lampest.solvers.kernel.following import load_machine_code, serves, without_factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Solution, Solver
@@ -60,7 +59,7 @@ class OptimalMethod(Method):
         """The compiled cost, and machine code where a frame follows another one."""
         solver.prepare()
         if previous is not None and serves(solver.cost, data):
-            load_machine_code(data.measured.size > DENSE_UNKNOWNS)
+            load_machine_code(without_factor(solver.cost, data))
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""

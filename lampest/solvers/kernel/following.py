@@ -32,6 +32,7 @@ CLOCK = getattr(time, "CLOCK_MONOTONIC", 0)  # that of `time.monotonic`
 SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
 SLOWEST = 0.4  # of a step by the next one with the same factor, which costs as much as seven to twelve such steps
+PLAIN_UNKNOWNS = 196  # of plain least squares alone: half the time at 16 × 16, as long at 13 × 13, 1.5 times at 10 × 10
 LIMITS = (
     SLOWEST,
     DECREASE,
@@ -147,6 +148,12 @@ def serves(cost: Cost, data: Data) -> bool:
     return entries.at_model is not None and not entries.crossed and evaluation_address() != 0
 
 
+def without_factor(cost: Cost, data: Data) -> bool:
+    """Whether conjugate gradients are quicker than a factor of a frame's own, and nobody else asks for one."""
+    plain = data.readout.unique and all(term.reads_measurement for term in cost.terms)
+    return data.measured.size > (PLAIN_UNKNOWNS if plain else DENSE_UNKNOWNS)
+
+
 @cache
 def load_machine_code(larger: bool) -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
@@ -172,8 +179,10 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
 
     data, arena = bench.data, bench.arena
     limits = np.array([solver.settings.tolerance, *LIMITS, solver.settings.max_iterations, CLOCK, data.until])
-    if data.measured.size > DENSE_UNKNOWNS:
-        return pursued(solver, bench, start, limits)
+    if without_factor(solver.cost, data):
+        found = pursued(solver, bench, start, limits)
+        if found is not None or data.measured.size > DENSE_UNKNOWNS:
+            return found
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
     ending, position, step, decrement, share, factors, upper, cells, place = result_of(
         descend,
