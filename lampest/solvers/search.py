@@ -12,7 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
-from lampest.solvers.kernel.following import from_previous, serves, swift
+from lampest.solvers.kernel.following import from_previous, long_way_round, serves, swift
 from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS
 from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
 from lampest.solvers.newton.directions import Factor
@@ -207,6 +207,7 @@ def _elsewhere(data: Data, previous: Array | None) -> list[Array]:
 def _others(solver: Solver, points: Iterable[Evaluation]) -> list[Solution]:
     """Solutions from more starts, as many as one solve's iterations begin."""
     solutions: list[Solution] = []
+    solver = long_way_round(solver) if isinstance(solver, Newton) else solver
     for point in points:
         if sum(one.iterations for one in solutions) >= solver.settings.max_iterations or point.data.overdue:
             break

@@ -147,3 +147,20 @@ def test_cells_that_come_off_arrive() -> None:
     assert newton.status is found.status is Status.OPTIMUM
     assert found.objective <= newton.objective * (1 + 1e-9)
     assert min(found.cell_resistance[0, 1, 1], found.cell_resistance[0, 2, 4]) > 1e5 and found.iterations <= 8
+
+
+@pytest.mark.parametrize("terms", ["LSR-CR", "LSR-gdCR"])
+def test_a_hard_frame_is_begun_elsewhere_without_factors(terms: str) -> None:
+    """Where a frame's own start is followed with a factor, all others are not; they end in the one minimum there is."""
+    scene, recorded = frames(READOUTS["two_point"])
+    with patch.object(following, "DENSE_UNKNOWNS", 256):
+        stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
+        readings, ended = Readings.of(scene, recorded[2]), []
+        assert stream.previous is not None
+        easy = stream.push(readings)[1].solution
+        far = replace(stream, previous=stream.previous * np.geomspace(0.02, 50, 30).reshape(5, 6), prepared=None)
+        with patch.object(following, "pursued", lambda *given: ended.append(pursuing.pursued(*given)) or ended[-1]):
+            hard = far.push(readings)[1].solution
+    assert easy.starts == 1 and len(ended) == hard.starts - 1 >= 4 and all(ended)
+    if terms == "LSR-CR":  # the other compares with a frame that was changed
+        assert_allclose(hard.cell_resistance, easy.cell_resistance, rtol=1e-6)

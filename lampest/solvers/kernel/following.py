@@ -138,6 +138,24 @@ def _shortcut(solver: Newton, data: Data, start: Evaluation) -> Outcome | None:
     return descended(solver, Workbench(solver.cost, data), start.position) if served else None
 
 
+def long_way_round(solver: Newton) -> Newton:
+    """The same for starts from which it takes many steps, each with a factor of its own where there is one."""
+    return solver if solver.shortcut is None else replace(solver, shortcut=_without_factors)
+
+
+def _without_factors(solver: Newton, data: Data, start: Evaluation) -> Outcome | None:
+    if serves(solver.cost, data) and data.measured.size > PLAIN_UNKNOWNS:
+        found = pursued(solver, Workbench(solver.cost, data), start.position, _limits(solver, data))
+        if found is not None:
+            return found
+    return _shortcut(solver, data, start)
+
+
+def _limits(solver: Newton, data: Data) -> Array:
+    """What the machine code takes as limits."""
+    return np.array([solver.settings.tolerance, *LIMITS, solver.settings.max_iterations, CLOCK, data.until])
+
+
 def serves(cost: Cost, data: Data) -> bool:
     """Whether there is machine code for a cost: one frame of a panel without wire that is not large, losses that are
     smooth, and terms of which each speaks of cells or of one reading.
@@ -178,7 +196,7 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
     data, arena = bench.data, bench.arena
-    limits = np.array([solver.settings.tolerance, *LIMITS, solver.settings.max_iterations, CLOCK, data.until])
+    limits = _limits(solver, data)
     if without_factor(solver.cost, data):
         found = pursued(solver, bench, start, limits)
         if found is not None or data.measured.size > DENSE_UNKNOWNS:

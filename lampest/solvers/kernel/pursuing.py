@@ -14,21 +14,21 @@ if TYPE_CHECKING:
 
 NOTHING = np.zeros(0)
 LARGER_UNKNOWNS = 2048  # beyond, products are nearly all of the time, and Newton's classes cost little beside them
-WIDEST = 4  # times the panel's shorter side: how far apart cells may stand that a term ties
+WIDEST = 160  # how far apart cells may stand that a term ties: a solve with that band takes as long as two products
 
 
 def pursued(solver: Newton, bench: "Workbench", start: Array, limits: Array) -> Outcome | None:
     """What the machine code makes of a frame from u (1, rows, columns) on; None where it fell short.
 
     Where nothing but readings is asked for, steps are straight in 1/r: they are nearly linear in that, and cells that
-    come off arrive in one.
+    come off arrive in one. There, what nobody knows the noise of is left to a certificate with more digits.
     """
     from lampest.panel.machine import result_of
     from lampest.solvers.kernel.arithmetic import SETTLED, pursue
 
     data, arena = bench.data, bench.arena
     plain = all(term.reads_measurement for term in solver.cost.terms)
-    if arena.band > WIDEST * min(data.measured.shape[1:]):
+    if arena.band > WIDEST or (plain and not data.noise_known):
         return None
     ending, position, step, decrement, share, solves = result_of(
         pursue,
