@@ -88,7 +88,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
         return contracted
     damping, accuracy = point.damping, min(0.1, residual**0.5)
     while damping <= LARGEST_DAMPING:
-        moving, known = free, np.zeros(len(position))
+        moving, known, most = free, np.zeros(len(position)), 0.0
         first: Array | None = None
         for left in reversed(range(MOST_STOPS)):
             towards = direction(point.curvature, moving, known, damping, accuracy, point.factor)
@@ -99,6 +99,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             for length in SHARES[:1] if again else SHARES:
                 straight = np.clip(position + np.clip(length * step, -LONGEST_STEP, None), lower, upper)
                 promised = -float(slope @ (straight - position))
+                most = max(most, promised)
                 for way in ways(point.at, length * step, moving):
                     moved = trial(point, data, np.clip(position + way, lower, upper), damping, residual, promised)
                     if moved is not None:
@@ -112,6 +113,8 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
             moving, known = moving & ~stopped, np.where(stopped, reached - position, known)
         if first is not None and (moved := _cut_short(point, data, first, residual)) is not None:
             return moved
+        if most <= EQUAL * abs(point.objective) and point.converged:
+            return None
         damping = raised(damping)
     return None
 
