@@ -8,7 +8,7 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vand
 section 9.5 (the decrement).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -28,6 +28,7 @@ MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where 
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
 NEARBY = 0.01  # of log r: second derivatives change by about as much, and a predicted step with them
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
+LEVEL = 1e-6  # of the cost's scale: the gradient of a verified cost
 REPRODUCED = 1e-5  # of a reading: what second derivatives of readings add to JᵀΩJ is no larger part of it
 SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings are what the cost asks for
 REPRODUCED_UNKNOWNS = 1024  # cells, up to which a solve with J is asked for where no noise says what may be off
@@ -49,7 +50,8 @@ class Certificate:
     """bend : of the cost over the free cells. step : (cells) of log r by which a Newton step would move each, within
     its bounds. decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that
     count: what |s_c| is at most of its cell's posterior deviation; infinite where the noise is not known, or where the
-    step is a millionth without that. curvature : where second derivatives were asked for.
+    step is a millionth without that. curvature : where second derivatives were asked for. left : of the gradient in
+    directions that no digit tells from flat ones, its largest entry; infinite where nobody asked.
     """
 
     bend: Bend
@@ -57,6 +59,7 @@ class Certificate:
     decrement: float
     deviations: float
     curvature: Curvature | None = None
+    left: float = float("inf")
 
     @classmethod
     def at(cls, curvature: Curvature, bend: Bend, step: Array, decrement: float) -> "Certificate":
@@ -76,10 +79,11 @@ class Certificate:
         """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
 
         A gradient may be far from small there: of a penalty that outweighs the data by 10⁸ it is rounding, and the
-        curvature that multiplies the rounding divides it again in the step.
+        curvature that multiplies the rounding divides it again in the step. On a plateau it must be small across it.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-        return small and self.bend is Bend.UP and self.decrement**2 <= NOTHING * cost_scale
+        known = self.bend is Bend.UP or (self.bend is Bend.FLAT and self.left <= LEVEL * cost_scale)
+        return small and known and self.decrement**2 <= NOTHING * cost_scale
 
 
 def _deviations(curvature: Curvature, decrement: float) -> float:
@@ -114,7 +118,7 @@ def certificate(curvature: Curvature, gradient: Array, factor: Factor | None = N
     if factor is not None and factor.solid and factor.serves(free, curvature.at.cell_resistance, NEARBY):
         bend, step = Bend.UP, factor.solve(-gradient[free])
     elif curvature.factored:
-        bend, step = _by_factorisation(curvature, gradient[free], free)
+        bend, step, _ = _by_factorisation(curvature, gradient[free], free)
         if bend is not Bend.UP and (finer := _by_squares(curvature, free)) is not None:
             return finer
     else:
@@ -157,36 +161,41 @@ def at_kinks(curvature: Curvature, gradient: Array, free: NDArray[np.intp], kink
     along = kinks.along
     matrix, slope = kinks.reduced(curvature.matrix[np.ix_(free, free)], gradient[free])
     usual = np.einsum("ij,i,ij->j", along, _usual_bend(curvature)[free], along)
-    bend, part = _bent(matrix, slope, ROUNDING * usual)
+    bend, part, left = _bent(matrix, slope, ROUNDING * usual)
     if bend is Bend.DOWN:
         towards = np.zeros(len(gradient))
         towards[free] = along @ np.linalg.eigh(matrix)[1][:, 0]
         bend = bend if downhill(curvature.at, towards) is not None else Bend.FLAT
     decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
-    return Certificate.at(curvature, bend, _within_bounds(curvature.at, free, kinks.back + along @ part), decrement)
+    step = _within_bounds(curvature.at, free, kinks.back + along @ part)
+    return replace(Certificate.at(curvature, bend, step, decrement), left=left)
 
 
-def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array]:
+def _by_factorisation(curvature: Curvature, slope: Array, free: NDArray[np.intp]) -> tuple[Bend, Array, float]:
     matrix = curvature.matrix[np.ix_(free, free)]
     return _bent(matrix, slope, ROUNDING * _usual_bend(curvature)[free])
 
 
-def _bent(matrix: Array, slope: Array, least: Array) -> tuple[Bend, Array]:
-    """(how the cost bends, Newton's step); where it cannot be factored, the step leaves out what is flat."""
+def _bent(matrix: Array, slope: Array, least: Array) -> tuple[Bend, Array, float]:
+    """(how the cost bends, Newton's step, what it leaves of the gradient); where the matrix cannot be factored, the
+    step leaves out what is flat.
+    """
     if not len(slope):
-        return Bend.UP, slope
+        return Bend.UP, slope, 0.0
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
     unit = matrix / size[:, None] / size
     if not np.all(np.isfinite(unit)):
-        return Bend.FLAT, np.full(len(slope), np.inf)
+        return Bend.FLAT, np.full(len(slope), np.inf), np.inf
     if np.all(np.diag(matrix) > least):
         triangle, step, failed = lapack.dposv(unit, -slope / size)
         if not failed and clear_of_rounding(triangle, unit):
-            return Bend.UP, step / size
+            return Bend.UP, step / size, 0.0
     values, vectors = np.linalg.eigh(unit)
     solid = values > ROUNDING
-    step = -vectors[:, solid] @ ((vectors[:, solid].T @ (slope / size)) / values[solid]) / size
-    return Bend.DOWN if values[0] < -ROUNDING else Bend.FLAT, step
+    part = vectors.T @ (slope / size)
+    step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
+    left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
+    return Bend.DOWN if values[0] < -ROUNDING else Bend.FLAT, step, left
 
 
 def _by_squares(curvature: Curvature, free: NDArray[np.intp]) -> Certificate | None:
