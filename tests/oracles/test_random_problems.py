@@ -32,8 +32,9 @@ def test_the_cost_is_that_of_the_second_statement(number: int) -> None:
     np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
 
 
-# Ended without an estimate once: kinks of readings and of penalties at once, and cells tied loosely by a heavy penalty
-# that met their bounds one by one, or a plateau along which nothing but rounding is left of the gradient; or at the higher one of two minima, of a first frame.
+# Ended without an estimate once: kinks of readings and of penalties at once; cells tied loosely by a heavy penalty that
+# met their bounds one by one; a plateau across which nothing but rounding is left of the gradient. HIGHER: at the
+# higher one of two minima, of a first frame.
 UNSOLVED = [(11, 6), (31, 28), (31, 36), (31, 183), (31, 576), (31, 714), (31, 173), (31, 218), (53, 61)]
 HIGHER = [(31, 287), (31, 691)]
 
