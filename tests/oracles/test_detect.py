@@ -167,6 +167,17 @@ def test_two_mouths_are_two() -> None:
     np.testing.assert_allclose(found, sorted(sizes), atol=2.0)
 
 
+@pytest.mark.parametrize("places", [((25, 30), (84, 58)), ((22, 20), (79, 60))], ids=["far", "near"])
+def test_two_faint_mouths_on_a_bent_film_are_two(places: tuple[tuple[float, float], ...]) -> None:
+    """Compared coarsely one of them might be a rod; on a film that answers a fifth less and unevenly."""
+    mouths = [
+        OralDisc(centre_mm=places[0], diameter_mm=27, rim_width_mm=6, pressure_kpa=-4, unevenness=0.25),
+        OralDisc(centre_mm=places[1], diameter_mm=25, rim_width_mm=5.5, pressure_kpa=-8, elongation=1.15),
+    ]
+    off = Unmodelled(response_loss=0.2, response_spread=0.15)
+    assert "lamprey and lamprey" in seen(frames_of(recorded(*mouths, unmodelled=off)))[-1].label
+
+
 @pytest.mark.parametrize(("side", "places"), [(6, ((12, 14), (38, 37))), (12, ((25, 80), (75, 35)))])
 def test_two_small_mouths_are_two_on_any_panel(side: int, places: tuple[tuple[float, float], ...]) -> None:
     panel = Panel(side, side)

@@ -182,9 +182,13 @@ class Detector:
         likely = [variant for fit in hollow[:BEST] for variant in _alike(fit)]
         coarse += [self._coarse(load, frame, likely or discs) for load in self.loads if load.follows]
         fits = sorted((min(fits, key=_score) for fits in coarse), key=_score)
+        return self._sharper(frame, tuple(fits))
+
+    def _sharper(self, frame: Observation, fits: tuple[Fit, ...]) -> tuple[Fit, ...]:
+        """Coarse fits, compared step by step more sharply; the best first."""
         for settled in FINER:
-            fits = sorted(self._each(blurred(frame, settled), tuple(fits), LEVELS[-1]), key=_score)
-        return tuple(fits)
+            fits = tuple(sorted(self._each(blurred(frame, settled), fits, LEVELS[-1]), key=_score))
+        return fits
 
     def _discs(self, frame: Observation) -> list[Disc]:
         return self.search.starts(cell_map(frame.direct()), self.rest @ self._unexplained(frame))
@@ -310,15 +314,15 @@ class Detector:
             ways = [[*discs, place] for place in self.search.beside(field.change, discs)]
             if not ways:
                 break
-            fit = together.about(ways)
-            verdict = self._settled(frame, (fit, *single.loads[:1]), field)
+            fits = self._sharper(frame, together.about(ways))
+            verdict = self._settled(frame, (*fits, *single.loads[:1]), field)
             before = found[-1] if found else single
             if verdict.evidence <= before.evidence:
                 break
             found.append(verdict)
             if not self._doubtful(verdict):
                 break
-            discs = discs_of(fit)
+            discs = discs_of(fits[0])
         return found
 
     def _roughly(self, frame: Observation) -> Together:

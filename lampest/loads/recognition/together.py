@@ -23,8 +23,11 @@ class Together:
     loads: tuple[Candidate, ...]
     fit: Callable[[Candidate, Array, float], Fit]
 
-    def about(self, ways: Sequence[Sequence[Disc]]) -> Fit:
-        """The best kinds of loads about the best of some sets of discs, all fitted together, targets first."""
+    def about(self, ways: Sequence[Sequence[Disc]]) -> tuple[Fit, ...]:
+        """The best kinds of loads about the best of some sets of discs, all fitted together, targets first.
+
+        And, where these are others, the most flexible kinds: so coarse a comparison may be wrong.
+        """
         flexible = next((load for load in self.loads if load.target), self.loads[0])
         others = [load for load in self.loads if load is not flexible]
         parts, score = [flexible] * len(ways[0]), np.inf
@@ -32,6 +35,7 @@ class Together:
             fit = self._fit(parts, [flexible.start(disc) for disc in way], score)
             if fit.score < score:
                 best, discs, score = fit, ways[number], fit.score
+        first = best
         for place in range(len(discs)):
             for load in others:
                 own = split(best)
@@ -41,7 +45,7 @@ class Together:
                 other = self._fit(kinds, begin, best.score)
                 if self._likely(other) > self._likely(best) + CLEARLY:
                     best = other
-        return targets_first(best)
+        return (targets_first(best), first) if best is not first else (first,)
 
     def _likely(self, fit: Fit) -> float:
         return fit.evidence - prior_cost(self.panel, fit)
