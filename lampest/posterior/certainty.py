@@ -100,6 +100,14 @@ class Certainty:
         """With intervals that reach farther, by squares of log r that are added to theirs."""
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
+    def by_conductance(self) -> "Certainty":
+        """With intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1.
+
+        Readings are linear in conductances; of a nearly open cell little of its own is left, and its logarithm far off.
+        """
+        with np.errstate(divide="ignore"):
+            return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
+
     def of_frame(self, frame: int) -> "Certainty":
         """That of one frame, (rows, columns)."""
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))

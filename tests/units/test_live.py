@@ -30,7 +30,7 @@ from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -166,6 +166,33 @@ def test_an_unloaded_reading_that_leaps_is_left_out_as_in_a_batch(lamprey: Recor
     np.testing.assert_allclose(measured, [picture.measured_change[2, 3] for picture in calm], atol=1)
 
 
+def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:
+    """Nobody knows yet whether it comes back: a touch of one cell moves its row and column, a lost bit does not."""
+    scene = lamprey.scene
+    cells = np.repeat(
+        3000 * np.exp(0.1 * np.random.default_rng(1).standard_normal((1, *scene.panel.shape))), 10, axis=0
+    )
+    cells[8, 6, 2] *= 0.2
+    exact = two_point_resistance(cells) + scene.series_resistance_ohm
+    exact[7, 4, 4] *= 1.3
+    role = np.where(np.arange(10) < 3, UNLOADED, MEASURED).astype(np.uint8)
+    found = pictures(LSM, Recording(scene, exact, np.arange(10.0), role))
+    assert [picture.leaps for picture in found] == [0, 0, 0, 0, 1, 0, 0]
+    assert np.abs(found[4].relative_change).max() < 1
+    assert found[5].relative_change[6, 2] == pytest.approx(-80, abs=1)
+
+
+def test_where_a_reading_hears_its_own_cell_alone_nothing_is_taken_for_a_leap() -> None:
+    readout = VirtualGroundReadout(feedback_ohm=1000.0, adc_bits=12, noise_lsb=1.0)
+    scene = Scene(Panel(6, 7), readout)
+    cells = np.full((8, 6, 7), 3000.0)
+    cells[6:, 2, 3] = 1000.0
+    role = np.where(np.arange(8) < 3, UNLOADED, MEASURED).astype(np.uint8)
+    found = pictures(LSM, Recording(scene, readout.exact_reading(cells), np.arange(8.0), role))
+    assert [picture.leaps for picture in found] == [0] * 5
+    assert found[3].relative_change[2, 3] == pytest.approx(-66.7, abs=1)
+
+
 def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Recording) -> None:
     unsaid = dataclasses.replace(lamprey, role=np.full(9, MEASURED))
     found = pictures(METHODS["LSR-gCR"], unsaid)
@@ -242,7 +269,9 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
 
 def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
     hasty = dataclasses.replace(METHODS["LSR-gCR"], solver=Settings(max_iterations=1))
-    for picture in pictures(hasty, lamprey):
+    given_up = [picture for picture in pictures(hasty, lamprey) if picture.status != "optimum verified"]
+    assert given_up
+    for picture in given_up:
         assert picture.status == "no baseline: the iteration limit was reached before an optimum" or (
             picture.status == "the iteration limit was reached before an optimum"
         )

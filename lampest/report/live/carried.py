@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise.before import FramesBefore
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -28,7 +29,7 @@ class Carried:
     stream, load : cells, and pressures from them. recent : the newest readings. missing : frames that still have to
     come for a zero that was asked for; None where none was. zeroed : why the last frame led to a new zero, or ''.
     track : what error bars of second looks need, where frames are solved in haste. look : what is still to be found out
-    of the last frame, or None.
+    of the last frame, or None. before : the frames before, as they came.
     """
 
     stream: Stream
@@ -38,6 +39,7 @@ class Carried:
     zeroed: str = ""
     track: Track | None = None
     look: SecondLook | None = None
+    before: FramesBefore = FramesBefore()
 
     @classmethod
     def begin(
@@ -76,6 +78,12 @@ class Carried:
             return here
         return here._zeroed(here.recent[: tare.frames // 2], time, tared)
 
+    def calmed(self, readings: Readings) -> tuple["Carried", Readings, int]:
+        """With a frame among those before the next; the frame without readings that leap, and how many do."""
+        stream, after = self.stream, replace(self, before=self.before.after(readings))
+        known = stream.scene, stream.resting, stream.baseline_resistance
+        return after, *self.before.without_leaps(readings, *known)
+
     def ratio(self, step: Step) -> Array | None:
         """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
         baseline = self.stream.baseline_resistance
@@ -101,10 +109,12 @@ class Carried:
 
 
 def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tuple[Carried, Picture]:
-    """Solve one frame: (where the panel stands then, the picture with what the solver found).
+    """Solve one frame without its leaps: (where the panel stands then, the picture with what the solver found).
 
     Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
     """
+    carried, readings, leaps = carried.calmed(readings)
+    picture = replace(picture, leaps=leaps)
     try:
         stream, step = carried.stream.push(readings)
     except InputError as error:

@@ -33,7 +33,8 @@ class Picture:
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
     cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
     where the response does not tell the pressure. verdict : one of `verdict.VERDICTS`. total_deviation : newton,
-    standard deviation of the total; NaN where it is not known, or comes later.
+    standard deviation of the total; NaN where it is not known, or comes later. leaps : readings that leapt, in whose
+    place the frames before stand.
     """
 
     number: int
@@ -51,6 +52,7 @@ class Picture:
     saturated: NDArray[np.uint8] | None = None
     verdict: str = "unsolved"
     total_deviation: float = float("nan")
+    leaps: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +126,7 @@ def _picture(picture: Picture, panel: Panel | None) -> dict[str, Any]:
         "solved": isfinite(picture.total),
         "seconds": picture.seconds,
         "skipped": picture.skipped,
+        "leaps": picture.leaps,
     }
 
 
