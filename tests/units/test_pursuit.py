@@ -95,7 +95,7 @@ def test_products_are_those_with_second_derivatives(readout: str, terms: str, st
             assert_allclose(matrix, expected, rtol=1e-6, atol=1e-9 * np.abs(matrix).max())
         else:
             assert np.linalg.eigvalsh(matrix)[0] > -1e-9 * np.abs(matrix).max()
-        found = arithmetic._preconditioner(arena.addresses, 5, model, links, point, arena.band)
+        found = arithmetic._preconditioner(arena.addresses, 5, model, links, point, arena.band, data.ties[0])
         inverse, moving = np.empty((30, 30)), np.ones(30, dtype=np.int64)
         for cell, unit in enumerate(np.eye(30)):
             arithmetic._preconditioned(arena.addresses, 5, model, found, moving, unit, inverse[cell])

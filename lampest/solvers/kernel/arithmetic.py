@@ -23,7 +23,7 @@ STRAIGHT = 0.2  # of log r
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 ROUGH, FINE = 0.1, 0.01  # of a step by conjugate gradients, and of the last one, which is taken unseen
 MOST_PRODUCTS = 1500  # of a frame; beyond, it is not an easy one
-SAMPLES, LEAST_SHARE = 4, 0.05  # of a line's readings; of a cell's own response, as in the two-point stencil
+LEAST_SHARE = 0.05  # of a cell's own response, as in the two-point stencil
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
 
@@ -846,29 +846,22 @@ def _bent_along(
 
 
 @machine_code
-def _own_slopes(rows: int, model: Any, impedance: Any) -> Any:
-    """(own, lines): ∂y/∂g of every cell's own reading (cells), and the mean of a line's readings for its other cells.
+def _own_slopes(rows: int, model: Any, impedance: Any, ties: Any) -> Any:
+    """(own, lines): −∂y/∂g of every cell's own reading (cells), and of a line's readings by its other cells (lines).
 
-    Sampled at SAMPLES places of the line; both times −1, and not times g.
+    Where all else stands alike, a current into a line of total conductance A, with its tie, moves that by 1/A.
     """
     cells, lines = model.shape[1], len(impedance)
     columns = lines - rows
-    own, shared, counts = np.empty(cells), np.zeros(lines), np.zeros(lines)
+    own, total, slope = np.empty(cells), ties.copy(), np.zeros(lines)
     for cell in range(cells):
+        j, k = cell // columns, rows + cell % columns
         own[cell] = _slope(rows, model, impedance, cell, cell)
-        j, k = cell // columns, cell % columns
-        for number in range(SAMPLES):
-            away = 1 + number * (columns - 1) // SAMPLES
-            if away < columns:
-                shared[j] += _slope(rows, model, impedance, cell, j * columns + (k + away) % columns)
-                counts[j] += 1
-            away = 1 + number * (rows - 1) // SAMPLES
-            if away < rows:
-                shared[rows + k] += _slope(rows, model, impedance, cell, (j + away) % rows * columns + k)
-                counts[rows + k] += 1
-    for line in range(lines):
-        shared[line] /= max(counts[line], 1.0)
-    return own, shared
+        total[j] += model[0, cell]
+        total[k] += model[0, cell]
+        slope[j] += model[2, cell] / columns
+        slope[k] += model[3, cell] / rows
+    return own, slope / total**2
 
 
 @machine_code
@@ -883,18 +876,18 @@ def _slope(rows: int, model: Any, impedance: Any, reading: int, cell: int) -> fl
 
 
 @machine_code
-def _preconditioner(addresses: Any, rows: int, model: Any, links: Any, point: Any, band: int) -> Any:
+def _preconditioner(addresses: Any, rows: int, model: Any, links: Any, point: Any, band: int, ties: Any) -> Any:
     """(base, heavy, inner, whether it is one): what stands for (∇²φ)⁻¹ over all cells.
 
     Where terms tie cells (`band` > 0, how far apart): base (cells, band + 1), the Cholesky factor of what the terms and
     each cell's own reading say. Else that of J's stencil, whose diagonal d is a cell and whose columns U are the lines:
     base (cells, 1) 1/(d²w + r²c), heavy (cells) d·w, inner (2·lines)², see
-    `lampest.panel.readouts.two_point.stencil`, with the lines' part K from what J says.
+    `lampest.panel.readouts.two_point.stencil`, with the lines' part K for any readout.
     """
     _, impedance, _ = point
     cells, lines = model.shape[1], len(impedance)
     columns = lines - rows
-    own, shared = _own_slopes(rows, model, impedance)
+    own, shared = _own_slopes(rows, model, impedance, ties)
     base, largest = np.zeros((cells, band + 1)), 0.0
     for cell in range(cells):
         base[cell, 0] = max(model[11, cell], 0.0)
@@ -1144,7 +1137,8 @@ def pursue(
             moving[_free(here[0], bounds)] = 1
             model, links = _modelled(addresses, where, arena, entries, here, straight, whole)
             if _away(here[0][0], found_at) > limits[6]:
-                found, found_at = _preconditioner(addresses, rows, model, links, here, band), here[0][0].copy()
+                found = _preconditioner(addresses, rows, model, links, here, band, ties[0])
+                found_at = here[0][0].copy()
             if not found[3]:
                 break
             way = _approached(
