@@ -34,6 +34,7 @@ SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all re
 REPRODUCED_UNKNOWNS = 1024  # cells, up to which a solve with J is asked for where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
 SURE = 1e-3  # of what squares of residuals bend
+UNSEEN = 1e-14  # of the cost's scale, over a change of one in log r: what no digit of the cost itself would show
 ROUNDING = 1e-11  # of the matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
 
@@ -240,8 +241,9 @@ def _by_conjugate_gradients(
     step, downhill = conjugate_gradients(product, precondition, -slope, ACCURACY)
     if downhill is None:
         return Bend.UP, step
-    size = np.abs(curvature.local.diagonal()[free])
-    flat = float(downhill @ product(downhill)) > -ROUNDING * float(downhill @ (size * downhill))
+    size, bend = np.abs(curvature.local.diagonal()[free]), float(downhill @ product(downhill))
+    unseen = UNSEEN * curvature.at.cost_scale * float(np.abs(downhill).max()) ** 2
+    flat = bend > -max(ROUNDING * float(downhill @ (size * downhill)), unseen)
     return Bend.FLAT if flat else Bend.DOWN, step
 
 

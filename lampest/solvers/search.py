@@ -151,6 +151,8 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     plain = all(term.reads_measurement for term in solver.cost.terms)
     uniform = data.uniform_start
     starts = [uniform, convex(data, None)] if previous is None else [previous]
+    if previous is None and plain and data.readout.unique and _large(uniform):
+        starts = starts[1:]  # it crowds the bounds where the estimate does, which tells how to go on
     starts += [convex(data, previous)] if previous is not None and plain else []
     points = _within_reach(_evaluable(solver.cost, data, starts))
     if not points:
