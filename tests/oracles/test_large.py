@@ -20,7 +20,7 @@ from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.readouts.two_point.stencil import Stencil, StencilSquare, square_from_afar
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.solvers import linearised
+from lampest.solvers import certificate, linearised
 from lampest.solvers.newton import curvature, newton
 from lampest.solvers.newton.inside import from_inside
 from lampest.solvers.newton.rough import Rough
@@ -205,3 +205,17 @@ def test_lines_precondition_what_neighbours_and_readings_bend() -> None:
         assert values.min() > 0
         spread[lined] = np.quantile(values, 0.98) / np.quantile(values, 0.02)
     assert spread[True] < 0.3 * spread[False], spread
+
+
+@pytest.mark.parametrize(("bend", "told"), [(-1e-16, "FLAT"), (-1e-3, "DOWN"), (1e-3, "UP")])
+def test_what_the_last_digits_of_the_cost_hide_is_no_way_down(
+    bend: float, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One cell of a large panel bends the cost by ±bend of its scale, over a change of one in log r."""
+    at = pressed_patch()
+    bends = curvature.Curvature(at, Smoothing.start(at))
+    diagonal = np.full(at.cell_resistance.size, at.cost_scale)
+    diagonal[7] *= bend
+    monkeypatch.setattr(curvature.Curvature, "product", lambda self, step: diagonal * step)
+    found = certificate.certificate(bends, np.where(np.arange(len(diagonal)) == 7, 1e-9, 0.0))
+    assert found.bend is certificate.Bend[told]
