@@ -210,10 +210,6 @@ class DenseErrors:
             answer = answer + carried @ (last, baseline)[which]
         return np.asarray(answer)
 
-    def inverse_column(self, place: int) -> Array:
-        """The column of A⁻¹ of one free cell, by its place among them."""
-        return np.asarray(self.inverse[:, place])
-
     @cached_property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel K·J."""

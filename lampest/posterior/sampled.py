@@ -169,12 +169,6 @@ class SampledErrors:
             answers[:, number] = self._inverse(right[model.free])
         return answers
 
-    def inverse_column(self, place: int) -> Array:
-        """The column of A⁻¹ of one free cell, by its place among them."""
-        unit = np.zeros(len(self.model.free))
-        unit[place] = 1.0
-        return self._inverse(unit)
-
     @property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel, held within 0 and 1 against the scatter of the samples."""
