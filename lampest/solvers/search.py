@@ -14,7 +14,6 @@ from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.kernel.following import from_previous, long_way_round, serves, swift
 from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS
-from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.softest import either_side
@@ -31,6 +30,7 @@ EASY_STRAIGHT = 12  # beyond what machine code follows: steps straight in r are 
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
 MOVED, FEW_MOVED = 0.3, 0.05  # of log r, and of the cells
 PATIENCE, LEAST_PATIENCE = 5, 60  # times the iterations, and iterations
+UNCHANGED_UNKNOWNS = 2048
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 # On larger panels starts that cost so many times the cheapest: under a mouth the convex one ended 2 to 13 % higher than
 # the uniform one in 9 of 10 frames at 64 × 64 and 48 × 72.
@@ -233,7 +233,7 @@ def _unchanged(data: Data) -> list[Array]:
     Where penalties outweigh readings no cell changes. LSR-∇ΔCR under a mouth ended 9 % lower from there at 16 × 16, and
     13 % higher at 32 × 32.
     """
-    joint = len(data.measured) > 1 and data.measured.size <= DENSE_JOINT_UNKNOWNS
+    joint = len(data.measured) > 1 and data.measured.size <= UNCHANGED_UNKNOWNS
     return [np.repeat(convex(data, None)[:1], len(data.measured), axis=0)] if joint else []
 
 

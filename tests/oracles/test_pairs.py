@@ -13,6 +13,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.solvers.newton import curvature
 from lampest.solvers.search import best_solution
 from tests.least_cost import Circuit, LeastCost, Penalty
 
@@ -34,9 +35,13 @@ def mouth() -> Array:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("most", [curvature.DENSE_JOINT_UNKNOWNS, 0], ids=["factors", "products"])
 @pytest.mark.parametrize("method", METHODS)
-def test_a_joint_pair_ends_where_nothing_else_finds_less(method: str) -> None:
+def test_a_joint_pair_ends_where_nothing_else_finds_less(
+    method: str, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of several hundred unknowns, most of a disc's cells bending the cost downwards."""
+    monkeypatch.setattr(curvature, "DENSE_JOINT_UNKNOWNS", most)
     cells, readout = mouth(), TwoPointReadout(reference_ohm=1000.0, adc_bits=10, readings=20, noise_lsb=0.7)
     exact = two_point_resistance(cells)
     sigma = readout.sigma(exact)

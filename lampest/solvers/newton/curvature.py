@@ -18,10 +18,9 @@ from lampest.panel.network import Afar, SecondOrder
 from lampest.panel.panel import Array
 from lampest.solvers.newton.smoothing import Smoothing
 
-# Frames that are solved jointly, a first frame and its baseline, bend the cost downwards along many directions at once,
-# each of which ends a solve by conjugate gradients: these failed after 300 iterations at 16 × 16. A factor takes 0.1 s
-# here.
-DENSE_JOINT_UNKNOWNS = 2048
+# Frames that are solved jointly, a first frame and its baseline: 16 × 16 cells twice. A factor takes 5 ms here; at 32 × 32
+# pairs took four to ten times as long by factors as by conjugate gradients.
+DENSE_JOINT_UNKNOWNS = 512
 # Kinks of absolute losses make second derivatives that conjugate gradients gropes along, and are taken exactly here.
 DENSE_KINKED_UNKNOWNS = 600
 
@@ -111,6 +110,11 @@ class Curvature:
         if len(cells) > 1:
             return bool(cells.size <= DENSE_JOINT_UNKNOWNS)
         return bool(cells.size <= (DENSE_KINKED_UNKNOWNS if len(self.at.cost.slope) else DENSE_UNKNOWNS))
+
+    @property
+    def paired(self) -> bool:
+        """Whether there are two frames, too large to be factored."""
+        return len(self.at.cell_resistance) == 2 and not self.factored
 
     @property
     def only_misfit(self) -> bool:

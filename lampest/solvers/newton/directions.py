@@ -11,6 +11,7 @@ from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.local import local_inverse
+from lampest.solvers.newton.pair import Pair
 from lampest.solvers.newton.reach import within_reach
 from lampest.solvers.newton.rough import Rough
 from lampest.solvers.newton.softest import softest
@@ -111,6 +112,8 @@ def direction(
         return Direction(known, damping)
     if curvature.factored:
         found = _by_factorisation(curvature, chosen, slope[chosen], damping)
+    elif curvature.paired:
+        found = _of_pair(Pair(curvature, free), chosen, slope[chosen], damping, accuracy)
     else:
         found = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy, kept)
     step = known.copy()
@@ -162,6 +165,29 @@ def _by_conjugate_gradients(
         return Direction(step, damping, None if damping else factor)
     reach = max(1 / (1 + damping) - np.abs(step).max(), 0)
     return Direction(step + downhill * reach / np.abs(downhill).max(initial=1e-300), raised(damping), factor)
+
+
+def _of_pair(pair: Pair, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float) -> Direction:
+    """Of two large frames; where second derivatives bend down, by squares, with as much damping as makes these firm."""
+    whole = np.zeros(pair.free.size)
+
+    def solved(image: Linear) -> tuple[Array, Array | None]:
+        shift = damping * _at_least(np.abs(pair.local.diagonal()), 1e-6)
+
+        def product(search: Array) -> Array:
+            whole[free] = search
+            return np.asarray((image(whole) + shift * whole)[free])
+
+        return conjugate_gradients(product, local_inverse(pair.local, shift, free), -slope, accuracy)
+
+    step, downhill = solved(pair.product)
+    damping = damping if downhill is None else max(damping, LEAST_DAMPING)
+    while downhill is not None:
+        step, downhill = solved(pair.squares)
+        damping = damping if downhill is None else raised(damping)
+    whole[:] = 0
+    whole[free] = step
+    return Direction(np.clip(pair.change(whole)[free], -REACH, REACH), damping)
 
 
 def preconditioner(curvature: Curvature, free: NDArray[np.intp], kept: Factor | None = None) -> Factor:

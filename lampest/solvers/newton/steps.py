@@ -22,6 +22,8 @@ REPRODUCED = 1e-4  # of the cost's scale: 1e-12 of it at a tolerance of 1e-8, wh
 MOST_STOPS = 6
 CONTRACTION = 0.2  # of a step by the next one: a new factor costs as much as two to three such steps
 TIGHT = 0.5
+# Which damping is nothing, and what share of it is kept; pairs of frames bend down all the way to their minimum.
+NEGLIGIBLE, KEPT = {False: 1e-2, True: 1e-5}, {False: 0.1, True: 0.25}
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 
 
@@ -190,12 +192,13 @@ def trial(
     better = promised > 0 and gain >= DECREASE * promised
     if not better and not (abs(gain) <= EQUAL * abs(point.objective) and found.residual() < HALVED * residual):
         return None
-    damping = relaxed(damping, gain / promised) if better else damping
+    if better:
+        damping = relaxed(damping, gain / promised, point.curvature.paired)
     return Iterate(Curvature(at, smoothing.moved(point.at, at)), found.objective, damping)
 
 
-def relaxed(damping: float, share: float) -> float:
+def relaxed(damping: float, share: float, paired: bool) -> float:
     """The next damping from the share of the first-order gain that a step had; a good Newton step has half."""
     if share > 0.25:
-        return 0.0 if damping < 1e-2 else damping / 10
+        return 0.0 if damping < NEGLIGIBLE[paired] else KEPT[paired] * damping
     return damping if share > 0.05 else raised(damping)

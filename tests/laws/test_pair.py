@@ -1,0 +1,97 @@
+"""Two large frames that are solved together: their steps are Newton's in the ratios of their cells."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest import two_point_resistance
+from lampest.cost.given import Background
+from lampest.cost.problem import Evaluation
+from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, Misfit, RelativeChange
+from lampest.cost.terms.term import Term
+from lampest.estimate.estimator import Estimator
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.pair import Pair
+from lampest.solvers.newton.smoothing import Smoothing
+
+SHAPE, CELLS = (3, 4), 12
+RATIOS: dict[str, tuple[Term, ...]] = {
+    "change": (Misfit(), RelativeChange(weight=10)),
+    "gradient of change": (Misfit(), CellResistance(weight=1e-3), GradientOfRelativeChange(weight=10)),
+}
+LOGARITHMS: tuple[Term, ...] = (Misfit(), LogRatio(weight=10))
+
+
+def evaluation(terms: tuple[Term, ...]) -> Evaluation:
+    """Somewhere off the optimum of a resting frame and one of which some cells are loaded to an eighth."""
+    generator = np.random.default_rng(7)
+    cells = 1000 * np.exp(0.3 * generator.standard_normal((2, *SHAPE)))
+    cells[1, 1:, 1:3] /= 8
+    measured, readout = two_point_resistance(cells), TwoPointReadout()
+    scene, seen = Scene(Panel(*SHAPE), readout), np.ones(measured.shape)
+    estimator = Estimator(terms, formulation="reduced")
+    data = estimator.data(Readings(measured, readout.sigma(measured), 0 * seen, seen), Background(scene))
+    elsewhere = cells * np.exp(0.2 * generator.standard_normal(cells.shape))
+    return Evaluation.at(estimator.cost(scene, 2, data.partial), data, elsewhere)
+
+
+def pair(at: Evaluation, held: tuple[int, ...] = ()) -> Pair:
+    """Of all unknowns but those held."""
+    free = np.ones(2 * CELLS, dtype=bool)
+    free[list(held)] = False
+    return Pair(Curvature(at, Smoothing.start(at)), free)
+
+
+def bends(value: Callable[[Array], float], step: Array) -> float:
+    """d²/dt² of the value along t·step, by differences of fourth order."""
+    width = 2e-3
+    weights = {-2: -1 / 12, -1: 4 / 3, 0: -5 / 2, 1: 4 / 3, 2: -1 / 12}
+    return sum(weight * value(share * width * step) for share, weight in weights.items()) / width**2
+
+
+@pytest.mark.parametrize("name", RATIOS)
+@pytest.mark.parametrize("held", [(), (0, 1, CELLS + 5, CELLS + 6)], ids=["all free", "some held"])
+def test_second_derivatives_are_those_along_its_own_paths(name: str, held: tuple[int, ...]) -> None:
+    at = evaluation(RATIOS[name])
+    found = pair(at, held)
+    for seed in range(3):
+        step = np.where(found.free, 0.3 * np.random.default_rng(seed).standard_normal(2 * CELLS), 0.0)
+
+        def along(moved: Array) -> float:
+            return at.elsewhere(np.exp(at.position + found.change(moved).reshape(at.position.shape))).objective
+
+        assert_allclose(float(step @ found.product(step)), bends(along, step), rtol=1e-5)
+
+
+def test_squares_never_bend_down_where_second_derivatives_in_log_r_do() -> None:
+    for terms in (*RATIOS.values(), LOGARITHMS):
+        found = pair(evaluation(terms))
+        columns = np.eye(2 * CELLS)
+        squares = np.array([found.squares(column) for column in columns])
+        assert_allclose(squares, squares.T, rtol=1e-9, atol=1e-9 * np.abs(squares).max())
+        assert np.linalg.eigvalsh(squares)[0] > -1e-9 * np.abs(squares).max()
+    plain = pair(evaluation(RATIOS["change"])).curvature
+    assert np.linalg.eigvalsh(np.array([plain.product(column) for column in np.eye(2 * CELLS)]))[0] < 0
+
+
+def test_a_step_is_straight_in_the_ratio() -> None:
+    found = pair(evaluation(RATIOS["change"]), held=(0, CELLS + 1))
+    step = np.where(found.free, np.linspace(-0.4, 0.5, 2 * CELLS), 0.0)
+    first, second = np.split(found.change(step), 2)
+    whole = np.split(step, 2)
+    assert_allclose(np.exp(second - first)[2:], 1 + (whole[1] - whole[0])[2:])
+    assert_allclose([first[0], np.exp(second[0])], [0, 1 + whole[1][0]])
+    assert_allclose([second[1], np.exp(-first[1])], [0, 1 - whole[0][1]])
+
+
+def test_penalties_of_logarithms_keep_steps_in_logarithms() -> None:
+    found = pair(evaluation(LOGARITHMS))
+    step = np.linspace(-1, 1, 2 * CELLS)
+    assert_allclose(found.change(step), step)
+    assert_allclose(found.product(step), found.curvature.product(step))
