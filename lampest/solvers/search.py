@@ -14,6 +14,7 @@ from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.kernel.following import from_previous, long_way_round, serves, swift
 from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS
+from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.softest import either_side
@@ -30,7 +31,7 @@ EASY_STRAIGHT = 12  # beyond what machine code follows: steps straight in r are 
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
 MOVED, FEW_MOVED = 0.3, 0.05  # of log r, and of the cells
 PATIENCE, LEAST_PATIENCE = 5, 60  # times the iterations, and iterations
-UNCHANGED_UNKNOWNS = 2048
+SEARCHED_UNKNOWNS = 2048  # of frames that are solved jointly, from all starts
 FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
 # On larger panels starts that cost so many times the cheapest: under a mouth the convex one ended 2 to 13 % higher than
 # the uniform one in 9 of 10 frames at 64 × 64 and 48 × 72.
@@ -45,9 +46,10 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Fact
     the convex one. A solve is hard that fails, takes many iterations, ends where more than a twentieth of the cells are
     others than in the frame before, or has no frame before on a panel of up to 400 cells, unless cells reproduce all
     readings of which nobody knows that others do; it is then begun from all of these and, on such panels, from 1.2 R_m
-    and 20 R_m, which are far from all others, and a first frame from between its bounds, or, for a first pair of up to
-    1,024, from cells that do not change, while on larger ones starts that cost thirty times the cheapest are left out;
-    what is verified is a local minimum, the best of these.
+    and 20 R_m, which are far from all others, and a first frame from between its bounds, or, for a first pair,
+    from cells that do not change, while on larger ones starts that cost thirty times the cheapest are left out; what is
+    verified is a local minimum, the best of these. A first pair of more than 1,024 cells is begun where none changes,
+    and elsewhere only where that ends without an estimate.
     Costs that compare with a previous frame have several minima, and of some readouts nobody knows that they have one;
     for them the reduced solver searches, and any other solver goes on from what it found, so that all formulations
     stand in the same minimum; so it does on later frames of small panels. Where these terms are convex in log r and the
@@ -149,9 +151,8 @@ def _one_minimum(cost: Cost, data: Data) -> bool:
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     relative = any(term.needs_previous for term in solver.cost.terms)
     plain = all(term.reads_measurement for term in solver.cost.terms)
-    uniform = data.uniform_start
-    starts = [uniform, convex(data, None)] if previous is None else [previous]
-    if previous is None and plain and data.readout.unique and _large(uniform):
+    starts = _first_starts(data) if previous is None else [previous]
+    if previous is None and plain and data.readout.unique and _large(data.measured):
         starts = starts[1:]  # it crowds the bounds where the estimate does, which tells how to go on
     starts += [convex(data, previous)] if previous is not None and plain else []
     points = _within_reach(_evaluable(solver.cost, data, starts))
@@ -164,6 +165,7 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     hard = (relative and previous is None) or (
         not one_minimum and (first or found.iterations > _easy(solver, found) or _far_from(found, previous))
     )
+    hard = hard and not _lengthy(data)
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
         return found
@@ -200,9 +202,10 @@ def _easy(solver: Solver, found: Solution) -> int:
 
 def _elsewhere(data: Data, previous: Array | None) -> list[Array]:
     """Where a hard solve is begun beside what it went on from."""
-    near = [] if previous is None else [data.uniform_start, convex(data, None)]
+    near = [] if previous is None and not _lengthy(data) else [data.uniform_start, convex(data, None)]
+    near += [] if _lengthy(data) else _unchanged(data)
     if data.measured[0].size > FAR_CELLS:
-        return near + _unchanged(data)
+        return near
     between = [np.sqrt(data.lower * data.upper)] if previous is None and len(data.measured) == 1 else []
     return near + [data.apparent_resistance * factor for factor in FAR_FACTORS] + between
 
@@ -227,14 +230,28 @@ def _patient(solver: Solver, found: Solution) -> Solver:
     return replace(solver, settings=replace(solver.settings, max_iterations=most))
 
 
+def _first_starts(data: Data) -> list[Array]:
+    """Where a cold start is begun."""
+    return _unchanged(data) if _lengthy(data) else [data.uniform_start, convex(data, None)]
+
+
 def _unchanged(data: Data) -> list[Array]:
-    """Where frames are solved jointly, as long as that takes seconds: the first one's start in all.
+    """Where frames are solved jointly, and not by factors: the first one's start in all.
 
     Where penalties outweigh readings no cell changes. LSR-∇ΔCR under a mouth ended 9 % lower from there at 16 × 16, and
     13 % higher at 32 × 32.
     """
-    joint = len(data.measured) > 1 and data.measured.size <= UNCHANGED_UNKNOWNS
+    joint = len(data.measured) > 1 and data.measured.size > DENSE_JOINT_UNKNOWNS
     return [np.repeat(convex(data, None)[:1], len(data.measured), axis=0)] if joint else []
+
+
+def _lengthy(data: Data) -> bool:
+    """Whether frames are solved jointly that take seconds a start: one has to do, where no cell changes.
+
+    Under rods and a small mouth at 64 × 64 all starts ended in one minimum, from there in a third to a half of the
+    iterations.
+    """
+    return len(data.measured) > 1 and data.measured.size > SEARCHED_UNKNOWNS
 
 
 def _least(found: Solution, others: list[Solution]) -> Solution:

@@ -17,7 +17,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.pair import Pair
+from lampest.solvers.newton.pair import FramePair
 from lampest.solvers.newton.smoothing import Smoothing
 
 SHAPE, CELLS = (3, 4), 12
@@ -41,11 +41,11 @@ def evaluation(terms: tuple[Term, ...]) -> Evaluation:
     return Evaluation.at(estimator.cost(scene, 2, data.partial), data, elsewhere)
 
 
-def pair(at: Evaluation, held: tuple[int, ...] = ()) -> Pair:
+def pair(at: Evaluation, held: tuple[int, ...] = ()) -> FramePair:
     """Of all unknowns but those held."""
     free = np.ones(2 * CELLS, dtype=bool)
     free[list(held)] = False
-    return Pair(Curvature(at, Smoothing.start(at)), free)
+    return FramePair(Curvature(at, Smoothing.start(at)), free)
 
 
 def bends(value: Callable[[Array], float], step: Array) -> float:

@@ -18,9 +18,9 @@ from lampest.panel.network import Afar, SecondOrder
 from lampest.panel.panel import Array
 from lampest.solvers.newton.smoothing import Smoothing
 
-# Frames that are solved jointly, a first frame and its baseline: 16 × 16 cells twice. A factor takes 5 ms here; at 32 × 32
-# pairs took four to ten times as long by factors as by conjugate gradients.
-DENSE_JOINT_UNKNOWNS = 512
+# Frames that are solved jointly, a first frame and its baseline. Under a mouth pairs of 16 × 16 cells took three times
+# as long by factors as by conjugate gradients in the ratios of their cells, of 24 × 24 five times.
+DENSE_JOINT_UNKNOWNS = 300
 # Kinks of absolute losses make second derivatives that conjugate gradients gropes along, and are taken exactly here.
 DENSE_KINKED_UNKNOWNS = 600
 

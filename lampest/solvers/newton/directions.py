@@ -11,7 +11,7 @@ from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.local import local_inverse
-from lampest.solvers.newton.pair import Pair
+from lampest.solvers.newton.pair import FramePair
 from lampest.solvers.newton.reach import within_reach
 from lampest.solvers.newton.rough import Rough
 from lampest.solvers.newton.softest import softest
@@ -113,7 +113,7 @@ def direction(
     if curvature.factored:
         found = _by_factorisation(curvature, chosen, slope[chosen], damping)
     elif curvature.paired:
-        found = _of_pair(Pair(curvature, free), chosen, slope[chosen], damping, accuracy)
+        found = _of_pair(FramePair(curvature, free), chosen, slope[chosen], damping, accuracy)
     else:
         found = _by_conjugate_gradients(curvature, chosen, slope[chosen], damping, accuracy, kept)
     step = known.copy()
@@ -167,7 +167,7 @@ def _by_conjugate_gradients(
     return Direction(step + downhill * reach / np.abs(downhill).max(initial=1e-300), raised(damping), factor)
 
 
-def _of_pair(pair: Pair, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float) -> Direction:
+def _of_pair(pair: FramePair, free: NDArray[np.intp], slope: Array, damping: float, accuracy: float) -> Direction:
     """Of two large frames; where second derivatives bend down, by squares, with as much damping as makes these firm."""
     whole = np.zeros(pair.free.size)
 

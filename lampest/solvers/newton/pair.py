@@ -20,7 +20,7 @@ LEAST_SHARE = 0.1  # of q, to which a step may bring it
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class FramePair:
     """curvature : ∇²φ at both frames. free : (2·cells) which of r₀, r₁ move. Vectors are flat (2·cells), of log r."""
 
     curvature: Curvature
@@ -70,7 +70,7 @@ class Pair:
     def _weight(self) -> Array:
         """W of the readings, nowhere negative."""
         terms = self.curvature.terms.diagonal()
-        return np.maximum(terms[len(terms) // 2 :], 0.0)
+        return np.asarray(np.maximum(terms[len(terms) // 2 :], 0.0))
 
     @cached_property
     def _penalties(self) -> sparse.csr_array:
