@@ -23,8 +23,8 @@ from lampest.panel.systematic import Shared
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
-from lampest.solvers.search import BROKEN
 from lampest.solvers.solution import Status, blank
+from lampest.solvers.starts import BROKEN
 
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 STRONGER = 1.1  # times the change at which weights were chosen before: a load that settles does not choose them again

@@ -22,8 +22,9 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.posterior.track import MOST_DENSE
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import BROKEN, best_solution, convex, evaluated
+from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings
+from lampest.solvers.starts import BROKEN, convex, evaluated
 
 MOST_SOLVES, SETTLED = 4, 0.2
 

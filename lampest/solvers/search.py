@@ -1,4 +1,4 @@
-"""Where solves start, and which of several minima is taken."""
+"""Which start is tried, and which of several minima is taken."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,11 +14,22 @@ from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.kernel.following import from_previous, long_way_round, serves, swift
 from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS
-from lampest.solvers.newton.curvature import DENSE_JOINT_UNKNOWNS
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.softest import either_side
 from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+from lampest.solvers.starts import (
+    BROKEN,
+    FAR_CELLS,
+    convex,
+    elsewhere,
+    evaluable,
+    evaluated,
+    first_starts,
+    large,
+    lengthy,
+    affordable,
+)
 
 POLISHED = 0.1 * VERIFIED
 LAST_STEPS = Settings(max_iterations=20)
@@ -31,12 +42,6 @@ EASY_STRAIGHT = 12  # beyond what machine code follows: steps straight in r are 
 EASY_KEPT = 4  # where factors are kept, which spares the first and the last step that any frame takes
 MOVED, FEW_MOVED = 0.3, 0.05  # of log r, and of the cells
 PATIENCE, LEAST_PATIENCE = 5, 60  # times the iterations, and iterations
-SEARCHED_UNKNOWNS = 2048  # of frames that are solved jointly, from all starts
-FAR_FACTORS, FAR_CELLS = (1.2, 20.0), 400
-# On larger panels starts that cost so many times the cheapest: under a mouth the convex one ended 2 to 13 % higher than
-# the uniform one in 9 of 10 frames at 64 × 64 and 48 × 72.
-DEAR = 30.0
-BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 
 
 def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Factor | None = None) -> Solution:
@@ -99,7 +104,7 @@ def _by_newton(solver: Newton, data: Data, previous: Array | None) -> Solution:
             return _best(quick, data, previous)
         if data.hasty:
             return replace(found, unsearched=True)
-        return _least(found, _others(quick, found, _evaluable(quick.cost, data, more)))
+        return _least(found, _others(quick, found, evaluable(quick.cost, data, more)))
 
 
 def _followed(solver: Newton, data: Data, previous: Array) -> Solution | None:
@@ -121,7 +126,7 @@ def _compared_with(solver: Newton, data: Data, previous: Array | None, found: So
     if _one_minimum(solver.cost, data) or data.overdue:
         return []
     hard = found.iterations > _easy(solver, found) or _far_from(found, previous)
-    return _beside(solver, found) + (_elsewhere(data, previous) if hard else [])
+    return _beside(solver, found) + (elsewhere(data, previous) if hard else [])
 
 
 def _far_from(found: Solution, previous: Array | None) -> bool:
@@ -151,11 +156,11 @@ def _one_minimum(cost: Cost, data: Data) -> bool:
 def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     relative = any(term.needs_previous for term in solver.cost.terms)
     plain = all(term.reads_measurement for term in solver.cost.terms)
-    starts = _first_starts(data) if previous is None else [previous]
-    if previous is None and plain and data.readout.unique and _large(data.measured):
+    starts = first_starts(data) if previous is None else [previous]
+    if previous is None and plain and data.readout.unique and large(data.measured):
         starts = starts[1:]  # it crowds the bounds where the estimate does, which tells how to go on
     starts += [convex(data, previous)] if previous is not None and plain else []
-    points = _within_reach(_evaluable(solver.cost, data, starts))
+    points = affordable(evaluable(solver.cost, data, starts))
     if not points:
         return _broken(solver.cost, data)
     points = _with_squared(solver, points)
@@ -165,30 +170,17 @@ def _best(solver: Solver, data: Data, previous: Array | None) -> Solution:
     hard = (relative and previous is None) or (
         not one_minimum and (first or found.iterations > _easy(solver, found) or _far_from(found, previous))
     )
-    hard = hard and not _lengthy(data)
+    hard = hard and not lengthy(data)
     more = [] if one_minimum else _beside(solver, found)
     if (found.solved and not hard and not more) or data.overdue:
         return found
     if found.solved and data.hasty and previous is not None:
         return replace(found, unsearched=True)
     if hard or not found.solved:
-        more += _elsewhere(data, previous)
+        more += elsewhere(data, previous)
     else:
         points = points[:1]
-    return _least(found, _others(solver, found, (*points[1:], *_within_reach(_evaluable(solver.cost, data, more)))))
-
-
-def _within_reach(points: Iterable[Evaluation]) -> list[Evaluation]:
-    """The cheapest first; of a large frame without those that cost many times as much."""
-    found = sorted(points, key=lambda point: point.objective)
-    if not found or not _large(found[0].cell_resistance):
-        return found
-    return [point for point in found if point.objective <= DEAR * found[0].objective]
-
-
-def _large(cell_resistance: Array) -> bool:
-    """Whether it is one frame (1, rows, columns) of a panel on which starts far from all others are not tried."""
-    return len(cell_resistance) == 1 and cell_resistance.size > FAR_CELLS
+    return _least(found, _others(solver, found, (*points[1:], *affordable(evaluable(solver.cost, data, more)))))
 
 
 def _easy(solver: Solver, found: Solution) -> int:
@@ -198,16 +190,6 @@ def _easy(solver: Solver, found: Solution) -> int:
     if found.cell_resistance.size > LARGER_UNKNOWNS:
         return EASY_STRAIGHT
     return EASY if found.factor is None else EASY_KEPT
-
-
-def _elsewhere(data: Data, previous: Array | None) -> list[Array]:
-    """Where a hard solve is begun beside what it went on from."""
-    near = [] if previous is None and not _lengthy(data) else [data.uniform_start, convex(data, None)]
-    near += [] if _lengthy(data) else _unchanged(data)
-    if data.measured[0].size > FAR_CELLS:
-        return near
-    between = [np.sqrt(data.lower * data.upper)] if previous is None and len(data.measured) == 1 else []
-    return near + [data.apparent_resistance * factor for factor in FAR_FACTORS] + between
 
 
 def _others(solver: Solver, found: Solution, points: Iterable[Evaluation]) -> list[Solution]:
@@ -230,30 +212,6 @@ def _patient(solver: Solver, found: Solution) -> Solver:
     return replace(solver, settings=replace(solver.settings, max_iterations=most))
 
 
-def _first_starts(data: Data) -> list[Array]:
-    """Where a cold start is begun."""
-    return _unchanged(data) if _lengthy(data) else [data.uniform_start, convex(data, None)]
-
-
-def _unchanged(data: Data) -> list[Array]:
-    """Where frames are solved jointly, and not by factors: the first one's start in all.
-
-    Where penalties outweigh readings no cell changes. LSR-∇ΔCR under a mouth ended 9 % lower from there at 16 × 16, and
-    13 % higher at 32 × 32.
-    """
-    joint = len(data.measured) > 1 and data.measured.size > DENSE_JOINT_UNKNOWNS
-    return [np.repeat(convex(data, None)[:1], len(data.measured), axis=0)] if joint else []
-
-
-def _lengthy(data: Data) -> bool:
-    """Whether frames are solved jointly that take seconds a start: one has to do, where no cell changes.
-
-    Under rods and a small mouth at 64 × 64 all starts ended in one minimum, from there in a third to a half of the
-    iterations.
-    """
-    return len(data.measured) > 1 and data.measured.size > SEARCHED_UNKNOWNS
-
-
 def _least(found: Solution, others: list[Solution]) -> Solution:
     """The first, unless one of the others is a lower minimum; with the number of them all."""
     best = min((other for other in others if other.solved), key=lambda one: one.objective, default=found)
@@ -271,7 +229,7 @@ def _with_squared(solver: Solver, points: list[Evaluation]) -> list[Evaluation]:
     if near is None:
         return points
     found = solved_from(near, evaluated(near.cost, points[0].data, points[0].cell_resistance))
-    reached = list(_evaluable(solver.cost, points[0].data, [found.cell_resistance])) if found.solved else []
+    reached = list(evaluable(solver.cost, points[0].data, [found.cell_resistance])) if found.solved else []
     return sorted((*reached, *points), key=lambda point: point.objective)
 
 
@@ -301,22 +259,6 @@ def _beside(solver: Solver, found: Solution) -> list[Array]:
     return list(either_side(position, factor.cells, along))
 
 
-def convex(data: Data, near: Array | None) -> Array:
-    """The readout's start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one.
-
-    Of two-point readings it is the convex one.
-    """
-    places = [None] * len(data.measured) if near is None else list(near)
-    with suppress(*BROKEN):
-        return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
-    return data.uniform_start
-
-
-def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
-    """The cost at a start that is put within the bounds."""
-    return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
-
-
 def solved_from(solver: Solver, start: Evaluation) -> Solution:
     """Solve from one start, and, where an interior-point method stopped short of an optimum or its bounds, take the
     last steps from there; where these do not reach one either, from the start.
@@ -342,15 +284,6 @@ def _solved(solver: Solver, start: Evaluation) -> Solution:
             break
     solved = [one for one in reached if one.solved]
     return min(solved, key=lambda one: (one.status is not Status.OPTIMUM, one.objective), default=solution)
-
-
-def _evaluable(cost: Cost, data: Data, starts: Iterable[Array]) -> Iterable[Evaluation]:
-    """The cost at those starts where it is a number."""
-    for start in starts:
-        with suppress(*BROKEN):
-            point = evaluated(cost, data, start)
-            if np.isfinite(point.objective):
-                yield point
 
 
 def _broken(cost: Cost, data: Data) -> Solution:

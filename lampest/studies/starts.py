@@ -13,8 +13,9 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import evaluated, solved_from
+from lampest.solvers.search import solved_from
 from lampest.solvers.solution import Status
+from lampest.solvers.starts import evaluated
 
 SAME = 1e-6
 FARTHEST = 60.0

@@ -24,7 +24,8 @@ from lampest.panel.readouts.two_point.readout import resolution_limit
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import evaluated, solved_from
+from lampest.solvers.search import solved_from
+from lampest.solvers.starts import evaluated
 
 WEIGHTS = {
     "misfit": 0.0,

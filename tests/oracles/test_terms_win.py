@@ -39,9 +39,10 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution, evaluated
+from lampest.solvers.search import best_solution
 from lampest.solvers.search import solved_from as run
 from lampest.solvers.solution import Settings
+from lampest.solvers.starts import evaluated
 
 pytestmark = pytest.mark.slow
 

@@ -26,8 +26,8 @@ from lampest.recording.readings import Readings
 from lampest.solvers.ipopt import ipopt
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.ipopt.program import Program
-from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Outcome, Status, check
+from lampest.solvers.starts import evaluated
 from tests.studies.speed import METHODS, begun, simulated
 
 TURNS, LONGEST_S = 5, 20.0

@@ -8,8 +8,9 @@ import argparse
 from pathlib import Path
 from time import process_time
 
-from lampest.solvers.search import best_solution, convex, evaluated, solved_from
+from lampest.solvers.search import best_solution, solved_from
 from lampest.solvers.solution import Solution
+from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.problems import frame_data, solver_of
 from lampest.studies.bench.settings import read_bench
 

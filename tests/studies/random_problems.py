@@ -33,8 +33,8 @@ from lampest.files.errors import InputError
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import BROKEN, convex, evaluated
 from lampest.solvers.solution import Status
+from lampest.solvers.starts import BROKEN, convex, evaluated
 from tests.least_cost import Array
 from tests.random_problem import RandomProblem
 

@@ -13,8 +13,8 @@ from lampest.cost.terms.misfit import Misfit
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
-from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings
+from lampest.solvers.starts import evaluated
 from lampest.studies.bench.budget import BenchPart
 from lampest.studies.bench.files import page
 from lampest.studies.bench.mats import Mats, solved_mats

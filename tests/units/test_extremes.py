@@ -20,8 +20,9 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
 from lampest.solvers.newton.reach import within_reach
-from lampest.solvers.search import best_solution, evaluated
+from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Status
+from lampest.solvers.starts import evaluated
 from lampest.studies.extremes.audit import exact_residual
 from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
 from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
@@ -141,7 +142,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (
         "lampest.solvers.newton.steps.direction",
-        "lampest.solvers.search.evaluated",
+        "lampest.solvers.starts.evaluated",
         "lampest.panel.readouts.two_point.readout.convex_start",
     ):
         with monkeypatch.context() as patch:

@@ -15,8 +15,8 @@ from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.ipopt.limits import Limits
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings, Status, check
+from lampest.solvers.starts import evaluated
 
 CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
 CASES: list[tuple[str, Readout]] = [

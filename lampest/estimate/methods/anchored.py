@@ -10,8 +10,8 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.panel.panel import Array
-from lampest.solvers.search import BROKEN, evaluated
 from lampest.solvers.solution import Settings, Solution, Solver
+from lampest.solvers.starts import BROKEN, evaluated
 
 if TYPE_CHECKING:
     from lampest.estimate.stream import Stream

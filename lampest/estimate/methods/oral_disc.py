@@ -27,8 +27,8 @@ from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import BROKEN
 from lampest.solvers.solution import Outcome, Solution, Solver, Status, approximation, failure
+from lampest.solvers.starts import BROKEN
 
 if TYPE_CHECKING:
     from lampest.estimate.stream import Stream

@@ -26,8 +26,8 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.solvers.search import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Solver, Status, blank
+from lampest.solvers.starts import BROKEN
 
 if TYPE_CHECKING:
     from lampest.estimate.stream import Stream

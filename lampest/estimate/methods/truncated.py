@@ -7,8 +7,8 @@ from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method
 from lampest.panel.panel import Array
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import evaluated
 from lampest.solvers.solution import Settings, Solution, Solver, approximation
+from lampest.solvers.starts import evaluated
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,9 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
-from lampest.solvers.search import BROKEN, best_solution, convex, evaluated, solved_from
+from lampest.solvers.search import best_solution, solved_from
 from lampest.solvers.solution import Settings
+from lampest.solvers.starts import BROKEN, convex, evaluated
 
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
 BRIEF = Settings(max_iterations=25)

@@ -17,7 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.search import BROKEN
+from lampest.solvers.starts import BROKEN
 
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"

@@ -16,7 +16,7 @@ from lampest.estimate.model_check.laws import lawful
 from lampest.estimate.model_check.question import Question
 from lampest.estimate.model_check.rivals import Rival
 from lampest.files.errors import InputError
-from lampest.solvers.search import BROKEN
+from lampest.solvers.starts import BROKEN
 
 # −2 log probability by which another circuit must beat the told one: e^18 to one. The best of eight kinds, with any
 # resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by 15 or less.

@@ -13,7 +13,7 @@ from lampest.estimate.model_check.stillness import PRICE, moved_score
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
-from lampest.solvers.search import BROKEN
+from lampest.solvers.starts import BROKEN
 
 LEVEL = 1e-4  # of each of a handful of tests; where few cells are held by r > 0, χ² is rougher than its tail says
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel

@@ -21,7 +21,7 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.search import BROKEN
+from lampest.solvers.starts import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene does not tell is taken from them
 LEVEL = 1e-4  # of the test of the told noise, as in the check of the circuit

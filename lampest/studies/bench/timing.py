@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.solvers.newton.directions import Factor
-from lampest.solvers.search import best_solution, convex, evaluated
+from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Solution, Solver, Status, check
+from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.lbfgsb import Lbfgsb
 from lampest.studies.bench.trf import Trf
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.estimate.weights import rule_in_use
 from lampest.posterior.spectrum import Rule
-from lampest.solvers.search import convex
+from lampest.solvers.starts import convex
 from lampest.studies.tune.curves import CurvePoint, Curves, trace
 from lampest.studies.tune.subject import TuneSubject
 

@@ -12,7 +12,8 @@ from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum
 from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import BROKEN, best_solution, evaluated
+from lampest.solvers.search import best_solution
+from lampest.solvers.starts import BROKEN, evaluated
 from lampest.studies.tune.subject import TuneSubject
 
 POINTS, FARTHEST, ROUNDS, FLAT = 33, 1e4, 2, 1e-12
