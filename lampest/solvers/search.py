@@ -21,6 +21,7 @@ from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solv
 from lampest.solvers.starts import (
     BROKEN,
     FAR_CELLS,
+    affordable,
     convex,
     elsewhere,
     evaluable,
@@ -28,7 +29,6 @@ from lampest.solvers.starts import (
     first_starts,
     large,
     lengthy,
-    affordable,
 )
 
 POLISHED = 0.1 * VERIFIED

@@ -122,7 +122,7 @@ def inside(ring: Any) -> Any:
 def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
     run = tmp_path / "run.yaml"
     run.write_text(
-        "schema: 1\nrecordings: [none.h5]\nestimators: {hasty: {terms: {misfit: {}, gradient: {}}}}\n"
+        "schema: 1\nrecordings: [none.h5]\nestimators: {hasty: {terms: {misfit: {}, total_variation: {weight: 1}}}}\n"
         "formulation: reduced\nsolver: {max_iterations: 1}\n"
     )
     with live(tmp_path, "--recording", RING, "--speed", 5, "--config", run) as (window, _):

@@ -25,7 +25,9 @@ from lampest.solvers.newton.steps import Iterate, by_kept_factor, certain_step
 from lampest.solvers.newton.straight import from_afar
 from lampest.solvers.solution import Outcome, Settings, Status
 
-GROPING = 15  # iterations: who has kinks or corners and still moves is taken piece by piece
+# Iterations: who has kinks or corners and still moves is taken piece by piece; not along the bent valleys of cells that
+# lines in touch make parallel.
+GROPING = 15
 MOST_UNSETTLED = 8  # steps of an estimate that passes all other tests; they converge quadratically or rounding has won
 
 STALLED = 1e-11  # of the cost with absolute losses rounded: steps that lower it by less follow the rounding's valleys
@@ -70,7 +72,7 @@ class Newton:
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return outcome(point, Status.TIME, iteration)
-            if pieces and (stuck or iteration >= GROPING):
+            if pieces and (stuck or (iteration >= GROPING and data.wiring is None)):
                 point, whole, count = by_pieces(point, data)
                 iteration += count
                 if whole:
