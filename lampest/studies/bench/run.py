@@ -39,11 +39,12 @@ def run_bench(bench: BenchFile, on_step: Step = lambda done, total, what: None) 
     """Measure everything, as far as the budget goes; on_step is told how many of how many parts are done, and what is
     next.
 
-    Every panel and method is measured on one recording first, with the memory it takes, then on the other recordings.
+    Panel by panel, each on all recordings, with the memory it takes on the first: there is no time for other recordings
+    of the last panels, if for anything.
     """
     budget = Budget(bench.budget_s, perf_counter())
     shapes, methods = bench.shapes, bench.estimators
-    parts = [BenchPart(number, s, name) for number in range(bench.recordings) for s in shapes for name in methods]
+    parts = [BenchPart(number, s, name) for s in shapes for number in range(bench.recordings) for name in methods]
     mats: tuple[MatSolve, ...] = ()
     if bench.mats is not None:
         on_step(0, len(parts), "random mats")
