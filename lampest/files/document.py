@@ -30,6 +30,7 @@ EXACT = (0, float("inf"), float("-inf"))
 WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
+FEW_KEYS = 12  # which a sentence can name
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -182,7 +183,9 @@ def validated(document: Document, kind: Any) -> Any:
     except ValidationError as error:
         location, message = _worst(error.errors(include_url=False), document.content)
         if message == UNKNOWN:
-            message += meant(str(location[-1]), _keys(kind))
+            known = _known_keys(kind, document.content, location)
+            some = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= FEW_KEYS else ""
+            message += meant(str(location[-1]), known) or some
         raise document.error(location, message) from error
 
 
@@ -199,11 +202,23 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
         yield place
 
 
-def _keys(kind: Any) -> set[str]:
-    """Every key that a text of this type may hold anywhere."""
+def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
+    """The keys that could stand in place of an unknown one: of those objects of a type that look most like its own."""
+    for part in location[:-1]:
+        content = content[part]
+    there = {key: value for key, value in content.items() if key != location[-1]}
     schema = adapter(kind).json_schema()
-    objects = (schema, *schema.get("$defs", {}).values())
-    return {key for item in objects for key in item.get("properties", {})}
+    objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
+    alike = [_likeness(known, there) for known in objects]
+    keys = {key for known, like in zip(objects, alike, strict=True) if like == max(alike) for key in known}
+    return keys - {*there, location[-1]}
+
+
+def _likeness(known: dict[str, Any], there: dict[str, Any]) -> int:
+    """How many keys an object has of those that are there; none if it is of another kind."""
+    if any(known[key].get("const", value) != value for key, value in there.items() if key in known):
+        return 0
+    return len(known.keys() & there.keys())
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:

@@ -52,7 +52,7 @@ def refused(ended: SimpleNamespace, words: str) -> None:
     [
         ("frames: 2", "frmaes: 2", "7:1", "frmaes: no such key"),
         ("rim_width_mm: 4", "rim_width_mm: 4, tlit: 0.1", "9:78", "tlit: no such key"),
-        ("mass_g: 50", "mass_g: 50, weight: 3", "10:66", "weight: no such key"),
+        ("mass_g: 50", "mass_g: 50, weight: 3", "10:66", "weight: no such key; there are tilt, tilt_direction_deg"),
         ("mass_g: 50", "mass_g: -50", "10:5", "mass_g must be positive"),
         ("mass_g: 50", "mass_g: heavy", "10:54", "number"),
         ("kind: rod", "kind: rodd", "10:5", "rodd"),
