@@ -271,7 +271,7 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
 def _solved(solver: Solver, start: Evaluation) -> Solution:
     outcome = solver.solve(start.data, start)
     solution = check(start, outcome)
-    settled = solution.status is Status.OPTIMUM and solution.kkt_residual <= POLISHED
+    settled = solution.strict and solution.kkt_residual <= POLISHED
     if (settled and start.data.readout.unique) or isinstance(solver, Newton) or outcome.status is not Status.OPTIMUM:
         return solution
     steps = LAST_STEPS if start.data.readout.unique else FINE_STEPS
@@ -280,10 +280,10 @@ def _solved(solver: Solver, start: Evaluation) -> Solution:
     for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
         polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
         reached.append(polished)
-        if polished.status is Status.OPTIMUM:
+        if polished.strict:
             break
     solved = [one for one in reached if one.solved]
-    return min(solved, key=lambda one: (one.status is not Status.OPTIMUM, one.objective), default=solution)
+    return min(solved, key=lambda one: (not one.strict, one.objective), default=solution)
 
 
 def _broken(cost: Cost, data: Data) -> Solution:

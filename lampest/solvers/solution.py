@@ -12,6 +12,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation, within_one
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import Bend, Certificate, certificate, free_cells
+from lampest.solvers.held import held_back
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.newton.kinks import Straight
@@ -24,9 +25,13 @@ SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its 
 
 
 class Status(Enum):
-    """Sentences; only the first five stand for an estimate."""
+    """Sentences; only the first six stand for an estimate."""
 
     OPTIMUM = "optimum verified"
+    HELD = (
+        "an optimum, but only within the bounds: cells that these hold leave readings off by more than their noise"
+        " (by a millionth where that is unknown)"
+    )
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
     FAINT = "an optimum, but some cells are told so faintly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
@@ -47,7 +52,8 @@ class Status(Enum):
     UNAVAILABLE = "the solver or its linear solver is not available"
 
 
-OPTIMA = (Status.OPTIMUM, Status.FLAT, Status.FAINT)
+STRICT = (Status.OPTIMUM, Status.HELD)  # minima as certified as can be
+OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,11 @@ class Solution:
         return self.optimum or self.status in (Status.APPROXIMATE, Status.FITTED)
 
     @property
+    def strict(self) -> bool:
+        """Whether it is verified as a strict minimum within the bounds."""
+        return self.status in STRICT
+
+    @property
     def optimum(self) -> bool:
         """Whether it is an optimum over the cells, as far as double precision tells."""
         return self.status in OPTIMA
@@ -162,6 +173,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         certified = _certified(evaluation, gradient, outcome)
         if certified is Status.SADDLE:
             return failure(cost, data, certified, residual, outcome)
+        if certified is Status.OPTIMUM and held_back(evaluation, gradient, outcome.dual):
+            certified = Status.HELD
         return _solution(evaluation, residual, outcome, certified)
     fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
     fault = fault if outcome.status is Status.OPTIMUM else outcome.status

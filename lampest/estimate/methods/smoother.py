@@ -16,7 +16,7 @@ from lampest.cost.terms.term import Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.smoothing.bars import error_bars
-from lampest.estimate.smoothing.joint import Joint, JointData
+from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData
 from lampest.estimate.smoothing.rounds import smoothed
 from lampest.estimate.smoothing.walk import Walk
 from lampest.estimate.step import Step
@@ -26,6 +26,7 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
+from lampest.solvers.held import held_back
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Solver, Status, blank
 from lampest.solvers.starts import BROKEN
 
@@ -177,14 +178,15 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     step, _ = joint.chain.solve(-np.where(joint.pressed, 0.0, joint.gradient), -joint.shift_gradient)
     faint = np.any(np.abs(step) > STILL * np.sqrt(joint.chain.variance), axis=1)
     solutions = []
-    for at, residual, weak in zip(joint.at, joint.kkt_residual, faint, strict=True):
+    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, 2 * joint.gradient, strict=True):
         cells, data = at.cell_resistance, at.data
         if not residual <= VERIFIED:
             failed = blank(cells.shape, 1, fault)
             solutions.append(replace(failed, kkt_residual=float(residual), iterations=rounds))
             continue
         low, high = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        status = Status.FAINT if weak else Status.OPTIMUM
+        held = held_back(at, slope.reshape(cells.shape), NO_DUAL)
+        status = Status.FAINT if weak else Status.HELD if held else Status.OPTIMUM
         outcome = (at.costs, at.objective, float(residual), low, high, status, rounds)
         solutions.append(Solution(cells, at.reading, *outcome))
     return solutions

@@ -125,7 +125,7 @@ def from_previous(solver: Newton, data: Data, previous: Array) -> Solution | Non
     start = Workbench(solver.cost, data).point(np.minimum(np.maximum(previous, data.lower), data.upper))
     found = descended(solver, start.bench, start.position)
     solution = None if found is None else check(start, found)
-    return solution if solution is not None and solution.status is Status.OPTIMUM else None
+    return solution if solution is not None and solution.strict else None
 
 
 def swift(solver: Newton) -> Newton:

@@ -12,7 +12,7 @@ from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.solvers.newton.directions import Factor
 from lampest.solvers.search import best_solution
-from lampest.solvers.solution import Solution, Solver, Status, check
+from lampest.solvers.solution import STRICT, Solution, Solver, check
 from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.lbfgsb import Lbfgsb
 from lampest.studies.bench.trf import Trf
@@ -60,7 +60,7 @@ class Timing:
 
     def verified(self) -> NDArray[np.bool_]:
         """(frames) whether the optimum was verified."""
-        return np.array([status == Status.OPTIMUM.value for status in self.status])
+        return np.array([status in {strict.value for strict in STRICT} for status in self.status])
 
 
 @dataclass(frozen=True, eq=False)
