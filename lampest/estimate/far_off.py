@@ -1,8 +1,8 @@
 """Cells of which no reading of their own tells are known within a factor: to so much all cells answer along curves.
 
-Without a penalty a missing reading is what its row and its column let expect (see `StandIn`). So the frame is solved
-again at both ends of what is likely for each of them, and intervals reach as far as cells go where that is farther than
-their tangents tell. With a penalty tangents serve.
+Without a penalty a missing reading is what its row and its column let expect (see `StandIn`), and the frame is solved
+again at both ends of what is likely for each of them. With one the penalty tells of its cell, and where others go with
+it is followed (see `Along`). Intervals reach as far as cells go where that is farther than their tangents tell.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.step import Step
 from lampest.panel.panel import Array
+from lampest.posterior.along import Along
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.sampled import SampledErrors
@@ -24,7 +25,7 @@ from lampest.recording.stand_in import StandIn
 if TYPE_CHECKING:
     from lampest.estimate.stream import Stream
 
-MOST = 3  # missing readings of a frame, of which each costs two solves; tangents serve for others
+MOST = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +49,10 @@ def far_off(stream: "Stream", readings: Readings, solved: Step) -> tuple[Array, 
     nothing = np.zeros(readings.value.shape)
     model = solved.surroundings()
     places = np.argwhere(readings.missing(stream.scene))[:MOST]
-    if stream.estimator.penalised or model is None or not len(places):
+    if model is None or not len(places):
         return nothing, nothing
     frame = HoledFrame(stream, readings, solved, errors_of(model, None))
-    departures = list(frame.of_stand_ins(places))
+    departures = list(frame.of_cells(places) if stream.estimator.penalised else frame.of_stand_ins(places))
     straight = sum((gone.straight**2 for gone in departures), nothing)
     below, above = (sum((gone.reach(sign) for gone in departures), nothing) for sign in (-1, 1))
     return np.maximum(below - straight, 0.0), np.maximum(above - straight, 0.0)
@@ -74,11 +75,21 @@ class HoledFrame:
             unit[row, column] = TWO_SIDED * spread[row, column]
             rows = self.errors.model.through @ (self.readings.value * unit).reshape(-1, 1)
             nothing = np.zeros((unit.size, 1))
-            straight = self._whole(self.errors.answer(np.asarray(rows), nothing, nothing)[:, 0])
+            straight = np.zeros(self.solved.solution.cell_resistance.size)
+            straight[self.errors.model.free] = self.errors.answer(np.asarray(rows), nothing, nothing)[:, 0]
             down, up = (
                 self._gone(replace(self.readings, value=self.readings.value * np.exp(side * unit))) for side in (-1, 1)
             )
-            yield Departure(straight, (down, up))
+            yield Departure(self._last(straight), (down, up))
+
+    def of_cells(self, places: NDArray[np.intp]) -> Iterator[Departure]:
+        """Cells that were not read, at the ends of their intervals; those that press against a bound are none of them."""
+        if not isinstance(self.errors, DenseErrors):
+            return
+        cells = places @ (self.readings.value.shape[1], 1) + self._before
+        for cell in cells[np.isin(cells, self.errors.model.free)]:
+            along = Along(self.errors, int(cell))
+            yield Departure(self._last(along.tangent), (self._last(along.end(-1)), self._last(along.end(1))))
 
     def _gone(self, readings: Readings) -> Array:
         """Where log r goes, (rows, columns), with other readings; NaN where no solve ends."""
@@ -91,8 +102,6 @@ class HoledFrame:
         """How many cells stand before those of the last frame."""
         return self.solved.solution.cell_resistance.size - self.readings.value.size
 
-    def _whole(self, change: Array) -> Array:
-        """The last frame's part (rows, columns) of a change of the free cells."""
-        whole = np.zeros(self.solved.solution.cell_resistance.size)
-        whole[self.errors.model.free] = change
-        return whole[self._before :].reshape(self.readings.value.shape)
+    def _last(self, change: Array) -> Array:
+        """The last frame's part (rows, columns) of a change of all cells."""
+        return change[self._before :].reshape(self.readings.value.shape)
