@@ -34,15 +34,18 @@ class CarriedOver:
         """The stream after those frames; begun : with its baseline, and with what its method prepares at first."""
         track = begun.track
         if track is not None:
-            answers = tuple(self.arrays[name] for name in ("answer", "answer_of_baseline") if name in self.arrays)
             track = replace(
                 track,
                 deviation=self.arrays.get("deviation"),
                 memory=self._memory(),
-                answers=(answers[0], answers[1]) if answers else None,
+                answers=self._pair("answer", "answer_of_baseline"),
+                bend=self._pair("bend_below", "bend_above"),
             )
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
         return replace(begun, previous=previous, previous_deviation=deviation, track=track)
+
+    def _pair(self, first: str, second: str) -> tuple[Array, Array] | None:
+        return (self.arrays[first], self.arrays[second]) if first in self.arrays else None
 
     def _memory(self) -> DenseMemory | SampledMemory | None:
         if "dense_last" in self.arrays:
@@ -54,11 +57,14 @@ class CarriedOver:
 
 
 def _of_track(track: Track) -> dict[str, Array | None]:
-    answer, of_baseline = (None, None) if track.answers is None else track.answers
+    answer, of_baseline = track.answers or (None, None)
+    below, above = track.bend or (None, None)
     found: dict[str, Array | None] = {
         "deviation": track.deviation,
         "answer": answer,
         "answer_of_baseline": of_baseline,
+        "bend_below": below,
+        "bend_above": above,
     }
     for kind, memory in MEMORIES.items():
         if isinstance(track.memory, memory):

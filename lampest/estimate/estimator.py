@@ -7,6 +7,7 @@ from math import isfinite
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
@@ -184,6 +185,15 @@ class Estimator:
         """Whether a term says what is expected of cells that no reading sees."""
         return not all(term.reads_measurement for term in self.terms)
 
+    def _stood_in(self, frames: int) -> NDArray[np.bool_]:
+        """(frames) whether missing readings are stood in for: where no penalty says what is expected of their cells.
+
+        Of the first of two frames penalties that compare say nothing.
+        """
+        untold = np.full(frames, not self.penalised)
+        untold[: frames - 1] = all(term.reads_measurement for term in self.absolute_terms)
+        return untold
+
     @property
     def weighs_previous(self) -> bool:
         """Whether a term reads how well the previous frame is known."""
@@ -224,7 +234,7 @@ class Estimator:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        readings = weighed(readings, scene, not self.penalised)
+        readings = weighed(readings, scene, self._stood_in(len(measured)))
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
@@ -254,7 +264,7 @@ class Estimator:
         return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
 
 
-def weighed(readings: Readings, scene: Scene, stand_ins: bool) -> Readings:
+def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
     """The readings with weights (`seen`) for what is no value: as for one whose noise is that of the frame's values.
 
     A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
@@ -263,11 +273,11 @@ def weighed(readings: Readings, scene: Scene, stand_ins: bool) -> Readings:
     than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
     of it; without one, this does. What the scene's faults make blind keeps no weight.
 
-    readings : (frames, rows, columns).
+    readings : (frames, rows, columns). stand_ins : (frames).
     """
     if not readings.partial:
         return readings
-    missing = readings.missing(scene) if stand_ins else np.zeros(readings.seen.shape, dtype=bool)
+    missing = readings.missing(scene) & stand_ins[:, None, None]
     told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
     if not np.any(missing | told):
         return readings

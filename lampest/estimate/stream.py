@@ -217,7 +217,13 @@ class Stream:
         begin = perf_counter()
         with suppress(*BROKEN):
             track, bars = self.track.advanced(model)
-            bars = bars.bent(*far_off(self, readings, step)) if readings.partial else bars
+            if readings.partial:
+                below, above = far_off(self, readings, step)
+                if track.bend is not None:
+                    below, above = np.maximum(below, track.bend[0]), np.maximum(above, track.bend[1])
+                elif len(step.solution.cell_resistance) == 2 and self.resting.missing(self.scene).any():
+                    track = replace(track, bend=(below, above))
+                bars = bars.bent(below, above)
             return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         return self.track, step
 

@@ -67,6 +67,7 @@ class Track:
     deviation : of log r of the last frame without shared errors, which the next one repeats, (rows, columns).
     memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
     frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by chance, or None.
+    bend : squares of how far intervals reach down and up on top because of what the baseline left unread, or None.
     """
 
     shared: Shared | None = None
@@ -75,6 +76,7 @@ class Track:
     memory: DenseMemory | SampledMemory | None = None
     answers: tuple[Array, Array] | None = None
     noise: FrameNoise | None = None
+    bend: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, remembered: bool) -> "Track":
         """After a baseline that is solved alone; remembered : whether later frames look back at it.
@@ -103,7 +105,8 @@ class Track:
         memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
         baseline = certainty.of_frame(0) if joint else self.baseline
-        track = Track(self.shared, baseline, own.deviation[-1], memory, (answer[-size:], resting), self.noise)
+        answers = answer[-size:], resting
+        track = Track(self.shared, baseline, own.deviation[-1], memory, answers, self.noise, self.bend)
         frame = certainty.of_frame(-1)
         if baseline is None:
             return track, Bars(frame, None)

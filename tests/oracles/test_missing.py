@@ -47,6 +47,25 @@ def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> Non
     assert np.median([width for _, width in found]) < 0.3
 
 
+@pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
+def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: object) -> None:
+    """Nothing told the baseline of that cell: it went open, and took all others along by 1 %; bars held 45 %."""
+    rng = np.random.default_rng(8)
+    resting = 1000 * np.exp(0.2 * rng.standard_normal(SHAPE))
+    pressed = resting.copy()
+    pressed[2:5, 2:4] *= 0.4
+    truth = np.stack([resting, resting, pressed, 0.9 * pressed])
+    readings = READOUT.exact_reading(truth)
+    readings = readings + READOUT.sigma(readings) * rng.standard_normal(readings.shape)
+    readings[:, 1, 5] = np.nan
+    recording = lampest.Recording(SCENE, readings, np.arange(4.0), np.array([0, 0, 1, 1], np.uint8))
+    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
+    read = np.isfinite(readings[2:])
+    held = (found.cell_resistance_lower <= truth[2:]) & (truth[2:] <= found.cell_resistance_upper)
+    assert held[read].mean() > 0.9
+    assert np.median(np.abs(np.log(found.cell_resistance / truth[2:]))) < 0.005
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     """Ends of the way are optima with that cell held: found again by a solve within bounds that leave it no choice."""
