@@ -83,7 +83,7 @@ class HoledFrame:
             yield Departure(self._last(straight), (down, up))
 
     def of_cells(self, places: NDArray[np.intp]) -> Iterator[Departure]:
-        """Cells that were not read, at the ends of their intervals; those that press against a bound are none of them."""
+        """Cells that were not read, at the ends of their intervals; none that press against a bound."""
         if not isinstance(self.errors, DenseErrors):
             return
         cells = places @ (self.readings.value.shape[1], 1) + self._before

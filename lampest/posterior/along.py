@@ -4,8 +4,8 @@ Data and penalties leave it a valley, and that bends: a tangent leads up its sid
 
     δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c,   λ such that cell c goes on by one step,
 
-Gauss and Newton's step with c held, A = Jᵀ Ω J + Zᵀ Ω Z anew at every step (see `lampest.posterior.dense`). The way ends
-where φ has risen by 1.96² s² C, as it would have where the tangent ends if φ were a parabola.
+Gauss and Newton's step with c held, A = Jᵀ Ω J + Zᵀ Ω Z anew at every step (see `lampest.posterior.dense`). The way
+ends where φ has risen by 1.96² s² C, as it would have where the tangent ends if φ were a parabola.
 Source: Allgower & Georg, Introduction to Numerical Continuation Methods, 2003, chapter 2.
 """
 
@@ -18,7 +18,7 @@ from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import TWO_SIDED
 
-STEPS = 3  # of the tangent's length; half as many leave 90 % of what twice as many find
+STEPS = 3  # of the tangent's length: the way ends within a tenth of an optimum with the cell held
 LONGEST = 0.5  # of log r, that of one step
 FARTHEST = 3.0  # tangents: a penalty in ohm rises slowly towards a short
 
@@ -48,12 +48,12 @@ class Along:
         most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
         far = self.tangent[self.cell]
         step, risen, before = side * min(far / STEPS, LONGEST), 0.0, 0.0
-        position = model.at.position
+        ended = model.at.position
         for position, force in self._places(step, round(FARTHEST * far / abs(step))):
-            risen, before = risen + step * (before + force), force
+            ended, risen, before = position, risen + step * (before + force), force
             if risen >= most:
                 break
-        return np.asarray((position - model.at.position).ravel())
+        return np.asarray((ended - model.at.position).ravel())
 
     def _places(self, step: float, most: int) -> Iterator[tuple[Array, float]]:
         """(log r (frames, rows, columns), λ) one step after the other; until a bound holds the cell."""
