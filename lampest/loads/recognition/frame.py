@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky, lapack
 
 from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.response import gains_of, log_ratio_from_pressure
@@ -15,6 +15,7 @@ from lampest.panel.panel import Array
 from lampest.panel.response import Response
 
 STEP_KPA = 1e-3
+NEAR_KPA = np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
 ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
@@ -30,7 +31,7 @@ def counting(sigma: Array, measured: Array) -> Array:
 
 def log_response(pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
     """κ·ln f(p) and its slope, (…, rows, columns), kPa → 1 and 1/kPa; a difference over 2 Pa: f has corners."""
-    near = np.stack([pressure, pressure + STEP_KPA, pressure - STEP_KPA])
+    near = pressure + NEAR_KPA
     here, up, down = gains_of(response) * log_ratio_from_pressure(near, response)
     return here, (up - down) / (2 * STEP_KPA)
 
@@ -223,7 +224,7 @@ class Whitening:
 
     def __matmul__(self, vectors: Array) -> Array:
         """L⁻¹·v: errors of unit variance."""
-        return np.asarray(solve_triangular(self.root, vectors, lower=True, check_finite=False))
+        return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
 
     @cached_property
     def precision(self) -> Array:

@@ -36,15 +36,6 @@ def oval_pressure(panel: Panel, patch_mm: float, disc: Disc, form: Unevenness = 
     from lampest.loads.shapes.patches import add_means
 
     means = np.zeros((13, *panel.shape))
-    reach = disc.diameter_mm / 2 * (1 + abs(form.along) + abs(form.across)) + patch_mm * (0.5 + SOFT)
-    offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
-    windows, points = [], []
-    for centres, middle in zip(panel.centres_mm(), disc[:2], strict=True):
-        near = np.flatnonzero(np.abs(centres - middle) < reach)
-        if not len(near):
-            return means[0], means[1:]
-        windows.append(slice(near[0], near[-1] + 1))
-        points.append((centres[near][:, None] + offset).ravel() - middle)
-    numbers = np.array(disc, dtype=float), np.array(form, dtype=float)
-    add_means(*points, *numbers, SOFT * patch_mm, POINTS, means[:, windows[1], windows[0]])
+    across, down = panel.centres_mm()
+    add_means(across, down, np.array(disc, dtype=float), np.array(form, dtype=float), patch_mm, SOFT * patch_mm, POINTS, means)
     return means[0], means[1:]

@@ -6,6 +6,8 @@ Imported where a shape is fitted, and not before: numba takes half a second to c
 from math import sqrt
 from typing import Any
 
+import numpy as np
+
 from lampest.panel.machine import machine_code
 
 
@@ -17,15 +19,11 @@ def _inside(beyond: float, soft: float) -> tuple[float, float]:
 
 
 @machine_code
-def add_means(x: Any, y: Any, disc: Any, form: Any, soft: float, points: int, means: Any) -> None:
-    """Mean pressure on every patch and its slopes by the numbers of both, into means (13, patches down, across).
-
-    x, y : mm from the centre, of the points across and down, `points` of them to a patch. disc, form : their numbers,
-    (8) and (4). soft : mm, half the width of an edge.
-    """
+def _add_mean(x: Any, y: Any, disc: Any, form: Any, soft: float, mean: Any) -> None:
+    """Mean pressure on one patch and its slopes, into mean (13) of zeros; x, y : mm from the centre, of its points."""
     outer, inner, suction, press = disc[2] / 2, disc[3] / 2, disc[4], disc[5]
     along, across, lobe_along, lobe_across = form
-    share = 1.0 / (points * points)
+    share = 1.0 / (len(x) * len(y))
     for i in range(len(y)):
         for j in range(len(x)):
             u = x[j] - along * x[j] - across * y[i]
@@ -46,17 +44,35 @@ def add_means(x: Any, y: Any, disc: Any, form: Any, soft: float, points: int, me
             turned = 2 * contact * (lobe_across * twice - lobe_along * cross) / square
             by_u = outward * u / radius + contact * disc[6] / outer - turned * v
             by_v = outward * v / radius + contact * disc[7] / outer + turned * u
-            a, b = i // points, j // points
-            means[0, a, b] += share * (contact * level + suction * hole)
-            means[1, a, b] += share * (by_v * across - by_u * (1 - along))
-            means[2, a, b] += share * (by_u * across - by_v * (1 + along))
-            means[3, a, b] -= share * (press * level * whole_slope + contact * lean / outer) / 2
-            means[4, a, b] += share * (press * level - suction) * hole_slope / 2
-            means[5, a, b] += share * hole
-            means[6, a, b] += share * (whole - hole) * level
-            means[7, a, b] += share * contact * u / outer
-            means[8, a, b] += share * contact * v / outer
-            means[9, a, b] += share * (by_v * y[i] - by_u * x[j])
-            means[10, a, b] -= share * (by_u * y[i] + by_v * x[j])
-            means[11, a, b] += share * contact * twice
-            means[12, a, b] += share * contact * cross
+            mean[0] += share * (contact * level + suction * hole)
+            mean[1] += share * (by_v * across - by_u * (1 - along))
+            mean[2] += share * (by_u * across - by_v * (1 + along))
+            mean[3] -= share * (press * level * whole_slope + contact * lean / outer) / 2
+            mean[4] += share * (press * level - suction) * hole_slope / 2
+            mean[5] += share * hole
+            mean[6] += share * (whole - hole) * level
+            mean[7] += share * contact * u / outer
+            mean[8] += share * contact * v / outer
+            mean[9] += share * (by_v * y[i] - by_u * x[j])
+            mean[10] -= share * (by_u * y[i] + by_v * x[j])
+            mean[11] += share * contact * twice
+            mean[12] += share * contact * cross
+
+
+@machine_code
+def add_means(
+    across: Any, down: Any, disc: Any, form: Any, patch: float, soft: float, points: int, means: Any
+) -> None:
+    """Mean pressure on every patch and its slopes by the numbers of both, into means (13, rows, columns) of zeros.
+
+    across, down : mm, the centres of the patches. disc, form : their numbers, (8) and (4). patch : mm, edge of the
+    patches, with `points` points along either. soft : mm, half the width of an edge.
+    """
+    reach = disc[2] / 2 * (1 + abs(form[0]) + abs(form[1])) + patch / 2 + soft
+    offset = ((np.arange(points) + 0.5) / points - 0.5) * patch
+    for a in range(len(down)):
+        if abs(down[a] - disc[1]) < reach:
+            for b in range(len(across)):
+                if abs(across[b] - disc[0]) < reach:
+                    x, y = across[b] + offset - disc[0], down[a] + offset - disc[1]
+                    _add_mean(x, y, disc, form, soft, means[:, a, b])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import exp, log, sqrt
 
 import numpy as np
@@ -88,7 +89,7 @@ class RoundCandidate(Candidate):
     edge_mm: float = EDGE_MM
     bound: Callable[["RoundCandidate", Array], tuple[float, Array]] | None = None
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The parameters in order."""
         return ("x", "y", *self.numbers, *Unevenness._fields)
@@ -113,29 +114,33 @@ class RoundCandidate(Candidate):
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
         """The disc of φ, and its derivatives (8, parameters)."""
-        at = dict(zip(self.names, parameters, strict=True))
-        slopes = {name: np.zeros(8) for name in self.names}
+        place, at = self._places, parameters.tolist()
+        slopes = np.zeros((8, len(at)))
         for number, name in ((0, "x"), (1, "y"), (6, "tilt_x"), (7, "tilt_y")):
-            slopes[name][number] = 1.0
-        diameter, share = exp(at["diameter"]), 0.0
-        slopes["diameter"][2] = diameter
-        if "width" in at:
-            share, bend = _share(2 * exp(at["width"]) / diameter)
-            slopes["diameter"][3], slopes["width"][3] = diameter * (share - bend), diameter * bend
-        suction = -exp(at["suction"]) if "suction" in at else 0.0
-        if "suction" in at:
-            slopes["suction"][4] = suction
-        if "push" in at:
-            bearing, push = exp(log_bearing(suction, share)), exp(at["push"])
-            rim = bearing + push
-            slopes["push"][5], slopes["suction"][5] = push, bearing
-            slopes["width"][5] = bearing * bearing_slope(share) * bend
-            slopes["diameter"][5] = -slopes["width"][5]
+            slopes[number, place[name]] = 1.0
+        diameter, share = exp(at[place["diameter"]]), 0.0
+        slopes[2, place["diameter"]] = diameter
+        if "width" in place:
+            share, bend = _share(2 * exp(at[place["width"]]) / diameter)
+            slopes[3, place["diameter"]], slopes[3, place["width"]] = diameter * (share - bend), diameter * bend
+        suction = -exp(at[place["suction"]]) if "suction" in place else 0.0
+        if "suction" in place:
+            slopes[4, place["suction"]] = suction
+        if "push" in place:
+            bearing, push = exp(log_bearing(suction, share)), exp(at[place["push"]])
+            rim, by_width = bearing + push, bearing * bearing_slope(share) * bend
+            slopes[5, place["push"]], slopes[5, place["suction"]] = push, bearing
+            slopes[5, place["width"]], slopes[5, place["diameter"]] = by_width, -by_width
         else:
-            rim = exp(at["rim"])
-            slopes["rim"][5] = rim
-        disc = Disc(at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"])
-        return disc, np.stack([slopes[name] for name in self.names], axis=1)
+            rim = exp(at[place["rim"]])
+            slopes[5, place["rim"]] = rim
+        tilt = at[place["tilt_x"]], at[place["tilt_y"]]
+        return Disc(at[0], at[1], diameter, share * diameter, suction, rim, *tilt), slopes
+
+    @cached_property
+    def _places(self) -> Mapping[str, int]:
+        """Where in φ every parameter stands."""
+        return {name: number for number, name in enumerate(self.names)}
 
     def start(self, disc: Disc) -> Array:
         """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement.
