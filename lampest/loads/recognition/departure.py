@@ -10,16 +10,13 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Whitening, outliers, without
+from lampest.loads.recognition.frame import Observation, weighed
 from lampest.panel.panel import Array
 
 
 def departure(frame: Observation, fit: Fit) -> Array:
     """d (rows, columns), 1: the mean of ln r − ln r0 − x after the readings, those that stand alone left out."""
-    whitening = Whitening.of(frame, fit.explained, fit.scatter)
-    if fit.chi2 > SUSPICIOUS * frame.measured.size:
-        frame = without(frame, outliers(whitening, fit.residual))
-        whitening = Whitening.of(frame, fit.explained, fit.scatter)
+    frame, whitening = weighed(frame, fit.explained, fit.scatter, fit.residual, fit.chi2)
     cells = fit.change.size
     both = np.hstack([frame.slope(fit.change), frame.offsets])
     before = frame.baseline.covariance[:cells] @ both.T

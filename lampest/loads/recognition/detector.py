@@ -9,11 +9,13 @@ from scipy.special import logsumexp
 from lampest.loads.recognition.candidates import LOADS, UNIFORM
 from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
-from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Uncertain, Whitening, outliers, without
+from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Uncertain, Whitening, outliers, weighed, without
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.over_time import OverTime
 from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
+from lampest.loads.recognition.several import Several
+from lampest.loads.recognition.spread import spread
 from lampest.loads.recognition.together import Together, discs_of, twins
 from lampest.loads.recognition.verdict import Verdict, judged
 from lampest.loads.shapes.disc import Disc
@@ -38,6 +40,7 @@ NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
 STILL = 0.02  # relative change of readings below which a panel is not searched again
 ONE_MOVED = 2.0  # times that, or 6 σ, of one reading alone
 MOST_AT_ONCE = 3
+COUNTED = 0.02  # share below which a kind says next to nothing of a load's size
 NONE = np.zeros(0, dtype=np.intp)
 
 
@@ -105,7 +108,8 @@ class Detector:
             return replace(self, previous=verdict, searched=None), verdict
         tracked = None if self.previous is None or not self.previous.loads else self._tracked(calm, self.previous.loads)
         if tracked is not None and self._clear(tracked):
-            return replace(self, previous=tracked), tracked
+            verdict = self._spread(calm, tracked)
+            return replace(self, previous=verdict), verdict
         direct = calm.direct()
         field = field_fit(direct, cell_map(direct), *(() if self.changed is None else (self.changed,)))
         verdicts = [] if tracked is None else [self._against(field, tracked, calm)]
@@ -115,8 +119,22 @@ class Detector:
             if self._doubtful(verdicts[-1]):
                 verdicts += self._several(calm, verdicts[-1], field)
             searched = calm.measured
-        verdict = max(verdicts, key=lambda one: one.evidence)
+        verdict = self._spread(calm, max(verdicts, key=lambda one: one.evidence))
         return replace(self, previous=verdict, searched=searched, changed=field.change), verdict
+
+    def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
+        """The verdict with single loads as large as they may be, where their shares count."""
+        best = verdict.best
+        if best not in verdict.loads or isinstance(best.candidate, Several):
+            return verdict
+        frame, whitening = weighed(frame, best.explained, best.scatter, best.residual, best.chi2)
+        fits = tuple(
+            spread(self._fitting(fit.candidate, frame, whitening), fit)
+            if share > COUNTED and not isinstance(fit.candidate, Several)
+            else fit
+            for fit, share in zip(verdict.fits, verdict.shares, strict=True)
+        )
+        return replace(verdict, fits=fits)
 
     def _tracked(self, frame: Observation, loads: tuple[Fit, ...]) -> Verdict:
         """All that was likely in the frame before, from where it was; hollow ones are tried again in any case."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.loads.recognition.frame import Explained, Observation, Whitening
 from lampest.loads.shapes.shape import Candidate
@@ -17,6 +18,7 @@ TRIAL = 4
 LOOSE = 0.3
 PATCHES = (0.9, 1.1)  # times a patch's edge, for a difference
 NONE = np.zeros(0, dtype=np.intp)
+HELD = 1e-3  # standard deviation of a parameter that stays where it is
 LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs are: its evidence hardly counts
 
 
@@ -24,7 +26,8 @@ LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs a
 class Fit:
     """The most probable parameters φ of a candidate.
 
-    parameters, covariance : (parameters) and its square. explained : what it does to the cells. residual : (cells) ohm.
+    parameters, mean, covariance : (parameters), their mean, which `spread` finds, and its square. explained : what it
+    does to the cells. residual : (cells) ohm.
     slopes : (cells, parameters) ohm, of the readings by φ. chi2 : of the readings. cost : half of it plus half the
     priors'. volume : ½ ln det of the errors' covariance. evidence : ln of the frame's probability under the candidate,
     up to what all candidates share. scatter : the film's relative deviation. steps : evaluations of the model.
@@ -32,6 +35,7 @@ class Fit:
 
     candidate: Candidate
     parameters: Array
+    mean: Array
     covariance: Array
     explained: Explained
     residual: Array
@@ -55,7 +59,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearisation:
+class Linearisation:
     """The model about φ: errors of unit variance of readings and priors, their slopes by φ, and half their square."""
 
     parameters: Array
@@ -69,13 +73,17 @@ class _Linearisation:
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A candidate on a panel with patches, before a frame with the whitening of its errors."""
+    """A candidate on a panel with patches, before a frame with the whitening of its errors.
+
+    held : number of a parameter that stays, in place of its prior, and where; None: none does.
+    """
 
     panel: Panel
     patch_mm: float
     candidate: Candidate
     frame: Observation
     whitening: Whitening
+    held: tuple[int, float] | None = None
 
     def cost(self, parameters: Array) -> float:
         """Half the square of errors of unit variance, of readings and priors."""
@@ -84,7 +92,7 @@ class Fitting:
         prior = (parameters - self._prior[0]) / self._prior[1]
         return float(errors @ errors + prior @ prior) / 2
 
-    def at(self, parameters: Array) -> _Linearisation:
+    def at(self, parameters: Array) -> Linearisation:
         """Errors of unit variance, of readings and priors, and their slopes by φ."""
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, parameters)
         change, response = self.frame.change(pressure)
@@ -96,7 +104,7 @@ class Fitting:
         mean, sd = self._prior
         prior = (parameters - mean) / sd
         errors = np.concatenate([whitened[:, 0], prior])
-        return _Linearisation(
+        return Linearisation(
             parameters,
             change,
             residual,
@@ -109,33 +117,41 @@ class Fitting:
     @cached_property
     def _prior(self) -> tuple[Array, Array]:
         """Mean and standard deviation of φ."""
-        return self.candidate.mean(self.panel), self.candidate.sd(self.panel)
+        mean, sd = self.candidate.mean(self.panel), self.candidate.sd(self.panel)
+        if self.held is not None:
+            mean[self.held[0]], sd[self.held[0]] = self.held[1], HELD
+        return mean, sd
 
     @cached_property
-    def _centre(self) -> list[int]:
-        """Which of φ are coordinates of a centre."""
-        names = list(self.candidate.priors(self.panel))
-        return [number for number, name in enumerate(names) if name.split(".")[-1] in ("x", "y")]
+    def centred(self) -> NDArray[np.bool_]:
+        """Which of φ are coordinates of a centre, (parameters)."""
+        return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
 
-    def _explained(self, here: _Linearisation) -> Explained:
+    def _explained(self, here: Linearisation) -> Explained:
         """What the load does to ln r, what a shift of it by 1 mm adds, and what larger patches do.
 
         By secants as long as such errors are: tangents jump where pressure comes to the response's corners.
         """
-        if not self._centre:
+        if not self.centred.any():
             return Explained(here.change, np.zeros_like(here.change), np.zeros_like(here.change))
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, here.parameters)
-        shift = np.sqrt((by_parameter[self._centre] ** 2).sum(axis=0))
+        shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         sizes = [self.candidate.pressure(self.panel, self.patch_mm * by, here.parameters)[0] for by in PATCHES]
         ends = [self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)]
         patches = (ends[3] - ends[2]) / (PATCHES[1] - PATCHES[0])
         return Explained(here.change, np.abs(ends[0] - ends[1]) / 2, patches)
 
     def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf, rough: bool = False) -> Fit:
-        """Damped Gauss-Newton steps from φ = `start` until they gain less than ENOUGH.
+        """The most probable φ that `descended` finds. rough : troughs are as wide as slopes at their bottom promise;
+        see `widened`.
+        """
+        here, count = self.descended(start, steps, hopeless)
+        return self._fit(here, count, rough or here.cost > hopeless - self.whitening.volume - LOST)
 
-        They also end after `steps`, and soon where the score stays above `hopeless`. rough : troughs are as wide as
-        slopes at their bottom promise; see `widened`.
+    def descended(self, start: Array, steps: int, hopeless: float = np.inf) -> tuple[Linearisation, int]:
+        """(the model there, its evaluations) after damped Gauss-Newton steps from φ = `start`.
+
+        They end where they gain less than ENOUGH, after `steps`, and soon where the score stays above `hopeless`.
         """
         damping, hopeless = 1e-3, hopeless - self.whitening.volume
         mean, reach = self._prior[0], FARTHEST * self._prior[1]
@@ -161,13 +177,13 @@ class Fitting:
                 damping = max(10 * damping, 1e-3)
                 if damping > LARGEST_DAMPING:
                     break
-        return self._fit(here, count, rough or here.cost > hopeless - LOST)
+        return here, count
 
     def widened(self, fit: Fit) -> Fit:
         """A rough fit, with troughs as wide as they are."""
         return self._fit(self.at(fit.parameters), fit.steps + 1, False)
 
-    def _fit(self, here: _Linearisation, count: int, rough: bool) -> Fit:
+    def _fit(self, here: Linearisation, count: int, rough: bool) -> Fit:
         """The result where steps no longer improve it; see `_widths`."""
         sd = self._prior[1]
         precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
@@ -179,6 +195,7 @@ class Fitting:
         cells = here.residual.size
         return Fit(
             self.candidate,
+            here.parameters,
             here.parameters,
             spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2),
             self._explained(here),
@@ -192,7 +209,7 @@ class Fitting:
             count + tried,
         )
 
-    def _widths(self, here: _Linearisation, widths: Array, axes: Array) -> tuple[Array, int]:
+    def _widths(self, here: Linearisation, widths: Array, axes: Array) -> tuple[Array, int]:
         """Standard deviations along the axes of the posterior, in those of the prior, and evaluations.
 
         Where the slopes see nothing, because a rim runs between patches, they would promise the width of the prior.

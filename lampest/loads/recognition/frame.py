@@ -19,7 +19,8 @@ NEAR_KPA = np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
 ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
-PATCH_SD = 0.1  # relative, of the patches' edge: they are cut by hand, square or round; an assumption
+# Relative, of the patches' edge, an assumption: cut by hand a tenth, and a round one is as a square one of 0.89 its width.
+PATCH_SD = 0.13
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
@@ -271,6 +272,17 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])
     return dropped
+
+
+def weighed(
+    frame: Observation, explained: Explained, scatter: float, residual: Array, chi2: float
+) -> tuple[Observation, Whitening]:
+    """(the frame, its errors about what a load explains), without readings that stand alone where χ² is suspicious."""
+    whitening = Whitening.of(frame, explained, scatter)
+    if chi2 <= SUSPICIOUS * frame.measured.size:
+        return frame, whitening
+    frame = without(frame, outliers(whitening, residual))
+    return frame, Whitening.of(frame, explained, scatter)
 
 
 def without(frame: Observation, dropped: NDArray[np.intp]) -> Observation:

@@ -37,5 +37,7 @@ def oval_pressure(panel: Panel, patch_mm: float, disc: Disc, form: Unevenness = 
 
     means = np.zeros((13, *panel.shape))
     across, down = panel.centres_mm()
-    add_means(across, down, np.array(disc, dtype=float), np.array(form, dtype=float), patch_mm, SOFT * patch_mm, POINTS, means)
+    add_means(
+        across, down, np.array(disc, dtype=float), np.array(form, dtype=float), patch_mm, SOFT * patch_mm, POINTS, means
+    )
     return means[0], means[1:]

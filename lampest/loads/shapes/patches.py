@@ -60,9 +60,7 @@ def _add_mean(x: Any, y: Any, disc: Any, form: Any, soft: float, mean: Any) -> N
 
 
 @machine_code
-def add_means(
-    across: Any, down: Any, disc: Any, form: Any, patch: float, soft: float, points: int, means: Any
-) -> None:
+def add_means(across: Any, down: Any, disc: Any, form: Any, patch: float, soft: float, points: int, means: Any) -> None:
     """Mean pressure on every patch and its slopes by the numbers of both, into means (13, rows, columns) of zeros.
 
     across, down : mm, the centres of the patches. disc, form : their numbers, (8) and (4). patch : mm, edge of the

@@ -5,7 +5,7 @@ from math import log
 from typing import ClassVar, Literal
 
 from lampest.loads.shapes.disc import Disc, annular_pressure, annulus_mm2, contact_of_weight
-from lampest.loads.shapes.round import DIAMETER, MADE, TILT, RoundCandidate, disc_of
+from lampest.loads.shapes.round import MADE, TILT, RoundCandidate, disc_of
 from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
@@ -24,8 +24,8 @@ class Rod(Shape):
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="rod",
         templates=(Template(40.0, faint=True), Template(25.0, faint=True)),
-        # An assumption: 95 % of rods press with 1 to 60 kPa.
-        numbers={"diameter": DIAMETER, "rim": Prior(log(8), 1.0)} | TILT,
+        # Assumptions: 95 % of rods are 9 to 67 mm wide and press with 1 to 60 kPa.
+        numbers={"diameter": Prior(log(25), 0.5, step=0.2), "rim": Prior(log(8), 1.0)} | TILT,
         uneven=MADE,
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
