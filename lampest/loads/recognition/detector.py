@@ -123,9 +123,12 @@ class Detector:
         return replace(self, previous=verdict, searched=searched, changed=field.change), verdict
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """The verdict with single loads as large as they may be, where their shares count."""
+        """The verdict with single loads as large as they may be, where their shares count.
+
+        Not against an estimate: far from it the straight line, by which a load is compared with it, does not hold.
+        """
         best = verdict.best
-        if best not in verdict.loads or isinstance(best.candidate, Several):
+        if frame.direct() is not frame or best not in verdict.loads or isinstance(best.candidate, Several):
             return verdict
         frame, whitening = weighed(frame, best.explained, best.scatter, best.residual, best.chi2)
         fits = tuple(
