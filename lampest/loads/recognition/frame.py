@@ -19,7 +19,7 @@ NEAR_KPA = np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
 ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
-# Relative, of the patches' edge, an assumption: cut by hand a tenth, and a round one is as a square one of 0.89 its width.
+# Relative, of the patches' edge, an assumption: cut by hand, and a round one is as a square one of 0.89 its width.
 PATCH_SD = 0.13
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
