@@ -8,7 +8,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting
 from lampest.loads.recognition.frame import Direct, Whitening
 from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.spread import spread
+from lampest.loads.recognition.spread import along_diameter
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -48,7 +48,7 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
     rod = next(fit for fit in verdict.loads if fit.candidate is Rod.candidate)
     fitting = Fitting(PANEL, PATCH_MM, rod.candidate, frame, Whitening.of(frame, rod.explained, rod.scatter))
     local = fitting.best(rod.parameters)
-    wide = spread(fitting, local)
+    wide = along_diameter(fitting, local)
     samples = walked(fitting, rod.parameters, np.linalg.cholesky(wide.covariance) / len(wide.mean) ** 0.5)
     own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.mean)[2] ** 2)
     assert own == pytest.approx(samples.std(), rel=0.35)

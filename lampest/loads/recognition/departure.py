@@ -10,13 +10,13 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Observation, weighed
+from lampest.loads.recognition.frame import Observation, with_errors
 from lampest.panel.panel import Array
 
 
 def departure(frame: Observation, fit: Fit) -> Array:
     """d (rows, columns), 1: the mean of ln r − ln r0 − x after the readings, those that stand alone left out."""
-    frame, whitening = weighed(frame, fit.explained, fit.scatter, fit.residual, fit.chi2)
+    frame, whitening = with_errors(frame, fit.explained, fit.scatter, fit.residual, fit.chi2)
     cells = fit.change.size
     both = np.hstack([frame.slope(fit.change), frame.offsets])
     before = frame.baseline.covariance[:cells] @ both.T

@@ -9,13 +9,21 @@ from scipy.special import logsumexp
 from lampest.loads.recognition.candidates import LOADS, UNIFORM
 from lampest.loads.recognition.field import FIELD, field_fit
 from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
-from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Uncertain, Whitening, outliers, weighed, without
+from lampest.loads.recognition.frame import (
+    SUSPICIOUS,
+    Observation,
+    Uncertain,
+    Whitening,
+    outliers,
+    with_errors,
+    without,
+)
 from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.over_time import OverTime
 from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
 from lampest.loads.recognition.several import Several
-from lampest.loads.recognition.spread import spread
+from lampest.loads.recognition.spread import along_diameter
 from lampest.loads.recognition.together import Together, discs_of, twins
 from lampest.loads.recognition.verdict import Verdict, judged
 from lampest.loads.shapes.disc import Disc
@@ -130,9 +138,9 @@ class Detector:
         best = verdict.best
         if frame.direct() is not frame or best not in verdict.loads or isinstance(best.candidate, Several):
             return verdict
-        frame, whitening = weighed(frame, best.explained, best.scatter, best.residual, best.chi2)
+        frame, whitening = with_errors(frame, best.explained, best.scatter, best.residual, best.chi2)
         fits = tuple(
-            spread(self._fitting(fit.candidate, frame, whitening), fit)
+            along_diameter(self._fitting(fit.candidate, frame, whitening), fit)
             if share > COUNTED and not isinstance(fit.candidate, Several)
             else fit
             for fit, share in zip(verdict.fits, verdict.shares, strict=True)

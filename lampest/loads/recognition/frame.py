@@ -274,7 +274,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     return dropped
 
 
-def weighed(
+def with_errors(
     frame: Observation, explained: Explained, scatter: float, residual: Array, chi2: float
 ) -> tuple[Observation, Whitening]:
     """(the frame, its errors about what a load explains), without readings that stand alone where χ² is suspicious."""

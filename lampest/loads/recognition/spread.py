@@ -23,7 +23,7 @@ LIKELY = 5.0  # ln of a probability ratio: points below the best by more are far
 Point = tuple[Array, float, Array]  # φ, ln of its probability, covariance
 
 
-def spread(fitting: Fitting, fit: Fit) -> Fit:
+def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
     """The fit with φ̄ and C, where that is wider than its own; itself for a candidate that has no diameter.
 
     fitting : that of its candidate, with the errors that the fit was weighed by.
