@@ -1,9 +1,12 @@
-"""Steps of two large frames that are solved together: straight in the ratios q = r₁/r₀ of their cells.
+"""Steps of two large frames that are solved together: straight in the first one's conductances 1/r₀ and in the ratios
+q = r₁/r₀ of their cells.
 
 A relative penalty is a square in q. In log r it bends down wherever q < 1/2, along as many directions as cells are
-pressed, each of which ends a solve by conjugate gradients. With p = δr₁/r₁ − δr₀/r₀ = δq/q, the second derivatives in
-(log r₀, q) are those in (log r₀, log r₁) less ∂φ/∂log r₁·p². A cell of which one frame is held at a bound has no ratio
-to change: r₁ is straight then, or 1/r₀, of which q is a multiple too.
+pressed, each of which ends a solve by conjugate gradients. How high both frames are it leaves to the readings, which
+are nearly straight in 1/r₀: cells of which both frames come off arrive in a step or two. With s = ∂φ/∂log r, x =
+−r₀·δ(1/r₀) and y = x + δq/q, the second derivatives in (x, y) are those in (log r₀, log r₁) and (s₀ + s₁)·x² − s₁·(y −
+x)². Where one frame is held at a bound, the other's own 1/r₀ or r₁, of which q is a multiple, is what is straight.
+Penalties that are convex in log r are squares of log q, and keep that.
 """
 
 from dataclasses import dataclass
@@ -43,13 +46,11 @@ class FramePair:
         return sparse.csr_array(self._penalties + sparse.diags_array(self._weight * response**2))
 
     def change(self, step: Array) -> Array:
-        """Of log r, for such a step."""
-        if not self._in_ratios:
-            return step
+        """Of log r, for such a step, which is zero at cells that are held."""
         first, second = np.split(step, 2)
-        both, only_first, only_second = self._kinds
-        moved = np.where(both, first + _log_of(1 + second - first), np.where(only_second, _log_of(1 + second), second))
-        return np.concatenate([np.where(only_first, -_log_of(1 - first), first), moved])
+        level, apart = -_log_of(1 - first), second - first
+        ratio = _log_of(1 + apart) if self._in_ratios else apart
+        return np.concatenate([level, np.where(self._moving[1], level + ratio, 0.0)])
 
     @property
     def _in_ratios(self) -> bool:
@@ -57,10 +58,11 @@ class FramePair:
         comparing = [term for term in self.curvature.at.cost.terms if term.needs_previous]
         return not all(term.convex_in_log for term in comparing)
 
-    @cached_property
-    def _kinds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    @property
+    def _moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(cells) of either frame, whether they move."""
         first, second = np.split(self.free, 2)
-        return first & second, first & ~second, second & ~first
+        return first, second
 
     @cached_property
     def _tied(self) -> sparse.csr_array:
@@ -83,18 +85,14 @@ class FramePair:
 
     def _bends(self, slope: Array) -> sparse.csr_array:
         """What second derivatives in log r lack, for the slope in log r."""
-        first, second = np.split(slope if self._in_ratios else np.zeros_like(slope), 2)
-        both, only_first, only_second = self._kinds
-        tie = np.where(both, -second, 0.0)
-        own = tie + np.where(only_first, first, 0.0), tie + np.where(only_second, -second, 0.0)
-        return sparse.csr_array(
-            sparse.block_array(
-                [
-                    [sparse.diags_array(own[0]), sparse.diags_array(-tie)],
-                    [sparse.diags_array(-tie), sparse.diags_array(own[1])],
-                ]
-            )
-        )
+        moving = self._moving
+        first, second = (np.where(moves, part, 0.0) for moves, part in zip(moving, np.split(slope, 2), strict=True))
+        both = moving[0] * second
+        if not self._in_ratios:
+            return sparse.csr_array(sparse.diags_array(np.concatenate([first + both, np.zeros_like(second)])))
+        tied = sparse.diags_array(both)
+        rows = [[sparse.diags_array(first), tied], [tied, sparse.diags_array(-second)]]
+        return sparse.csr_array(sparse.block_array(rows))
 
 
 def _log_of(ratio: Array) -> Array:
