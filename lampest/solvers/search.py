@@ -189,7 +189,7 @@ def _easy(solver: Solver, found: Solution) -> int:
         return EASY_INTERIOR
     if found.cell_resistance.size > LARGER_UNKNOWNS:
         return EASY_STRAIGHT
-    return EASY if found.factor is None else EASY_KEPT
+    return EASY_KEPT if found.factor is not None and found.factor.exact else EASY
 
 
 def _others(solver: Solver, found: Solution, points: Iterable[Evaluation]) -> list[Solution]:

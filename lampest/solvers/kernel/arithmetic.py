@@ -23,6 +23,7 @@ STRAIGHT = 0.2  # of log r
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.02)
 ROUGH, FINE = 0.1, 0.01  # of a step by conjugate gradients, and of the last one, which is taken unseen
 MOST_PRODUCTS = 1500  # of a frame; beyond, it is not an easy one
+MOST_ROUNDS, DEPENDENT = 12, 1e-10  # of two vectors towards the softest directions; of vectors of length one
 LEAST_SHARE = 0.05  # of a cell's own response, as in the two-point stencil
 LOWER, TRANSPOSED, PLAIN = ord("L"), ord("T"), ord("N")
 
@@ -877,56 +878,105 @@ def _slope(rows: int, model: Any, impedance: Any, reading: int, cell: int) -> fl
 
 @machine_code
 def _preconditioner(addresses: Any, rows: int, model: Any, links: Any, point: Any, band: int, ties: Any) -> Any:
-    """(base, heavy, inner, whether it is one): what stands for (∇²φ)⁻¹ over all cells.
+    """(base, seen, inner, whether it is one): P = B + V C Vᵀ stands for ∇²φ over all cells, by Woodbury's formula.
 
-    Where terms tie cells (`band` > 0, how far apart): base (cells, band + 1), the Cholesky factor of what the terms and
-    each cell's own reading say. Else that of J's stencil, whose diagonal d is a cell and whose columns U are the lines:
-    base (cells, 1) 1/(d²w + r²c), heavy (cells) d·w, inner (2·lines)², see
-    `lampest.panel.readouts.two_point.stencil`, with the lines' part K for any readout.
+    The terms as they are, JᵀWJ as of J's stencil (diag(e) + U K Uᵀ) g of any readout, whose diagonal e is a cell, whose
+    columns U are the lines, and whose K is what a line's readings share; see
+    `lampest.panel.readouts.two_point.stencil`. base : B = (the terms) + diag(g²e²w), as 1/B (cells, 1) or, where terms
+    tie cells (`band` > 0, how far apart), as its Cholesky factor (cells, band + 1). seen : (2, cells) g·e·w and g, so
+    that V = [g e w U, g U]. inner : (C⁻¹ + Vᵀ B⁻¹ V)⁻¹, (2·lines)², C⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]]; empty where a
+    line's readings share nothing.
     """
     _, impedance, _ = point
     cells, lines = model.shape[1], len(impedance)
     columns = lines - rows
     own, shared = _own_slopes(rows, model, impedance, ties)
-    base, largest = np.zeros((cells, band + 1)), 0.0
-    for cell in range(cells):
-        base[cell, 0] = max(model[11, cell], 0.0)
-    for number in range(links.shape[1]):
-        one, other = int(links[0, number]), int(links[1, number])
-        if one >= other:
-            base[other, one - other] += links[2, number]
-    if band > 0:
-        for cell in range(cells):
-            base[cell, 0] += max(model[1, cell], 0.0) * (own[cell] * model[0, cell]) ** 2
-            largest = max(largest, base[cell, 0])
-        for cell in range(cells):
-            base[cell, 0] += 1e-9 * largest
-        return base, np.empty(0), np.empty((0, 0)), bool(_factored_band(addresses, base))
-    heavy, weights = np.empty(cells), np.empty(cells)
+    squares, seen, largest = np.empty(cells), np.empty((2, cells)), 0.0
+    inner, right = np.zeros((2 * lines, 2 * lines)), np.zeros((2 * lines, 2 * lines))
     for cell in range(cells):
         largest = max(largest, model[1, cell])
-    inner, right = np.zeros((2 * lines, 2 * lines)), np.zeros((2 * lines, 2 * lines))
     for cell in range(cells):
         j, k, least = cell // columns, rows + cell % columns, LEAST_SHARE * abs(own[cell])
         rest = own[cell] - shared[j] - shared[k]
         if abs(rest) < least or rest * own[cell] < 0:
             rest = least if own[cell] > 0 else -least
         weight = max(model[1, cell], 1e-6 * largest)
-        whole = rest * rest * weight + base[cell, 0] / model[0, cell] ** 2
-        base[cell, 0] = 1 / whole if whole > 0 else 0.0
-        heavy[cell], weights[cell] = rest * weight, weight
-        _add_between(inner, 0, 0, j, k, heavy[cell] ** 2 * base[cell, 0] - weight)
-        _add_between(inner, 0, lines, j, k, heavy[cell] * base[cell, 0])
-        _add_between(inner, lines, 0, j, k, heavy[cell] * base[cell, 0])
-        _add_between(inner, lines, lines, j, k, base[cell, 0])
+        seen[0, cell], seen[1, cell] = model[0, cell] * rest * weight, model[0, cell]
+        squares[cell] = (model[0, cell] * rest) ** 2 * weight
+        _add_between(inner, 0, 0, j, k, -weight)
+    base, solid = _base(addresses, model, links, squares, band)
     for line in range(lines):
-        if shared[line] == 0:
-            return base, heavy, np.empty((0, 0)), True
+        if shared[line] == 0 or not solid:
+            return base, seen, np.empty((0, 0)), solid
         inner[line, lines + line] += 1 / shared[line]
         inner[lines + line, line] += 1 / shared[line]
     for line in range(2 * lines):
         right[line, line] = 1.0
-    return base, heavy, right, _divided_by(addresses, inner, right)
+    _add_through_base(addresses, rows, base, seen, inner)
+    return base, seen, right, _divided_by(addresses, inner, right)
+
+
+@machine_code
+def _base(addresses: Any, model: Any, links: Any, squares: Any, band: int) -> Any:
+    """(base, whether it is one) of `_preconditioner`; cells where the terms bend down count as if they did not where
+    squares do not outweigh that.
+    """
+    cells, largest = len(squares), 0.0
+    base = np.empty((cells, band + 1))
+    for attempt in range(2):
+        base[:] = 0.0
+        for number in range(links.shape[1]):
+            one, other = int(links[0, number]), int(links[1, number])
+            if one >= other:
+                base[other, one - other] += links[2, number]
+        for cell in range(cells):
+            base[cell, 0] += squares[cell] + max(model[11, cell], 0.0 if attempt > 0 or band == 0 else -np.inf)
+            largest = max(largest, base[cell, 0])
+        if band == 0:
+            for cell in range(cells):
+                base[cell, 0] = 1 / base[cell, 0] if base[cell, 0] > 0 else 0.0
+            return base, True
+        for cell in range(cells):
+            base[cell, 0] += 1e-9 * largest
+        if _factored_band(addresses, base):
+            return base, True
+    return base, False
+
+
+@machine_code
+def _add_through_base(addresses: Any, rows: int, base: Any, seen: Any, inner: Any) -> None:
+    """inner += Vᵀ B⁻¹ V of what `_preconditioner` has; with a factor L of B that is YᵀY, L Y = V."""
+    cells, band, lines = len(base), base.shape[1] - 1, len(inner) // 2
+    columns = lines - rows
+    if band == 0:
+        for cell in range(cells):
+            j, k, inverse = cell // columns, rows + cell % columns, base[cell, 0]
+            for one in range(2):
+                for other in range(2):
+                    _add_between(inner, one * lines, other * lines, j, k, seen[one, cell] * seen[other, cell] * inverse)
+        return
+    through, square = np.zeros((cells, 2 * lines)), np.empty(inner.shape)
+    for cell in range(cells):
+        row = through[cell]
+        for part in range(2):
+            row[part * lines + cell // columns] += seen[part, cell]
+            row[part * lines + rows + cell % columns] += seen[part, cell]
+        most = min(band, cell)
+        for back in range(1, most - 2, 4):  # four at a time: half the time
+            one, above = base[cell - back, back], through[cell - back]
+            two, second = base[cell - back - 1, back + 1], through[cell - back - 1]
+            three, third = base[cell - back - 2, back + 2], through[cell - back - 2]
+            four, fourth = base[cell - back - 3, back + 3], through[cell - back - 3]
+            for line in range(2 * lines):
+                row[line] -= one * above[line] + two * second[line] + three * third[line] + four * fourth[line]
+        for back in range(most - most % 4 + 1, most + 1):
+            share, above = base[cell - back, back], through[cell - back]
+            for line in range(2 * lines):
+                row[line] -= share * above[line]
+        for line in range(2 * lines):
+            row[line] /= base[cell, 0]
+    _product(addresses, through, True, through, False, square)
+    _add(inner, square, False)
 
 
 @machine_code
@@ -962,44 +1012,51 @@ def _divided_by(addresses: Any, matrix: Any, right: Any) -> bool:
 
 
 @machine_code
-def _preconditioned(addresses: Any, rows: int, model: Any, found: Any, moving: Any, values: Any, result: Any) -> None:
-    """result ← P⁻¹·values over the moving cells, of what `_preconditioner` found; that of some is positive, too."""
-    base, heavy, inner, _ = found
-    cells, band = len(values), base.shape[1] - 1
-    if band > 0:
-        result[:] = values
-        words = np.empty(6, dtype=np.int32)
-        words[0], words[1], words[2], words[3], words[4], words[5] = LOWER, cells, band, 1, band + 1, 0
-        start = words.ctypes.data
-        call(
-            addresses[10],
-            (start, start + 4, start + 8, start + 12, base.ctypes.data, start + 16, result.ctypes.data, start + 4,
-             start + 20),
-        )  # fmt: skip
-        for cell in range(cells):
-            result[cell] = result[cell] if moving[cell] and words[5] == 0 else 0.0
-        return
-    lines = len(inner) // 2
-    columns = cells // rows
-    sums, back = np.zeros(2 * lines), np.zeros(2 * lines)
-    for cell in range(cells):
-        result[cell] = base[cell, 0] * values[cell] / model[0, cell]
+def _preconditioned(addresses: Any, rows: int, found: Any, moving: Any, values: Any, result: Any) -> None:
+    """result ← P⁻¹·values over the moving cells, of what `_preconditioner` found: B⁻¹(x − V·inner·Vᵀ B⁻¹x)."""
+    base, seen, inner, _ = found
+    cells, lines = len(values), len(inner) // 2
+    result[:] = values
+    _base_divided(addresses, base, result)
     if lines > 0:
+        columns = lines - rows
+        sums, back = np.zeros(2 * lines), np.zeros(2 * lines)
         for cell in range(cells):
             j, k = cell // columns, rows + cell % columns
-            sums[j] += heavy[cell] * result[cell]
-            sums[k] += heavy[cell] * result[cell]
-            sums[lines + j] += result[cell]
-            sums[lines + k] += result[cell]
+            for part in range(2):
+                share = seen[part, cell] * result[cell]
+                sums[part * lines + j] += share
+                sums[part * lines + k] += share
         for line in range(2 * lines):
             for other in range(2 * lines):
                 back[other] += inner[line, other] * sums[line]
         for cell in range(cells):
             j, k = cell // columns, rows + cell % columns
-            pulled = heavy[cell] * (back[j] + back[k]) + back[lines + j] + back[lines + k]
-            result[cell] -= base[cell, 0] * pulled
+            pulled = seen[0, cell] * (back[j] + back[k]) + seen[1, cell] * (back[lines + j] + back[lines + k])
+            result[cell] = values[cell] - pulled
+        _base_divided(addresses, base, result)
     for cell in range(cells):
-        result[cell] = result[cell] / model[0, cell] if moving[cell] else 0.0
+        result[cell] = result[cell] if moving[cell] else 0.0
+
+
+@machine_code
+def _base_divided(addresses: Any, base: Any, values: Any) -> None:
+    """values ← B⁻¹·values of what `_preconditioner` found."""
+    cells, band = len(values), base.shape[1] - 1
+    if band == 0:
+        for cell in range(cells):
+            values[cell] *= base[cell, 0]
+        return
+    words = np.empty(6, dtype=np.int32)
+    words[0], words[1], words[2], words[3], words[4], words[5] = LOWER, cells, band, 1, band + 1, 0
+    start = words.ctypes.data
+    call(
+        addresses[10],
+        (start, start + 4, start + 8, start + 12, base.ctypes.data, start + 16, values.ctypes.data, start + 4,
+         start + 20),
+    )  # fmt: skip
+    if words[5] != 0:
+        values[0] = np.nan
 
 
 @machine_code
@@ -1020,7 +1077,7 @@ def _conjugated(
     for cell in range(cells):
         residual[cell] = -(point[0][2, cell] + point[0][3, cell]) - (image[cell] if begun else 0.0)
         residual[cell] = residual[cell] if moving[cell] else 0.0
-    _preconditioned(addresses, rows, model, found, moving, residual, scaled)
+    _preconditioned(addresses, rows, found, moving, residual, scaled)
     search, strength = scaled.copy(), _dot(residual, scaled)
     if not begun:
         told[1] = strength
@@ -1036,7 +1093,7 @@ def _conjugated(
         for cell in range(cells):
             step[cell] += strength / bend * search[cell]
             residual[cell] -= strength / bend * image[cell]
-        _preconditioned(addresses, rows, model, found, moving, residual, scaled)
+        _preconditioned(addresses, rows, found, moving, residual, scaled)
         before, strength = strength, _dot(residual, scaled)
         for cell in range(cells):
             search[cell] = scaled[cell] + strength / before * search[cell]
@@ -1104,13 +1161,15 @@ def _ventured(
 
 @machine_code
 def pursue(
-    addresses: Any, where: Any, arena: Any, given: Any, entries: Any, ties: Any, bounds: Any, start: Any, straight: int,
-    band: int, limits: Any, sigma: Any,
+    addresses: Any, where: Any, arena: Any, given: Any, entries: Any, ties: Any, bounds: Any, start: Any, base: Any,
+    seen: Any, inner: Any, found_at: Any, straight: int, band: int, limits: Any, sigma: Any,
 ) -> Any:  # fmt: skip
-    """(ending, u, the last step, its decrement and share, steps before it) of one larger frame.
+    """(ending, u, the last step, its decrement and share, steps before it, the last preconditioner's parts and place,
+    how many were made) of one larger frame.
 
-    As `descend`, without matrices of cells × cells. straight : −1 where steps are straight in 1/r, 0 in u. band : how
-    far apart cells stand that a term ties.
+    As `descend`, without matrices of cells × cells. base, seen, inner : of a preconditioner that was made at `found_at`
+    u, or nothing. straight : −1 where steps are straight in 1/r, 0 in u. band : how far apart cells stand that a term
+    ties.
     """
     rows, cells = where[9], len(start)
     lines = rows + cells // rows
@@ -1121,8 +1180,8 @@ def pursue(
     told, costs, spent = np.zeros(4), np.zeros(6), np.zeros(2)
     _put(here[0], start, bounds)
     costs[0], costs[1] = _priced(addresses, where, arena, ties, here)
-    ending, solves, spent[0] = FELL_SHORT, 0, MOST_PRODUCTS
-    found, found_at = (np.zeros((cells, band + 1)), np.zeros(cells), np.zeros((0, 0)), False), np.full(cells, np.inf)
+    ending, solves, made, spent[0] = FELL_SHORT, 0, 0, MOST_PRODUCTS
+    found = (base, seen, inner, len(found_at) > 0)
     for turn in range(MOST_STEPS):
         residual = _residual(here[0], bounds, costs[1])
         if not (abs(costs[0]) < np.inf and residual < np.inf) or _overdue(addresses, limits) or solves >= limits[13]:
@@ -1136,9 +1195,9 @@ def pursue(
             moving[:] = 0
             moving[_free(here[0], bounds)] = 1
             model, links = _modelled(addresses, where, arena, entries, here, straight, whole)
-            if _away(here[0][0], found_at) > limits[6]:
+            if not found[3] or _away(here[0][0], found_at) > limits[6]:
                 found = _preconditioner(addresses, rows, model, links, here, band, ties[0])
-                found_at = here[0][0].copy()
+                found_at, made = here[0][0].copy(), made + 1
             if not found[3]:
                 break
             way = _approached(
@@ -1165,7 +1224,83 @@ def pursue(
     if ending == SETTLED and told[3] <= limits[7]:
         for cell in range(cells):
             here[0][0, cell] += step[cell]
-    return ending, here[0][0].copy(), step, told[1], told[2], solves
+    return ending, here[0][0].copy(), step, told[1], told[2], solves, found[0], found[1], found[2], found_at, made
+
+
+@machine_code
+def preconditioned(addresses: Any, rows: int, base: Any, seen: Any, inner: Any, values: Any) -> Any:
+    """(cells) what a preconditioner that `pursue` left makes of values (cells)."""
+    result, moving = np.empty(len(values)), np.ones(len(values), dtype=np.int64)
+    _preconditioned(addresses, rows, (base, seen, inner, True), moving, values, result)
+    return result
+
+
+@machine_code
+def softest_vector(
+    addresses: Any, where: Any, arena: Any, given: Any, entries: Any, ties: Any, bounds: Any, position: Any, base: Any,
+    seen: Any, inner: Any, share: float,
+) -> Any:  # fmt: skip
+    """(whether there is one, v): the direction (cells) in which φ bends by less than `share` of what it does in any
+    other over the free cells, at `position` u; with the preconditioner that `pursue` left.
+
+    By two vectors, their preconditioned residuals and last changes. Within |Hv − θ₁v| of the first Ritz value lies
+    an eigenvalue, and the second one is at most θ₂. Source: Knyazev, SIAM J. Sci. Comput. 23, 2001 (LOBPCG).
+    """
+    rows, cells = where[9], len(position)
+    for number in range(len(given)):
+        arena[where[6] + number] = given[number]
+    point, moving = _blank(rows + cells // rows, cells), np.zeros(cells, dtype=np.int64)
+    _put(point[0], position, bounds)
+    objective, _ = _priced(addresses, where, arena, ties, point)
+    free, basis, images = _free(point[0], bounds), np.zeros((6, cells)), np.zeros((6, cells))
+    if len(free) < len(basis) or not abs(objective) < np.inf:
+        return False, basis[0]
+    moving[free] = 1
+    model, links = _modelled(addresses, where, arena, entries, point, 0, True)
+    for number in range(len(free)):  # any two that are not orthogonal to what is sought
+        basis[0, free[number]], basis[1, free[number]] = np.cos(number + 0.5), np.cos(2 * number + 1.0)
+    residual, fresh, left = np.empty(cells), 0, 0.0
+    for _ in range(MOST_ROUNDS):
+        for vector in range(fresh, fresh + 2):
+            _bent_along(addresses, rows, model, links, point, True, basis[vector], images[vector])
+            for cell in range(cells):
+                images[vector, cell] *= moving[cell]
+        bends = _narrowed(basis, images)
+        for vector in range(2):
+            for cell in range(cells):
+                residual[cell] = images[vector, cell] - bends[vector] * basis[vector, cell]
+            left = np.sqrt(_dot(residual, residual)) if vector == 0 else left
+            _preconditioned(addresses, rows, (base, seen, inner, True), moving, residual, basis[2 + vector])
+        if bends[0] - left > share * bends[1]:
+            break
+        fresh = 2
+    return bool(bends[0] <= share * bends[1]), basis[0].copy()
+
+
+@machine_code
+def _narrowed(basis: Any, images: Any) -> Any:
+    """(2) θ : the least of vᵀHv over vectors v of length one that `basis` (6, cells) spans, and of those across it.
+
+    images : H·basis. Of both the first two rows ← the vectors where these stand, the last two ← how these came to be
+    from others than themselves; rows of zeros count for nothing.
+    """
+    count = len(basis)
+    overlap, size = basis @ basis.T, np.zeros(count)
+    for vector in range(count):
+        size[vector] = 1 / np.sqrt(overlap[vector, vector]) if overlap[vector, vector] > 0 else 0.0
+    length, mixed = np.linalg.eigh(overlap * size * size.reshape(count, 1))
+    first = 0
+    while length[first] <= DEPENDENT:
+        first += 1
+    across = np.ascontiguousarray(mixed[:, first:] * size.reshape(count, 1) / np.sqrt(length[first:]))
+    bends, best = np.linalg.eigh(across.T @ (basis @ images.T) @ across)
+    shares = np.ascontiguousarray((across @ np.ascontiguousarray(best[:, :2])).T)
+    rest = shares.copy()
+    rest[:, :2] = 0.0
+    for rows in (basis, images):
+        vectors, changes = shares @ rows, rest @ rows
+        rows[:2], rows[4:] = vectors, changes
+    return bends[:2].copy()
 
 
 @machine_code

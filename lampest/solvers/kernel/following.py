@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from lampest.panel.compiled import evaluation_address
 from lampest.panel.conjugate import DENSE_UNKNOWNS
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MILLIONTH, NEARBY, SHARE, Bend, Certificate
-from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS, pursued
+from lampest.solvers.kernel.pursuing import LARGER_UNKNOWNS, NO_PRECONDITIONER, pursued
 from lampest.solvers.newton.directions import FOLLOWED, Factor
 from lampest.solvers.newton.newton import Newton
+from lampest.solvers.newton.softest import SOFT
 from lampest.solvers.newton.steps import DECREASE, EQUAL, HALVED
 from lampest.solvers.newton.ways import LONGEST_STEP
 from lampest.solvers.solution import Outcome, Solution, Status, check
@@ -74,6 +75,17 @@ class Workbench:
     def told(self) -> Array:
         """What the terms are given."""
         return self.arena.told(self.cost, self.data)
+
+    @cached_property
+    def given(self) -> tuple[NDArray[Any], ...]:
+        """What machine code takes first: functions, memory, what the terms are given, entries, ties and bounds of u."""
+        arena, bounds = self.arena, np.concatenate(self.data.log_bounds).reshape(2, -1)
+        return arena.addresses, arena.where, arena.memory, self.told, arena.entries, self.data.ties, bounds
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Of the readings, or nothing where it is not known."""
+        return self.data.sigma.flatten() if self.data.noise_known else NOTHING  # a copy: what may only be read differs
 
     def point(self, cell_resistance: Array) -> "MachineEvaluation":
         """The cost at cells (1, rows, columns) ohm."""
@@ -168,14 +180,13 @@ def serves(cost: Cost, data: Data) -> bool:
 
 def without_factor(cost: Cost, data: Data) -> bool:
     """Whether conjugate gradients are quicker than a factor of a frame's own, and nobody else asks for one."""
-    plain = data.readout.unique and all(term.reads_measurement for term in cost.terms)
-    return data.measured.size > (PLAIN_UNKNOWNS if plain else DENSE_UNKNOWNS)
+    return data.measured.size > PLAIN_UNKNOWNS
 
 
 @cache
 def load_machine_code(larger: bool) -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
-    from lampest.solvers.kernel.arithmetic import appraised, descend, pursue
+    from lampest.solvers.kernel.arithmetic import appraised, descend, preconditioned, pursue, softest_vector
 
     addresses, where, arena = np.zeros(12, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
     entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
@@ -185,7 +196,9 @@ def load_machine_code(larger: bool) -> None:
     limits[-1] = np.inf
     begun = (addresses, where, arena, NOTHING, entries, ties, bounds, open_cell)
     if larger:
-        pursue(*begun, 0, 0, limits, NOTHING)
+        pursue(*begun, *NO_PRECONDITIONER, 0, 0, limits, NOTHING)
+        softest_vector(*begun, *NO_PRECONDITIONER[:3], SOFT)
+        preconditioned(addresses, 1, np.zeros((1, 1)), np.zeros((2, 1)), np.zeros((0, 0)), open_cell)
     else:
         descend(*begun, *NO_FACTOR, limits, NOTHING)
 
@@ -195,8 +208,7 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     from lampest.panel.machine import result_of
     from lampest.solvers.kernel.arithmetic import SETTLED, descend
 
-    data, arena = bench.data, bench.arena
-    limits = _limits(solver, data)
+    data, limits = bench.data, _limits(solver, bench.data)
     if without_factor(solver.cost, data):
         found = pursued(solver, bench, start, limits)
         if found is not None or data.measured.size > DENSE_UNKNOWNS:
@@ -204,17 +216,11 @@ def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     kept = solver.factor if isinstance(solver.factor, KeptFactor) else None
     ending, position, step, decrement, share, factors, upper, cells, place = result_of(
         descend,
-        arena.addresses,
-        arena.where,
-        arena.memory,
-        bench.told,
-        arena.entries,
-        data.ties,
-        np.concatenate(data.log_bounds).reshape(2, -1),
+        *bench.given,
         start.ravel(),
         *(NO_FACTOR if kept is None else (kept.triangle, kept.cells, kept.position)),
         limits,
-        data.sigma.flatten() if data.noise_known else NOTHING,  # a copy: what may only be read is another type
+        bench.sigma,
     )
     if ending != SETTLED:
         return None
