@@ -9,10 +9,21 @@ from lampest.loads.shapes.round import DIAMETER, MADE, TILT, WIDTH, RoundCandida
 from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
+HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
+
+
+def hollow(ring: RoundCandidate, parameters: Array) -> tuple[float, Array]:
+    """d_i/d − HOLE, and its slopes by φ."""
+    disc, slopes = ring.disc_with_slopes(parameters)
+    share = disc.inner_mm / disc.diameter_mm
+    return share - HOLE, (slopes[3] - share * slopes[2]) / disc.diameter_mm
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ring(Shape):
     """p = m·g/(π (d² − d_i²)/4) under a weighted ring.
+
+    Recognition asks for a hole of a quarter of its diameter: what has less is a rod.
 
     Parameters
     ----------
@@ -29,6 +40,7 @@ class Ring(Shape):
         # An assumption: 95 % of rings press with 4 to 220 kPa.
         numbers={"diameter": DIAMETER, "width": WIDTH, "rim": Prior(log(30), 1.0)} | TILT,
         uneven=MADE,
+        bound=hollow,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
