@@ -15,13 +15,19 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.simulation import Simulation, simulate
 
+PANEL, PATCH_MM = Panel(10, 10), 6.0
 
-def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS) -> Verdict:
-    """What one frame of a 10 × 10 panel under a load is called, with these candidates for loads."""
-    panel = Panel(10, 10)
+
+def frame_under(load: Shape, panel: Panel) -> Direct:
+    """One frame of a panel under a load, against three without."""
     recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
-    frame = Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
-    return Detector.of(panel, 6.0, frame, loads).push(frame)[1]
+    return Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
+
+
+def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:
+    """What one frame of a panel under a load is called, with these candidates for loads."""
+    frame = frame_under(load, panel)
+    return Detector.of(panel, PATCH_MM, frame, loads).push(frame)[1]

@@ -11,15 +11,17 @@ from math import exp
 
 import numpy as np
 import pytest
-from laws.recognised import verdict_on
+from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest.files.document import adapter, parse_document, to_yaml, validated
-from lampest.loads.recognition.candidates import KINDS
-from lampest.loads.shapes import OralDisc, Shape, shape_types
+from lampest.loads.recognition.candidates import KINDS, LOADS
+from lampest.loads.recognition.fit import FARTHEST, Fitting
+from lampest.loads.recognition.frame import Whitening
+from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
 from lampest.loads.shapes.disc import bearing_kpa, log_bearing
 from lampest.loads.shapes.oval import oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
-from lampest.loads.shapes.shape import POINTS
+from lampest.loads.shapes.shape import POINTS, Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.recording.simulation import Simulation
@@ -94,6 +96,19 @@ def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
     assert kind.candidate is not None and kind.candidate.label in verdict.label
     assert kind.candidate.label in KINDS
     assert verdict.goodness < 1.4
+
+
+@pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
+def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> None:
+    """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
+    panel, rng = Panel(6, 6), np.random.default_rng(4)
+    frame = frame_under(load_of(Rod), panel)
+    fitting = Fitting(panel, PATCH_MM, candidate, frame, Whitening.at_rest(frame))
+    mean, sd = candidate.mean(panel), candidate.sd(panel)
+    for _ in range(60):
+        here = fitting.at(mean + FARTHEST * sd * rng.choice([-1, 0, 1], len(mean)))
+        assert np.isfinite(here.cost)
+        assert np.isfinite(here.slopes).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in RECOGNISED if isinstance(kind.candidate, RoundCandidate)])

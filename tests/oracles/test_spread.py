@@ -2,31 +2,18 @@
 
 import numpy as np
 import pytest
+from laws.recognised import PATCH_MM, frame_under, verdict_on
 
-from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting
-from lampest.loads.recognition.frame import Direct, Whitening
-from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.frame import Whitening
 from lampest.loads.recognition.spread import along_diameter
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.simulation import Simulation, simulate
 from lampest.report.detect.detection import numbers_of
 
-PANEL, PATCH_MM = Panel(6, 6), 6.0
+PANEL = Panel(6, 6)
 STEPS, SCALES = 10000, (0.1, 0.4, 1.0)
-
-
-def frame_under(load: Rod) -> Direct:
-    """A frame of a 6 × 6 panel under a rod."""
-    recording = simulate(Simulation(1, 3, Scene(PANEL, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
-    readings = recording.readings()
-    resting = readings[[0, 1, 2]].mean()
-    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
-    return Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(PANEL.shape), 1.0)
 
 
 def walked(fitting: Fitting, start: Array, root: Array) -> Array:
@@ -43,7 +30,7 @@ def walked(fitting: Fitting, start: Array, root: Array) -> Array:
 
 
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
-    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60))
+    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), PANEL)
     verdict = Detector.of(PANEL, PATCH_MM, frame).push(frame)[1]
     rod = next(fit for fit in verdict.loads if fit.candidate is Rod.candidate)
     fitting = Fitting(PANEL, PATCH_MM, rod.candidate, frame, Whitening.of(frame, rod.explained, rod.scatter))
@@ -60,7 +47,6 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
     ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
 )
 def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
-    frame = frame_under(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60))
-    values, errors = numbers_of(Detector.of(PANEL, PATCH_MM, frame).push(frame)[1])
+    values, errors = numbers_of(verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=PANEL))
     assert errors[2] < 3.0
     assert abs(values[2] - diameter_mm) < 2 * errors[2]

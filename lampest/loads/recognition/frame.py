@@ -16,6 +16,8 @@ from lampest.panel.response import Response
 
 STEP_KPA = 1e-3
 NEAR_KPA = np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
+CURVE_KPA = (-300.0, 1e5)  # beyond, which fits may try on their way, curves have no finite logarithm
+MOST_CHANGED = 12.0  # of ln r/r0: beyond, a cell is open or shorted to all readings, and a network soon has no inverse
 ALONE = 5.0
 MOST_DROPPED = 0.03
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
@@ -62,9 +64,10 @@ class Observation(ABC):
         """∂f/∂ln r at ln r/r0 = `change`, (cells, cells) ohm."""
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """ln r/r0 = κ·(ln f(p + p_w) − ln f(p_w)) and its slope, (rows, columns), 1 and 1/kPa."""
-        loaded, slope = log_response(pressure + self.water, self.baseline.response)
-        return loaded - self._unloaded, slope
+        """ln r/r0 = κ·(ln f(p + p_w) − ln f(p_w)) and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
+        loaded, slope = log_response(np.clip(pressure + self.water, *CURVE_KPA), self.baseline.response)
+        change = loaded - self._unloaded
+        return np.clip(change, -MOST_CHANGED, MOST_CHANGED), slope * (np.abs(change) < MOST_CHANGED)
 
     def covariance(self, change: Array) -> Array:
         """σ² + V Vᵀ + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
