@@ -14,7 +14,8 @@ from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene, Systematic
 
 BENDS = 4  # sines that a converter's curve is made of; between them they are as large as told, in the mean square
-USUAL_SERIES_OHM = 10.0  # two channels of a CD74HC4067: 70 ohm each are typical, 50 to 90 usual
+# Two channels of a CD74HC4067, 70 ohm each typically and 160 at most: singles lie between 50 and 110.
+USUAL_SERIES_OHM = 20.0
 USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
 USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
 

@@ -7,7 +7,7 @@ Changes against the baseline move by the difference.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,17 @@ class Shared:
         if sizes is None and contact_root is None:
             return None
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root)
+
+    def beyond(self, told: "Shared | None") -> "Shared | None":
+        """What is left where a method has unknowns for what is told; None where nothing is."""
+        if self.systematic is None:
+            return None
+        if told is None or told.systematic is None:
+            return replace(self, contact_root=None)
+        own, known = (one.reading_error or 0.0 for one in (self.systematic, told.systematic))
+        if own <= known:
+            return None
+        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene)
 
     def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
         """U (frames · cells, n) in the readings' unit.

@@ -75,8 +75,13 @@ class Chain:
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
         """H⁻¹ x of (frames, cells) and (n)."""
-        alone = self._solved(right[:, :, None])[:, :, 0]
-        moved = self.border_covariance @ (border - np.einsum("tci,tc->i", self.border, alone, optimize=True))
+        frames, moved = self.solve_columns(right[:, :, None], border[:, None])
+        return frames[:, :, 0], moved[:, 0]
+
+    def solve_columns(self, right: Array, border: Array) -> tuple[Array, Array]:
+        """The same of (frames, cells, m) and (n, m)."""
+        alone = self._solved(right)
+        moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, alone, optimize=True))
         return alone - self._follow @ moved, moved
 
     @cached_property

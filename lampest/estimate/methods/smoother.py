@@ -195,7 +195,8 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
 def _barred(stream: "Stream", track: Track, joint: Joint, steps: list[Step]) -> "tuple[Stream, list[Step]]":
     """The stream with the baseline's error bars, and the steps, of which it is the first, with theirs."""
     begin = perf_counter()
-    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1)
+    beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
+    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond, track.noise)
     seconds = (perf_counter() - begin) / len(steps)
     barred = [
         replace(step, bars=one, bars_seconds=seconds) if step.solution.solved else step

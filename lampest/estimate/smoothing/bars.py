@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from lampest.estimate.smoothing.joint import NO_DUAL, Joint
 from lampest.panel.panel import Array
+from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
@@ -70,17 +72,41 @@ class TiedErrors:
         return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
 
 
-def error_bars(joint: Joint, resting: int) -> tuple[Certainty, tuple[Bars, ...]]:
-    """The baseline's, which is the last of `resting` frames, and those of the frames after it."""
+def error_bars(
+    joint: Joint, resting: int, beyond: Shared | None = None, noise: FrameNoise | None = None
+) -> tuple[Certainty, tuple[Bars, ...]]:
+    """The baseline's, which is the last of `resting` frames, and those of the frames after it.
+
+    beyond, noise : what all readings share, and those of a frame, of which Φ knows nothing; or None.
+    """
     frames, chain = range(resting - 1, len(joint.position)), joint.chain.doubting(BELIEVED, joint.certainty)
-    found = (Certainty.of(_errors(joint, chain, frame)).of_frame(0) for frame in frames)
+    answer = joint.answer(np.concatenate([_of_all(joint, beyond), _of_frames(joint, resting, noise)], axis=2))
+    squares = np.sum(answer**2, axis=2).reshape(-1, *joint.at[0].cell_resistance.shape)
+    found = (Certainty.of(_errors(joint, chain, frame)).widened(squares[frame]).of_frame(0) for frame in frames)
     baseline, *certainty = (one.by_conductance() for one in found)
-    together = chain.since(resting - 1)[1:]
+    together = chain.since(resting - 1)[1:] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     changes = [
         Change.between(frame, baseline, shared.reshape(baseline.deviation.shape))
         for frame, shared in zip(certainty, together, strict=True)
     ]
     return baseline, tuple(Bars(*pair) for pair in zip(certainty, changes, strict=True))
+
+
+def _of_all(joint: Joint, errors: Shared | None) -> Array:
+    """(frames, readings, n) of what all readings share; without a column where there is no such error."""
+    if errors is None:
+        return np.zeros((len(joint.at), joint.position.shape[1], 0))
+    return np.stack([errors.columns(at.cell_resistance, at.reading, at.networks) for at in joint.at])
+
+
+def _of_frames(joint: Joint, resting: int, noise: FrameNoise | None) -> Array:
+    """(frames, readings, n) of what the readings of each share; the first are means of some of the unloaded frames."""
+    if noise is None:
+        return np.zeros((len(joint.at), joint.position.shape[1], 0))
+    columns = noise.columns(np.concatenate([at.reading for at in joint.at]), baseline=False)
+    columns = columns.reshape(len(joint.at), joint.position.shape[1], -1)
+    columns[:resting] *= np.sqrt(resting / noise.unloaded)
+    return columns
 
 
 def _errors(joint: Joint, chain: Chain, frame: int) -> TiedErrors:

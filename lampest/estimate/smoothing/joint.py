@@ -182,6 +182,18 @@ class Joint:
         corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
         return border, corner
 
+    def answer(self, columns: Array) -> Array:
+        """What errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
+        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
+        right, border = [], []
+        for model, size, rows, known, own in parts:
+            weighted = model.through * size[:, None]
+            right.append(rows.T @ (weighted @ own))
+            border.append((weighted @ known).T @ (weighted @ own))
+        steps = np.zeros((len(self.stiffness), columns.shape[2]))
+        moved = np.stack(right) * ~self.pressed[:, :, None]
+        return self.chain.solve_columns(moved, np.concatenate([np.sum(border, axis=0), steps]))[0]
+
     def expected_squares(self) -> Array:
         """E x² of the steps, (frames − 1, cells)."""
         less = np.zeros((len(self.stiffness), len(self.shift)))
