@@ -34,7 +34,9 @@ ROBUST = (Misfit(weighting="noise", loss=Student(corner=CORNER)),)
 RESTING, FRAMES = 3, 12
 
 
-def panel(seed: int, side: int = 6, systematic: Systematic | Literal["none"] | None = None, resting: int = RESTING) -> Recording:
+def panel(
+    seed: int, side: int = 6, systematic: Systematic | Literal["none"] | None = None, resting: int = RESTING
+) -> Recording:
     """A rod from the fifth frame on, a tap in the ninth alone; the readout's noise, nothing else."""
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((side, side))), (resting + FRAMES, 1, 1))
