@@ -42,6 +42,7 @@ from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
 from lampest.report.live.feed import from_recording
 from lampest.report.live.force import total_force
 from lampest.report.live.newest import Newest
+from lampest.report.live.publish.message import Message
 from lampest.report.live.run import METHODS, Replay, chosen, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
 from lampest.report.live.verdict import verdict_of
@@ -178,6 +179,8 @@ def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lampre
     role = np.where(np.arange(10) < 3, UNLOADED, MEASURED).astype(np.uint8)
     found = pictures(LSM, Recording(scene, exact, np.arange(10.0), role))
     assert [picture.leaps for picture in found] == [0, 0, 0, 0, 1, 0, 0]
+    told = Message(scene.panel, found[4], View("here", "LSM", "receiving", scene.panel)).text()
+    assert json.loads(told)["health"]["leaps"] == 1
     assert np.abs(found[4].relative_change).max() < 1
     assert found[5].relative_change[6, 2] == pytest.approx(-80, abs=1)
 

@@ -70,6 +70,7 @@ class Message:
                 "solve_seconds": picture.seconds,
                 "lost": view.lost,
                 "skipped": view.skipped,
+                "leaps": picture.leaps,
                 "open": np.flatnonzero(picture.open_cell).tolist(),
                 "saturated": np.flatnonzero(saturated).tolist(),
                 "state": view.state,
