@@ -5,8 +5,12 @@ With NUMBA_DISABLE_JIT=1 in the environment the same functions run as plain Pyth
 """
 
 import ctypes
+import hashlib
+import inspect
 import os
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -23,9 +27,22 @@ def machine_code(function: Callable[..., Any]) -> Any:
     Where neither the package's folder nor the user's can be written, every process compiles it anew.
     """
     try:
-        return numba.njit(cache=True, error_model="numpy")(function)
+        compiled = numba.njit(cache=True, error_model="numpy")(function)
     except RuntimeError:
         return numba.njit(error_model="numpy")(function)
+    if hasattr(compiled, "_cache"):  # with NUMBA_DISABLE_JIT it is the function itself
+        compiled._cache._cache_file._source_stamp = sources(Path(inspect.getfile(function)).parent)
+    return compiled
+
+
+@cache
+def sources(folder: Path) -> tuple[tuple[str, str], ...]:
+    """(name, digest) of all modules beside one another, and of this one.
+
+    numba asks whether the file of the function that is called has changed, but that holds code of what it calls, too.
+    """
+    files = (*sorted(folder.glob("*.py")), Path(__file__))
+    return tuple((file.name, hashlib.sha256(file.read_bytes()).hexdigest()) for file in files)
 
 
 def result_of(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -28,7 +28,7 @@ from lampest.solvers.kernel.following import KeptFactor, Workbench, from_previou
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.solution import Settings, Solution, Status
+from lampest.solvers.solution import STRICT, Settings, Solution, Status
 
 MISFIT = lampest.Misfit(weighting="noise")
 TERMS: dict[str, tuple[Term, ...]] = {
@@ -88,7 +88,7 @@ def both(stream: Stream, readings: Readings) -> tuple[Solution, Solution]:
 
 
 def assert_same(newton: Solution, found: Solution) -> None:
-    assert newton.status is found.status is Status.OPTIMUM
+    assert newton.status is found.status and found.status in STRICT
     assert found.objective <= newton.objective + 1e-6 * max(newton.objective, 1e-4)
     assert_allclose(found.cell_resistance, newton.cell_resistance, rtol=2e-6)
     assert_allclose(found.reading, newton.reading, rtol=1e-6)
@@ -222,14 +222,15 @@ def test_cells_that_come_off_arrive_at_once() -> None:
     values = readout.to_recorded(readout.exact_reading(opened), scene)
     noise = readout.sigma(values) * np.random.default_rng(5).standard_normal((5, 6))
     newton, found = both(stream, Readings.of(scene, values + noise))
-    assert newton.status is found.status is Status.OPTIMUM
+    assert newton.status is found.status and found.status in STRICT
     assert found.objective <= newton.objective * (1 + 1e-9)
     assert min(found.cell_resistance[0, 1, 1], found.cell_resistance[0, 2, 4]) > 1e5 and found.iterations <= 8
 
 
 def test_it_is_compiled_once() -> None:
     """Arrays that may only be read, and noise that nobody knows, ask for no other machine code."""
-    from lampest.solvers.kernel.arithmetic import appraised, descend
+    from lampest.solvers.kernel.descent import descend
+    from lampest.solvers.kernel.points import appraised
 
     scene, recorded = frames(READOUTS["two_point"])
     sigma = np.broadcast_to(np.full((5, 6), 0.5), (5, 6))
@@ -264,7 +265,7 @@ from units.test_kernel import READOUTS, TERMS, Estimator, Readings, begun, both,
 found = []
 cases = [(256, "two_point", "LSR-gdCR"), (256, "diode", "LSM"), (256, "grounded", "huber")]
 for most, readout, terms in cases + [(0, "diode", "LSR-gdCR"), (0, "two_point", "LSM")]:
-    following.DENSE_UNKNOWNS = following.PLAIN_UNKNOWNS = most
+    following.DENSE_UNKNOWNS = following.FACTORED_UNKNOWNS = most
     scene, recorded = frames(READOUTS[readout])
     stream = begun(scene, recorded, Estimator(TERMS[terms], "reduced", error_bars=False))
     found.append(both(stream, Readings.of(scene, recorded[2]))[1].cell_resistance)

@@ -65,7 +65,7 @@ class Arena:
 
     @cached_property
     def where(self) -> NDArray[np.int64]:
-        """Where the parts begin, and what else the machine code asks for; see `lampest.solvers.kernel.arithmetic`."""
+        """Where the parts begin, and what else the machine code asks for; see `lampest.solvers.kernel.points`."""
         names = ("cell_resistance", "reading", "entries", "first", "equation", "hessian")
         given = self._starts[self.given[0]] if self.given else self._starts["end"]
         parts = [self._starts[name] for name in names]

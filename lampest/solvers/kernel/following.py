@@ -33,7 +33,7 @@ CLOCK = getattr(time, "CLOCK_MONOTONIC", 0)  # that of `time.monotonic`
 SHORT = 3e-9  # of log r: where the last step is longer, there is one more if that is better
 SIMILAR = 0.2  # of log r: so far from where it was taken a factor may say that by what its steps did
 SLOWEST = 0.4  # of a step by the next one with the same factor, which costs as much as seven to twelve such steps
-PLAIN_UNKNOWNS = 196  # of plain least squares alone: half the time at 16 × 16, as long at 13 × 13, 1.5 times at 10 × 10
+FACTORED_UNKNOWNS = 144  # beyond, a frame that makes a factor takes two to three times as long as one that makes none
 LIMITS = (
     SLOWEST,
     DECREASE,
@@ -90,7 +90,7 @@ class Workbench:
     def point(self, cell_resistance: Array) -> "MachineEvaluation":
         """The cost at cells (1, rows, columns) ohm."""
         from lampest.panel.machine import result_of
-        from lampest.solvers.kernel.arithmetic import appraised
+        from lampest.solvers.kernel.points import appraised
 
         shape, arena = cell_resistance.shape, self.arena
         reading, values, gradient = result_of(
@@ -156,7 +156,7 @@ def long_way_round(solver: Newton) -> Newton:
 
 
 def _without_factors(solver: Newton, data: Data, start: Evaluation) -> Outcome | None:
-    if serves(solver.cost, data) and data.measured.size > PLAIN_UNKNOWNS:
+    if serves(solver.cost, data) and data.measured.size > FACTORED_UNKNOWNS:
         found = pursued(solver, Workbench(solver.cost, data), start.position, _limits(solver, data))
         if found is not None:
             return found
@@ -180,13 +180,17 @@ def serves(cost: Cost, data: Data) -> bool:
 
 def without_factor(cost: Cost, data: Data) -> bool:
     """Whether conjugate gradients are quicker than a factor of a frame's own, and nobody else asks for one."""
-    return data.measured.size > PLAIN_UNKNOWNS
+    return data.measured.size > FACTORED_UNKNOWNS
 
 
 @cache
 def load_machine_code(larger: bool) -> None:
     """Read the machine code from numba's cache, or make it: by frames of one cell that conducts nothing."""
-    from lampest.solvers.kernel.arithmetic import appraised, descend, preconditioned, pursue, softest_vector
+    from lampest.solvers.kernel.applied import preconditioned
+    from lampest.solvers.kernel.descent import descend
+    from lampest.solvers.kernel.points import appraised
+    from lampest.solvers.kernel.pursuit import pursue
+    from lampest.solvers.kernel.softness import softest_vector
 
     addresses, where, arena = np.zeros(12, dtype=np.int64), np.zeros(10, dtype=np.int64), np.zeros(4)
     entries, ties, bounds, open_cell = np.zeros((2, 0), dtype=np.int64), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros(1)
@@ -206,7 +210,8 @@ def load_machine_code(larger: bool) -> None:
 def descended(solver: Newton, bench: Workbench, start: Array) -> Outcome | None:
     """What the machine code makes of a frame from u (1, rows, columns) on; None where it fell short."""
     from lampest.panel.machine import result_of
-    from lampest.solvers.kernel.arithmetic import SETTLED, descend
+    from lampest.solvers.kernel.descent import descend
+    from lampest.solvers.kernel.points import SETTLED
 
     data, limits = bench.data, _limits(solver, bench.data)
     if without_factor(solver.cost, data):

@@ -38,7 +38,7 @@ class KeptPreconditioner(Factor):
     def softest(self) -> Array | None:
         """The softest direction at the optimum; larger panels are not asked for it."""
         from lampest.panel.machine import result_of
-        from lampest.solvers.kernel.arithmetic import softest_vector
+        from lampest.solvers.kernel.softness import softest_vector
 
         if len(self.cells) > DENSE_UNKNOWNS:
             return None
@@ -53,7 +53,8 @@ def pursued(solver: Newton, bench: "Workbench", start: Array, limits: Array) -> 
     come off arrive in one. There, what nobody knows the noise of is left to a certificate with more digits.
     """
     from lampest.panel.machine import result_of
-    from lampest.solvers.kernel.arithmetic import SETTLED, pursue
+    from lampest.solvers.kernel.points import SETTLED
+    from lampest.solvers.kernel.pursuit import pursue
 
     data, band = bench.data, bench.arena.band
     plain = all(term.reads_measurement for term in solver.cost.terms)
@@ -82,7 +83,7 @@ def _made(bench: "Workbench", parts: list[Array], position: Array, shape: tuple[
     base, seen, inner, found_at = parts
 
     def solve(right: Array) -> Array:
-        from lampest.solvers.kernel.arithmetic import preconditioned
+        from lampest.solvers.kernel.applied import preconditioned
 
         solution: Array = preconditioned(bench.arena.addresses, shape[1], base, seen, inner, right)
         return solution
