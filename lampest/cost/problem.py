@@ -30,7 +30,8 @@ class Data:
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
     readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
     whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. hasty : whether the minimum
-    nearest to the frame before will do, without a search for lower ones.
+    nearest to the frame before will do, without a search for lower ones. factored : whether second derivatives are,
+    whatever the panel's size.
     """
 
     given: Given
@@ -41,6 +42,7 @@ class Data:
     noise_known: bool = False
     until: float = math.inf
     hasty: bool = False
+    factored: bool = False
 
     def limited(self, seconds: float | None) -> "Data":
         """The same with so many s from now on to solve it, or without end."""

@@ -107,6 +107,8 @@ class Curvature:
     def factored(self) -> bool:
         """Whether ∇²φ is made and factorised, rather than only multiplied with vectors."""
         cells = self.at.cell_resistance
+        if self.at.data.factored:
+            return True
         if len(cells) > 1:
             return bool(cells.size <= DENSE_JOINT_UNKNOWNS)
         return bool(cells.size <= (DENSE_KINKED_UNKNOWNS if len(self.at.cost.slope) else DENSE_UNKNOWNS))

@@ -91,7 +91,7 @@ def fitted_block(
     """The network with the block's cells such that they reproduce its chosen readings, as far as bounds allow.
 
     The same convex function over the block alone: measured, least : (rows, columns) of the block, ohm and siemens;
-    chosen : the readings that count.
+    chosen : the readings that count. Of one cell it is least where 1/R_m = 1/R + δg: δg stands beside all others.
     """
 
     def at(conductance: Array) -> tuple[float, FloatingNetwork]:
@@ -99,6 +99,9 @@ def fitted_block(
         return float(np.sum(measured * conductance)) + there.log_determinant() - rest, there
 
     inside = network.within(block)
+    if measured.size == 1:
+        added = np.where(chosen, 1 / measured - 1 / inside.reading(), 0.0)
+        return network.changed(block, np.maximum(inside.conductance + added, least))
     everything = (slice(None), slice(None))
     rest = inside.log_determinant()
     conductance = inside.conductance
