@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
+from lampest.panel.conjugate import DENSE_UNKNOWNS, Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import Factor, preconditioner
 from lampest.solvers.newton.downhill import downhill
 from lampest.solvers.newton.kinks import Kinks, Straight, standing
+from lampest.solvers.newton.pair import FramePair
 from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, Squares
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
@@ -232,12 +233,12 @@ def _by_conjugate_gradients(
     curvature: Curvature, slope: Array, free: NDArray[np.intp], kept: Factor | None
 ) -> tuple[Bend, Array]:
     whole = np.zeros(curvature.at.cell_resistance.size)
+    image, precondition = _images(curvature, free, kept)
 
     def product(search: Array) -> Array:
         whole[free] = search
-        return curvature.product(whole)[free]
+        return image(whole)[free]
 
-    precondition = preconditioner(curvature, free, kept).over(free)
     step, downhill = conjugate_gradients(product, precondition, -slope, ACCURACY)
     if downhill is None:
         return Bend.UP, step
@@ -245,6 +246,17 @@ def _by_conjugate_gradients(
     unseen = UNSEEN * curvature.at.cost_scale * float(np.abs(downhill).max()) ** 2
     flat = bend > -max(ROUNDING * float(downhill @ (size * downhill)), unseen)
     return Bend.FLAT if flat else Bend.DOWN, step
+
+
+def _images(curvature: Curvature, free: NDArray[np.intp], kept: Factor | None) -> tuple[Linear, Linear]:
+    """Second derivatives, and what conjugate gradients are preconditioned with; of two frames in their ratios, which at
+    an optimum bend as log r does.
+    """
+    if not curvature.paired:
+        return curvature.product, preconditioner(curvature, free, kept).over(free)
+    moving = np.isin(np.arange(curvature.at.cell_resistance.size), free)
+    pair = FramePair(curvature, moving)
+    return pair.product, pair.inverse(np.zeros(len(moving)))
 
 
 def _within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:

@@ -52,7 +52,7 @@ def _unchanged(data: Data) -> list[Array]:
     13 % higher at 32 × 32.
     """
     joint = len(data.measured) > 1 and data.measured.size > DENSE_JOINT_UNKNOWNS
-    return [np.repeat(convex(data, None)[:1], len(data.measured), axis=0)] if joint else []
+    return [np.repeat(convex(data, None, 1), len(data.measured), axis=0)] if joint else []
 
 
 def lengthy(data: Data) -> bool:
@@ -64,15 +64,16 @@ def lengthy(data: Data) -> bool:
     return len(data.measured) > 1 and data.measured.size > SEARCHED_UNKNOWNS
 
 
-def convex(data: Data, near: Array | None) -> Array:
+def convex(data: Data, near: Array | None, frames: int | None = None) -> Array:
     """The readout's start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one.
 
-    Of two-point readings it is the convex one.
+    frames : of so many of the first ones alone. Of two-point readings it is the convex one.
     """
-    places = [None] * len(data.measured) if near is None else list(near)
+    measured, upper = data.measured[:frames], data.upper[:frames]
+    places = [None] * len(measured) if near is None else list(near[:frames])
     with suppress(*BROKEN):
-        return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
-    return data.uniform_start
+        return np.stack([data.readout.start(*three) for three in zip(measured, upper, places, strict=True)])
+    return data.uniform_start[:frames]
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:

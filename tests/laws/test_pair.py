@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import sparse
 
 from lampest import two_point_resistance
 from lampest.cost.given import Background
@@ -13,11 +14,13 @@ from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, Misfit, RelativeChange
 from lampest.cost.terms.term import Term
 from lampest.estimate.estimator import Estimator
+from lampest.panel.conjugate import conjugate_gradients
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.levels import pair_inverse
 from lampest.solvers.newton.pair import FramePair
 from lampest.solvers.newton.smoothing import Smoothing
 
@@ -30,13 +33,18 @@ LOGARITHMS: tuple[Term, ...] = (Misfit(), LogRatio(weight=10, loss=Squared()))
 PAIRS = RATIOS | {"log ratio": LOGARITHMS}
 
 
-def evaluation(terms: tuple[Term, ...]) -> Evaluation:
-    """Somewhere off the optimum of a resting frame and one of which some cells are loaded to an eighth."""
-    generator = np.random.default_rng(7)
-    cells = 1000 * np.exp(0.3 * generator.standard_normal((2, *SHAPE)))
+def loaded() -> Array:
+    """Cells of a resting frame and of one in which some are loaded to an eighth, ohm."""
+    cells = 1000 * np.exp(0.3 * np.random.default_rng(7).standard_normal((2, *SHAPE)))
     cells[1, 1:, 1:3] /= 8
+    return cells
+
+
+def evaluation(terms: tuple[Term, ...], cells: Array | None = None) -> Evaluation:
+    """Somewhere off the optimum of frames of such cells."""
+    generator, cells = np.random.default_rng(8), loaded() if cells is None else cells
     measured, readout = two_point_resistance(cells), TwoPointReadout()
-    scene, seen = Scene(Panel(*SHAPE), readout), np.ones(measured.shape)
+    scene, seen = Scene(Panel(*cells.shape[1:]), readout), np.ones(measured.shape)
     estimator = Estimator(terms, formulation="reduced")
     data = estimator.data(Readings(measured, readout.sigma(measured), 0 * seen, seen), Background(scene))
     elsewhere = cells * np.exp(0.2 * generator.standard_normal(cells.shape))
@@ -99,3 +107,45 @@ def test_penalties_of_logarithms_keep_ratios_in_logarithms() -> None:
     first, second = np.split(found.change(step), 2)
     assert_allclose(np.exp(-first), 1 - step[:CELLS])
     assert_allclose(second - first, step[CELLS:] - step[:CELLS])
+
+
+@pytest.mark.parametrize("tied", [False, True], ids=["ratios", "levels too"])
+def test_levels_are_eliminated_exactly(tied: bool) -> None:
+    generator = np.random.default_rng(3)
+    edges = sparse.random_array((20, CELLS), density=0.3, rng=generator)
+    between = (edges.T @ edges).toarray()
+    penalties = np.block([[between, -between], [-between, between]]) + tied * np.diag(np.ones(2 * CELLS))
+    own, free = generator.uniform(0.1, 2, 2 * CELLS), np.ones(2 * CELLS, dtype=bool)
+    free[[0, 1, 5, CELLS + 1, CELLS + 6]] = False
+
+    def level(both: Array) -> Callable[[Array], Array]:
+        return lambda values: np.where(both, values / (own[:CELLS] + own[CELLS:]), 0.0)
+
+    solve = pair_inverse(sparse.csr_array(penalties), own, free, level)
+    matrix = (penalties + np.diag(own))[np.ix_(free, free)]
+    assert_allclose([matrix @ solve(one) for one in np.eye(len(matrix))], np.eye(len(matrix)), atol=1e-7)
+
+
+def test_a_pair_takes_few_products_as_its_levels_are_seen_along_lines() -> None:
+    cells = 1000 * np.exp(0.2 * np.random.default_rng(5).standard_normal((1, 20, 20)))
+    cells = np.concatenate([cells, cells])
+    cells[1, 5:9, 6:10] /= 4
+    at = evaluation(RATIOS["change"], cells).elsewhere(cells[[0, 0]])
+    found = FramePair(Curvature(at, Smoothing.start(at)), np.ones(cells.size, dtype=bool))
+    products = 0
+
+    def product(step: Array) -> Array:
+        nonlocal products
+        products += 1
+        return found.squares(step)
+
+    right = -found.curvature.gradient
+    conjugate_gradients(product, lambda values: values / found.size, right, 1e-3)
+    plain, products = products, 0
+    inverse = found.inverse(np.zeros(cells.size))
+    conjugate_gradients(product, inverse, right, 1e-3)
+    assert 3 * products < plain
+    image = inverse(right)
+    other = np.random.default_rng(2).standard_normal(cells.size)
+    assert right @ image > 0
+    assert_allclose(other @ image, right @ inverse(other), rtol=1e-6)

@@ -172,13 +172,13 @@ def _of_pair(pair: FramePair, free: NDArray[np.intp], slope: Array, damping: flo
     whole = np.zeros(pair.free.size)
 
     def solved(image: Linear) -> tuple[Array, Array | None]:
-        shift = damping * _at_least(np.abs(pair.local.diagonal()), 1e-6)
+        shift = damping * _at_least(np.abs(pair.size), 1e-6)
 
         def product(search: Array) -> Array:
             whole[free] = search
             return np.asarray((image(whole) + shift * whole)[free])
 
-        return conjugate_gradients(product, local_inverse(pair.local, shift, free), -slope, accuracy)
+        return conjugate_gradients(product, pair.inverse(shift), -slope, accuracy)
 
     step, downhill = solved(pair.product)
     damping = damping if downhill is None else max(damping, LEAST_DAMPING)

@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from lampest.panel.conjugate import Linear
 from lampest.panel.panel import Array
 from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.levels import pair_inverse
 
 LEAST_SHARE = 0.1  # of q, to which a step may bring it
+LEAST_WEIGHT = 1e-6  # of the largest: readings that say nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +43,31 @@ class FramePair:
         return np.asarray(self._penalties @ step + self.curvature.adjoint(forward))
 
     @cached_property
-    def local(self) -> sparse.csr_array:
-        """A sparse stand-in for both: of J only what a cell does to its own reading."""
+    def own(self) -> Array:
+        """What a cell's own reading bends."""
         response = np.stack([network.own_response() for network in self.curvature.at.networks]).ravel()
-        return sparse.csr_array(self._penalties + sparse.diags_array(self._weight * response**2))
+        return np.asarray(self._weight * response**2)
+
+    @cached_property
+    def size(self) -> Array:
+        """The diagonal of what stands in for both."""
+        return np.asarray(self._penalties.diagonal() + self.own)
+
+    def inverse(self, shift: Array) -> Linear:
+        """Of penalties and `own`, of J only what a cell does to its own reading, with a shift of the diagonal; over the
+        free cells. Levels are inverted as lines see them, too.
+        """
+        shape, (above, below) = self.curvature.at.cell_resistance.shape[1:], np.split(shift, 2)
+
+        def level(both: NDArray[np.bool_]) -> Linear:
+            weight = np.add(*np.split(self._weight, 2))
+            weight = np.maximum(weight, LEAST_WEIGHT * weight.max(initial=1e-300))
+            lines = self.curvature.at.networks[0].normal_inverse(
+                weight.reshape(shape), (above + below).reshape(shape), both.reshape(shape)
+            )
+            return lambda values: lines(values.reshape(shape)).ravel()
+
+        return pair_inverse(self._penalties, self.own + shift, self.free, level)
 
     def change(self, step: Array) -> Array:
         """Of log r, for such a step, which is zero at cells that are held."""
