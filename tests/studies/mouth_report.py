@@ -5,12 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from lampest.loads.recognition.candidates import UNKNOWN
 from lampest.loads.recognition.verdict import OR
 from tests.studies.mouth_scenes import MOUTHS
 
 ATTACHED, WITHIN = 3.0, 5.5  # s after which a mouth is fully attached, and until which it must have been told
 ROUND = ("mouth", "uneven mouth", "pressed mouth", "mouth partly off", "cup", "ring", "rod")
 BINS = np.linspace(0, 1, 11)
+NAMES = {"two mouths": "lamprey and lamprey", "two rods": "rod and rod"}  # what is no single load of its own name
+ITSELF = ("nothing", "cup", "ring", "rod")
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ def holds(label: str, kind: str) -> bool:
 
 def report(everything: list[Seen]) -> None:
     """Print recall, confusion, false alarms, calibration, diameters, two mouths and times."""
-    print(f"{'scene':17} frames holds lamprey  alone   within 5 s  called")
+    print(f"{'scene':17} frames holds lamprey  alone   within 5 s   itself alone  called")
     for kind in dict.fromkeys(one.kind for one in everything):
         confusion(kind, [one for one in everything if one.kind == kind])
     others = [one for one in everything if one.kind not in MOUTHS]
@@ -52,6 +55,9 @@ def report(everything: list[Seen]) -> None:
     for side in sorted({one.side for one in two}):
         own = [" and " in one.label for one in two if one.side == side]
         print(f"two mouths told as two, {side} x {side}: {100 * np.mean(own):.0f} % of {len(own)} frames")
+    single = [" and " in one.label for one in everything if one.kind in ROUND and one.time > ATTACHED]
+    if single:
+        print(f"single loads called two: {sum(single)} of {len(single)} frames")
     cost = np.array([one.cost_ms for one in everything])
     middle, far = np.percentile(cost, [50, 90])
     print(f"CPU time: median {middle:.1f} ms, 90 % below {far:.0f} ms, mean {cost.mean():.1f} ms")
@@ -65,8 +71,17 @@ def confusion(kind: str, own: list[Seen]) -> None:
     told = np.mean([told_in_time(scene) for scene in scenes(own)])
     labels = [one.label for one in settled]
     common = sorted(set(labels), key=labels.count, reverse=True)[:4]
+    itself = np.mean([label == called(kind) for label in labels])
     words = ", ".join(f"{label} {100 * labels.count(label) / len(labels):.0f} %" for label in common)
-    print(f"{kind:17} {len(settled):6} {100 * hold:9.1f} % {100 * sure:8.1f} % {100 * told:8.1f} %   {words}")
+    shares = f"{100 * hold:9.1f} % {100 * sure:8.1f} % {100 * told:8.1f} % {100 * itself:10.1f} %"
+    print(f"{kind:17} {len(settled):6} {shares}   {words}")
+
+
+def called(kind: str) -> str:
+    """The label that says what a scene shows and nothing else."""
+    if kind in NAMES:
+        return NAMES[kind]
+    return kind if kind in ITSELF else "lamprey" if kind in MOUTHS else UNKNOWN
 
 
 def alone(label: str) -> bool:
@@ -88,15 +103,26 @@ def scenes(everything: list[Seen]) -> list[list[Seen]]:
 
 
 def calibration(everything: list[Seen]) -> None:
-    """Print how many frames with P(lamprey) in each tenth show a mouth that sucks already."""
-    print("\nP(lamprey)     frames  are mouths")
+    """Print how many frames with P(lamprey) in each tenth show a mouth that sucks already.
+
+    Then the same where mouths of all kinds together are as frequent as each other kind, which is what recognition
+    takes for granted, in frames in which all that sucks does.
+    """
+    print("\nP(lamprey)     frames  are mouths    kinds alike")
     told = [one for one in everything if one.kind not in MOUTHS or one.time > ATTACHED]
     probability = np.array([one.probability for one in told])
     truly = np.array([one.kind in MOUTHS for one in told])
+    kinds = ["mouth" if one.kind in MOUTHS else one.kind for one in told]
+    late = np.array([one.time > ATTACHED for one in told])
+    often = {kind: np.sum(late & (np.array(kinds) == kind)) for kind in set(kinds)}
+    weight = late / np.maximum(1, [often[kind] for kind in kinds])
     for low, high in pairwise(BINS):
         inside = (probability >= low) & ((probability < high) | (high == 1.0))
         if inside.any():
-            print(f"{low:.1f} to {high:.1f} {inside.sum():10} {100 * truly[inside].mean():10.1f} %")
+            alike = np.sum((weight * truly)[inside]) / max(np.sum(weight[inside]), 1e-300)
+            print(
+                f"{low:.1f} to {high:.1f} {inside.sum():10} {100 * truly[inside].mean():10.1f} % {100 * alike:12.1f} %"
+            )
 
 
 def diameters(everything: list[Seen]) -> None:
