@@ -1,6 +1,6 @@
 """Frame after frame of one panel: every candidate fitted, from where the frame before ended."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -268,9 +268,22 @@ class Detector:
             for fit in sorted(fits, key=lambda one: one is not best):
                 least = min((one.score for one in found), default=np.inf)
                 found.append(self._at_all_levels(frame, fit, best, whitenings, least))
-            fits = tuple(found)
+            fits = tuple(self._after_winner(frame, found, best, whitenings))
             best = max(fits, key=lambda one: one.evidence)
         return fits
+
+    def _after_winner(
+        self, frame: Observation, fits: list[Fit], best: Fit, whitenings: Sequence[Whitening]
+    ) -> Iterator[Fit]:
+        """All fits; where another than `best` has found a better place since, hollow ones are tried from there, too."""
+        winner = min(fits, key=_score)
+        for fit in fits:
+            behind = fit.candidate.hollow and fit.score > winner.score + HIGHER
+            if not behind or winner.candidate.label == best.candidate.label:
+                yield fit
+            else:
+                again = self._at_all_levels(frame, fit, winner, whitenings, winner.score)
+                yield min(fit, again, key=_score)
 
     def _at_all_levels(
         self, frame: Observation, fit: Fit, best: Fit, whitenings: Sequence[Whitening], least: float
