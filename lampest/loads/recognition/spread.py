@@ -4,10 +4,13 @@ A rim between patches is seen by none of them, so that the cost of φ is flat th
 wherever a patch comes under the rim: curvature at the best one promises too much. With δ = ln d stepped through
 
     P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   φ̄ = Σ P φ(δ),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̄)(φ(δ) − φ̄)ᵀ).
+
+|H| is averaged over neighbours: it jumps with every corner of a patch that an edge comes to.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
@@ -20,7 +23,17 @@ STEP, MOST = 0.03, 24  # of ln d: 0.9 mm at 30 mm; steps to either side
 TRIES = 6  # evaluations of the model at each
 BARRIER = 10.0  # of the cost: what lies twice in a row so much above the least is not gone through
 LIKELY = 5.0  # ln of a probability ratio: points below the best by more are far tails, no part of an interval
-Point = tuple[Array, float, Array]  # φ, ln of its probability, covariance
+NEIGHBOURS = np.array([1, 2, 3, 2, 1]) / 9  # their weights; an assumption
+
+
+class Point(NamedTuple):
+    """φ where ln d = `place`, the cost of readings and priors, ½ ln |H| and H⁻¹."""
+
+    parameters: Array
+    place: float
+    cost: float
+    volume: float
+    covariance: Array
 
 
 def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
@@ -35,25 +48,27 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
     points = [_point(fitting, fit.parameters, place, fit.parameters[place])]
     for direction in (STEP, -STEP):
         points += _outwards(fitting, points[0], place, direction)
-    least = max(point[1] for point in points) - LIKELY
-    parameters, logarithm, within = zip(*(point for point in points if point[1] > least), strict=True)
-    share = softmax(logarithm)
+    points.sort(key=lambda point: point.place)
+    volume = np.convolve(np.pad([point.volume for point in points], 2, mode="edge"), NEIGHBOURS, "valid")
+    logarithm = -np.array([point.cost for point in points]) - volume
+    share = softmax(np.where(logarithm > logarithm.max() - LIKELY, logarithm, -np.inf))
+    parameters = np.array([point.parameters for point in points])
     mean = share @ parameters
     apart = parameters - mean
-    covariance = (share[:, None] * apart).T @ apart + np.tensordot(share, within, 1)
-    covariance += np.diag(fit.candidate.blind(mean) ** 2)
+    within = np.tensordot(share, np.array([point.covariance for point in points]), 1)
+    covariance = (share[:, None] * apart).T @ apart + within + np.diag(fit.candidate.blind(mean) ** 2)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, mean=mean, covariance=covariance) if wider else fit
 
 
 def _outwards(fitting: Fitting, first: Point, place: int, step: float) -> Iterator[Point]:
     """Point by point, each from the one before, until twice in a row nothing likely is left."""
-    best, numbers, unlikely = first[1], first[0], 0
+    best, here, unlikely = first.cost, first, 0
     for count in range(1, MOST + 1):
-        point = _point(fitting, numbers, place, first[0][place] + count * step)
-        yield point
-        best, numbers = max(best, point[1]), point[0]
-        unlikely = unlikely + 1 if point[1] < best - BARRIER else 0
+        here = _point(fitting, here.parameters, place, first.place + count * step)
+        yield here
+        best = min(best, here.cost)
+        unlikely = unlikely + 1 if here.cost > best + BARRIER else 0
         if unlikely == 2:
             break
 
@@ -65,8 +80,9 @@ def _point(fitting: Fitting, start: Array, place: int, held: float) -> Point:
     here, _ = replace(fitting, held=(place, held)).descended(begin, TRIES)
     mean, sd = fitting.candidate.mean(fitting.panel)[place], fitting.candidate.sd(fitting.panel)[place]
     precision = here.slopes.T @ here.slopes + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
-    logarithm = -here.cost - ((held - mean) / sd) ** 2 / 2 - np.linalg.slogdet(precision)[1] / 2
-    return here.parameters, float(logarithm), np.linalg.inv(precision) + np.diag(_within(len(begin), place))
+    cost = here.cost + ((held - mean) / sd) ** 2 / 2
+    covariance = np.linalg.inv(precision) + np.diag(_within(len(begin), place))
+    return Point(here.parameters, held, cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
 
 
 def _within(count: int, place: int) -> Array:
