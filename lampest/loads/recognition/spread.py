@@ -26,7 +26,7 @@ LIKELY = 5.0  # ln of a probability ratio: points below the best by more are far
 NEIGHBOURS = np.array([1, 2, 3, 2, 1]) / 9  # their weights; an assumption
 
 
-class Point(NamedTuple):
+class AtDiameter(NamedTuple):
     """φ where ln d = `place`, the cost of readings and priors, ½ ln |H| and H⁻¹."""
 
     parameters: Array
@@ -61,8 +61,8 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
     return replace(fit, mean=mean, covariance=covariance) if wider else fit
 
 
-def _outwards(fitting: Fitting, first: Point, place: int, step: float) -> Iterator[Point]:
-    """Point by point, each from the one before, until twice in a row nothing likely is left."""
+def _outwards(fitting: Fitting, first: AtDiameter, place: int, step: float) -> Iterator[AtDiameter]:
+    """AtDiameter by point, each from the one before, until twice in a row nothing likely is left."""
     best, here, unlikely = first.cost, first, 0
     for count in range(1, MOST + 1):
         here = _point(fitting, here.parameters, place, first.place + count * step)
@@ -73,7 +73,7 @@ def _outwards(fitting: Fitting, first: Point, place: int, step: float) -> Iterat
             break
 
 
-def _point(fitting: Fitting, start: Array, place: int, held: float) -> Point:
+def _point(fitting: Fitting, start: Array, place: int, held: float) -> AtDiameter:
     """The most probable φ with ln d held there; a centre a pitch further on would have touched other patches."""
     begin = start.copy()
     begin[place] = held
@@ -82,7 +82,7 @@ def _point(fitting: Fitting, start: Array, place: int, held: float) -> Point:
     precision = here.slopes.T @ here.slopes + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
     cost = here.cost + ((held - mean) / sd) ** 2 / 2
     covariance = np.linalg.inv(precision) + np.diag(_within(len(begin), place))
-    return Point(here.parameters, held, cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
+    return AtDiameter(here.parameters, held, cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
 
 
 def _within(count: int, place: int) -> Array:
