@@ -33,7 +33,7 @@ GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell th
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel and nothing is told
 SEEN = 6.6  # the same, of cells once chosen: χ² with one degree of freedom, once in a hundred
-HINT = 2.0  # the same, from which on bars allow for what may be chance: where nothing is, one in twelve is so large
+HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
 AGAIN = 3  # times that cells are chosen by the size that they tell
 STRAIGHT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
@@ -62,10 +62,10 @@ def unseen(
     apart = apart_from_moved(still, resting.value.shape)
     sure = size > 0
     size = size or hinted_error(moves, apart)
-    if size:
+    if sure:
         alike, straight = Alike.of(scene, resting), STRAIGHT / moves.reach
         if size > straight or alike.contradicts(size) > LARGER:
-            return Possible(with_reading_error(sizes, max(alike.size, min(size, straight))), None, sure)
+            return Possible(with_reading_error(sizes, max(alike.size, min(size, straight))), None)
     told = with_reading_error(sizes, size)
     if still.mean() < FEWEST:
         return Possible(told, None, sure)
