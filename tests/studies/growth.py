@@ -1,0 +1,67 @@
+"""How time and memory grow with the panel: first and later frames of each method on one of the bench's recordings.
+
+Run it as OMP_NUM_THREADS=1 python -m tests.studies.growth --sides 32 64 100 200 --methods LSR-CR LSR-gCR: seconds of
+the processor, iterations, how it ended, the process's largest memory until then, and the exponent p of time ∝ side^p by
+a straight line through the logarithms. Relative methods begin with a first pair.
+"""
+
+import argparse
+import resource
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.solvers.search import best_solution
+from lampest.solvers.solution import Solution
+from lampest.studies.bench.problems import frame_data, solver_of
+from lampest.studies.bench.settings import PAPER, BenchFile, read_bench
+
+FRAMES = 3  # the first, and later ones, of which the median counts
+
+
+def main() -> None:
+    """Solve and print a line for each, then the exponents."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sides", type=int, nargs="+", default=[32, 64, 100])
+    parser.add_argument("--methods", choices=PAPER, nargs="+", default=list(PAPER))
+    parser.add_argument("--recording", type=int, default=2)
+    told = parser.parse_args()
+    bench = read_bench(Path("configs/bench.yaml"))
+    for method in told.methods:
+        spent = np.array([_spent(bench, method, side, told.recording - 1) for side in told.sides])
+        for name, seconds in zip(("first", "later"), spent.T, strict=True):
+            power = np.polyfit(np.log(told.sides), np.log(seconds), 1)[0] if len(told.sides) > 1 else np.nan
+            print(f"{method}, {name}: side^{power:.2f}", flush=True)
+
+
+def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float, float]:
+    """Seconds of the first frame and the median of later ones."""
+    recording, previous, times = bench.recording((side, side), number), None, []
+    for frame in range(FRAMES):
+        data = frame_data(bench, recording, method, frame, previous)()
+        solver = solver_of(bench, method, "reduced", data)
+        begun = process_time()
+        found = best_solution(solver, data, None if previous is None else previous[None])
+        times.append(process_time() - begun)
+        _print(f"{side} × {side}, {method}, frame {frame}", times[-1], found)
+        previous = _last(found)
+    return times[0], float(np.median(times[1:]))
+
+
+def _last(found: Solution) -> Array:
+    """Its cells (rows, columns) ohm. Raises SystemExit where there are none to go on from."""
+    if not found.solved:
+        raise SystemExit(found.status.value)
+    cells: Array = found.cell_resistance[-1]
+    return cells
+
+
+def _print(name: str, seconds: float, found: Solution) -> None:
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{name}: {seconds:.2f} s, iterations {found.iterations}, {found.status.value}, {memory:.0f} MB", flush=True)
+
+
+if __name__ == "__main__":
+    main()
