@@ -19,9 +19,6 @@ LARGEST_DAMPING = 1e10
 DECREASE = 1e-4
 EQUAL, HALVED = 1e-12, 0.5  # of the cost: where rounding hides a decrease, the residual must fall to this share
 REPRODUCED = 1e-4  # of the cost's scale: 1e-12 of it at a tolerance of 1e-8, which is rounding
-ENOUGH = (
-    1e-9  # of the cost's scale, the gradient that a step by conjugate gradients may leave: a tenth of its tolerance
-)
 MOST_STOPS = 6
 CONTRACTION = 0.2  # of a step by the next one: a new factor costs as much as two to three such steps
 TIGHT = 0.5
@@ -91,7 +88,7 @@ def advance(point: Iterate, data: Data, residual: float) -> Iterate | None:
     free = free_cells(point.at, slope)
     if (contracted := by_kept_factor(point, data, residual, free)) is not None:
         return contracted
-    damping, accuracy = point.damping, min(0.1, max(residual**0.5, ENOUGH / residual))
+    damping, accuracy = point.damping, min(0.1, residual**0.5)
     while damping <= LARGEST_DAMPING:
         moving, known, most = free, np.zeros(len(position)), 0.0
         first: Array | None = None
