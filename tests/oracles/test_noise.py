@@ -255,6 +255,17 @@ def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_fo
     assert np.mean(held) > 0.8
 
 
+def test_any_of_three_frames_tells_that_they_are_torn() -> None:
+    """The one with most motion does not: cells that tearing moves there are taken for touched ones."""
+    rod = lampest.Rod(centre_mm=(45.0, 25.0), diameter_mm=16.0, mass_g=120.0)
+    scene, moving = Scene(Panel(6, 10), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(load_speed_mm_s=4.0)
+    for seed in (4, 5):
+        made = lampest.simulate(
+            lampest.Simulation(1, seed, scene, baseline_frames=5, frames=6, loads=(rod,), unmodelled=moving)
+        )
+        assert "loads move while a frame is scanned" in noise_seen(made).sentence
+
+
 def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
     scene = Scene(Panel(2, 2), TwoPointReadout(noise_lsb=0.7), 140.0)
     value = np.full((3, 2, 2), 800.0)

@@ -87,8 +87,11 @@ def scan_share(
     if min(tail for _, tail in fits) < UNEXPLAINED:
         found = _share_that_explains(scene, readings, torn, moving, [cost for cost, _ in fits])
         return found or float(np.median([tail for _, tail in fits]) < UNEXPLAINED)  # the whole period, or nothing
-    here = asked(scene, readings[moving[0]], base.fit.cells, sizes, noise, resting=False)
-    return 0.0 if here is None else _share(base, here, torn[moving[0]])
+    for frame in moving[size[moving] >= LEAST_MOTION]:
+        here = asked(scene, readings[frame], base.fit.cells, sizes, noise, resting=False)
+        if here is not None and (share := _share(base, here, torn[frame])):
+            return share
+    return 0.0
 
 
 def explained(scene: Scene, readings: Readings, torn: Array, share: float) -> tuple[float, float]:
