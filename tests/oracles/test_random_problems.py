@@ -54,13 +54,13 @@ def test_no_other_solver_finds_less(seed: int, number: int) -> None:
 
 
 def test_pairs_that_conjugate_gradients_follow_round_and_round_go_on_by_factors() -> None:
-    """Two frames of 11 × 16 cells, readings off by 2 % of unknown noise: it took all iterations, from any start."""
-    problem = RandomProblem.drawn(97, 312)
+    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: it took all iterations, from any start."""
+    problem = RandomProblem.drawn(97, 130)
     cost = problem.estimator.cost(problem.scene, 2, problem.data.partial)
     found = solved_from(
         Newton(cost, problem.estimator.solver), evaluated(cost, problem.data, problem.data.uniform_start)
     )
-    assert found.strict and found.iterations < 100
+    assert found.optimum and 40 < found.iterations < 150
 
 
 @pytest.mark.parametrize("number", [190, 247])

@@ -71,11 +71,12 @@ class Newton:
         smoothing = Smoothing.start(start)
         point = self._begun(Iterate(Curvature(start, smoothing), smoothing.objective(start), 0.0, rough), data)
         unsettled, pieces = 0, has_pieces(self.cost, point.at.cell_resistance.size)
+        winding = point.at.cell_resistance.size <= WINDING_UNKNOWNS and not len(self.cost.slope)
         stands = stalled = stuck = False
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return outcome(point, Status.TIME, iteration)
-            if iteration >= WINDING and point.curvature.paired and point.at.cell_resistance.size <= WINDING_UNKNOWNS:
+            if iteration >= WINDING and winding and point.curvature.paired:
                 point, data = _by_factors(point, data)
                 unsettled, stands, stalled = 0, False, False
             if pieces and (stuck or (iteration >= GROPING and data.wiring is None)):

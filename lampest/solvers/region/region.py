@@ -13,7 +13,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms.term import Term
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array, Panel
-from lampest.solvers.newton.curvature import Curvature
+from lampest.solvers.newton.curvature import Curvature, weighted_square
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.region.blocks import alone_among, area, covered_by, grown, widened
@@ -277,7 +277,7 @@ def _model(inside: Inside, here: BlockPoint, sharpness: int) -> tuple[Array, Arr
         if part.cost is inside.misfit:
             jacobian = here.network.sensitivity(own, inside.reads)
             slope += jacobian.T @ through
-            matrix += jacobian.T @ (terms[count:, count:] @ jacobian)
+            matrix += weighted_square(jacobian, terms.diagonal()[count:])  # a misfit speaks of one reading each
         else:
             place = np.flatnonzero(block[inside.around])
             bend = np.maximum(direct[place] * cells, 0)
