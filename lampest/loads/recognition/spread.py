@@ -62,7 +62,7 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
 
 
 def _outwards(fitting: Fitting, first: AtDiameter, place: int, step: float) -> Iterator[AtDiameter]:
-    """AtDiameter by point, each from the one before, until twice in a row nothing likely is left."""
+    """Point by point, each from the one before, until twice in a row nothing likely is left."""
     best, here, unlikely = first.cost, first, 0
     for count in range(1, MOST + 1):
         here = _point(fitting, here.parameters, place, first.place + count * step)
