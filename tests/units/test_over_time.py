@@ -22,7 +22,7 @@ def frame(**shares: float) -> Verdict:
     fits = tuple(
         Fit(
             next(kind for kind in KINDS if kind.label == label),
-            *(np.zeros(0), np.zeros(0), none),
+            *(np.zeros(0), none),
             Explained(none, none, none),
             *(np.zeros(4), np.zeros((4, 0)), 4.0, 2.0, 0.0, 0.0, 0.1, 1),
         )

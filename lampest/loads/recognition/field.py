@@ -77,7 +77,6 @@ def _with_map(frame: Observation, start: Array, states: NDArray[np.intp]) -> Fit
     return Fit(
         FIELD,
         np.zeros(0),
-        np.zeros(0),
         np.zeros((0, 0)),
         Explained(change, np.zeros_like(change), np.zeros_like(change)),
         left,

@@ -26,8 +26,7 @@ LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs a
 class Fit:
     """The most probable parameters φ of a candidate.
 
-    parameters, mean, covariance : (parameters), their mean, which `spread` finds, and its square. explained : what it
-    does to the cells. residual : (cells) ohm.
+    parameters, covariance : (parameters) and its square. explained : what it does to the cells. residual : (cells) ohm.
     slopes : (cells, parameters) ohm, of the readings by φ. chi2 : of the readings. cost : half of it plus half the
     priors'. volume : ½ ln det of the errors' covariance. evidence : ln of the frame's probability under the candidate,
     up to what all candidates share. scatter : the film's relative deviation. steps : evaluations of the model.
@@ -35,7 +34,6 @@ class Fit:
 
     candidate: Candidate
     parameters: Array
-    mean: Array
     covariance: Array
     explained: Explained
     residual: Array
@@ -195,7 +193,6 @@ class Fitting:
         cells = here.residual.size
         return Fit(
             self.candidate,
-            here.parameters,
             here.parameters,
             spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2),
             self._explained(here),

@@ -3,7 +3,9 @@
 A rim between patches is seen by none of them, so that the cost of φ is flat there, steep beside it, and has a minimum
 wherever a patch comes under the rim: curvature at the best one promises too much. With δ = ln d stepped through
 
-    P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   φ̄ = Σ P φ(δ),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̄)(φ(δ) − φ̄)ᵀ).
+    P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ)
+
+about the most probable φ̂: its mean would be nearer where patches see little, and further off where they see much.
 
 |H| is averaged over neighbours: it jumps with every corner of a patch that an edge comes to.
 """
@@ -37,7 +39,7 @@ class AtDiameter(NamedTuple):
 
 
 def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
-    """The fit with φ̄ and C, where that is wider than its own; itself for a candidate that has no diameter.
+    """The fit with C where that is wider than its own; itself for a candidate that has no diameter.
 
     fitting : that of its candidate, with the errors that the fit was weighed by.
     """
@@ -52,13 +54,11 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
     volume = np.convolve(np.pad([point.volume for point in points], 2, mode="edge"), NEIGHBOURS, "valid")
     logarithm = -np.array([point.cost for point in points]) - volume
     share = softmax(np.where(logarithm > logarithm.max() - LIKELY, logarithm, -np.inf))
-    parameters = np.array([point.parameters for point in points])
-    mean = share @ parameters
-    apart = parameters - mean
+    apart = np.array([point.parameters for point in points]) - fit.parameters
     within = np.tensordot(share, np.array([point.covariance for point in points]), 1)
-    covariance = (share[:, None] * apart).T @ apart + within + np.diag(fit.candidate.blind(mean) ** 2)
+    covariance = (share[:, None] * apart).T @ apart + within + np.diag(fit.candidate.blind(fit.parameters) ** 2)
     wider = covariance[place, place] > fit.covariance[place, place]
-    return replace(fit, mean=mean, covariance=covariance) if wider else fit
+    return replace(fit, covariance=covariance) if wider else fit
 
 
 def _outwards(fitting: Fitting, first: AtDiameter, place: int, step: float) -> Iterator[AtDiameter]:

@@ -128,9 +128,9 @@ def _in_place(fit: Fit, best: Fit) -> bool:
 def _reported(fit: Fit, number: int = 0) -> tuple[Array, Array]:
     """(values, errors) of one load of a fit, (quantities); NaN for what it has none of."""
     values, errors = np.full((2, len(QUANTITIES)), np.nan)
-    one, (found, slopes) = fit.candidate, fit.candidate.report(fit.mean)
+    one, (found, slopes) = fit.candidate, fit.candidate.report(fit.parameters)
     if isinstance(fit.candidate, Several):
-        one, (found, slopes) = fit.candidate.parts[number], fit.candidate.of_part(number, fit.mean)
+        one, (found, slopes) = fit.candidate.parts[number], fit.candidate.of_part(number, fit.parameters)
     columns = [QUANTITIES.index(quantity) for quantity in one.quantities]
     values[columns], errors[columns] = found, np.sqrt(np.einsum("qi,ij,qj->q", slopes, fit.covariance, slopes))
     return values, errors
