@@ -67,8 +67,11 @@ def bends(value: Callable[[Array], float], step: Array) -> float:
 
 @pytest.mark.parametrize("name", PAIRS)
 @pytest.mark.parametrize("held", [(), (0, 1, CELLS + 5, CELLS + 6)], ids=["all free", "some held"])
-def test_second_derivatives_are_those_along_its_own_paths(name: str, held: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("alike", [False, True])
+def test_second_derivatives_are_those_along_its_own_paths(name: str, held: tuple[int, ...], alike: bool) -> None:
     at = evaluation(PAIRS[name])
+    at = at.elsewhere(loaded()[[0, 0]] * np.exp(np.linspace(-0.1, 0.1, 2 * CELLS)).reshape(2, *SHAPE)) if alike else at
+    assert pair(at).alike is alike
     found = pair(at, held)
     for seed in range(3):
         step = np.where(found.free, 0.3 * np.random.default_rng(seed).standard_normal(2 * CELLS), 0.0)
@@ -91,7 +94,7 @@ def test_squares_never_bend_down_where_second_derivatives_in_log_r_do() -> None:
 
 
 def test_a_step_is_straight_in_the_first_conductance_and_in_the_ratio() -> None:
-    found = pair(evaluation(RATIOS["change"]), held=(0, CELLS + 1))
+    found = pair(evaluation(RATIOS["change"]).elsewhere(loaded()[[0, 0]]), held=(0, CELLS + 1))
     step = np.where(found.free, np.linspace(-0.4, 0.5, 2 * CELLS), 0.0)
     first, second = np.split(found.change(step), 2)
     whole = np.split(step, 2)
@@ -102,7 +105,7 @@ def test_a_step_is_straight_in_the_first_conductance_and_in_the_ratio() -> None:
 
 
 def test_penalties_of_logarithms_keep_ratios_in_logarithms() -> None:
-    found = pair(evaluation(LOGARITHMS))
+    found = pair(evaluation(LOGARITHMS).elsewhere(loaded()[[0, 0]]))
     step = np.linspace(-0.8, 0.8, 2 * CELLS)
     first, second = np.split(found.change(step), 2)
     assert_allclose(np.exp(-first), 1 - step[:CELLS])
