@@ -36,8 +36,8 @@ class Departure:
     ends: tuple[Array, Array]
 
     def reach(self, sign: int) -> Array:
-        """The square of how far either end leads downwards (−1) or upwards (1)."""
-        return np.maximum(np.fmax(sign * self.ends[0], sign * self.ends[1]), 0.0) ** 2
+        """The square of how far either end leads downwards (−1) or upwards (1); no end does that no solve reached."""
+        return np.fmax(np.fmax(sign * self.ends[0], sign * self.ends[1]), 0.0) ** 2
 
 
 def far_off(stream: "Stream", readings: Readings, solved: Step) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from lampest.posterior.interval import TWO_SIDED
 STEPS = 3  # of the tangent's length: the way ends within a tenth of an optimum with the cell held
 LONGEST = 0.5  # of log r, that of one step
 FARTHEST = 3.0  # tangents: a penalty in ohm rises slowly towards a short
+MOST_STEPS = 20  # which reach a factor of 20,000: where nothing tells of the cell, its tangent has no end
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Along:
         far = self.tangent[self.cell]
         step, risen, before = side * min(far / STEPS, LONGEST), 0.0, 0.0
         ended = model.at.position
-        for position, force in self._places(step, round(FARTHEST * far / abs(step))):
+        for position, force in self._places(step, round(min(FARTHEST * far / abs(step), MOST_STEPS))):
             ended, risen, before = position, risen + step * (before + force), force
             if risen >= most:
                 break
