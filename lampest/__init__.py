@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from lampest.cost.losses import Squared as Squared
     from lampest.cost.losses import Student as Student
     from lampest.cost.problem import Data as Data
+    from lampest.cost.terms import Arrival as Arrival
+    from lampest.cost.terms import CellResistance as CellResistance
+    from lampest.cost.terms import Gradient as Gradient
+    from lampest.cost.terms import GradientOfRelativeChange as GradientOfRelativeChange
+    from lampest.cost.terms import LogRatio as LogRatio
+    from lampest.cost.terms import Misfit as Misfit
+    from lampest.cost.terms import RelativeChange as RelativeChange
+    from lampest.cost.terms import State as State
+    from lampest.cost.terms import Term as Term
+    from lampest.cost.terms import TotalVariation as TotalVariation
+    from lampest.cost.terms import TotalVariationOfChange as TotalVariationOfChange
     from lampest.cost.terms import term_types as term_types
-    from lampest.cost.terms.arrival import Arrival as Arrival
-    from lampest.cost.terms.cell_resistance import CellResistance as CellResistance
-    from lampest.cost.terms.gradient import Gradient as Gradient
-    from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange as GradientOfRelativeChange
-    from lampest.cost.terms.log_ratio import LogRatio as LogRatio
-    from lampest.cost.terms.misfit import Misfit as Misfit
-    from lampest.cost.terms.relative_change import RelativeChange as RelativeChange
-    from lampest.cost.terms.term import State as State
-    from lampest.cost.terms.term import Term as Term
-    from lampest.cost.terms.total_variation import TotalVariation as TotalVariation
-    from lampest.cost.terms.total_variation_of_change import TotalVariationOfChange as TotalVariationOfChange
     from lampest.estimate.estimates import Estimates as Estimates
     from lampest.estimate.estimator import AutoWeight as AutoWeight
     from lampest.estimate.estimator import Bounds as Bounds

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Given
 from lampest.cost.losses import Loss
 from lampest.cost.summands import program_groups, stacked, summands
-from lampest.cost.terms.term import State, Term
+from lampest.cost.terms import State, Term
 from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array, Panel
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import casadi
 
-from lampest.cost.losses import Loss
-from lampest.cost.losses.lowered import Lowered
-from lampest.cost.terms.term import Term
+from lampest.cost.losses import Loss, Lowered
+from lampest.cost.terms import Term
 from lampest.files.errors import InputError
 
 

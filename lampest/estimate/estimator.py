@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
-from lampest.cost.terms import term_kind
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term, term_kind
 from lampest.estimate.methods import Method, MethodName, named_method
 from lampest.files.errors import InputError, in_words
 from lampest.loads.tare import Tare

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import field, make_dataclass
 from typing import Any
 
-from lampest.cost.terms import AnyTerm, term_types
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.files.tagged import kinds_of, shipped
 
 FORBID: dict[str, Any] = {"extra": "forbid"}

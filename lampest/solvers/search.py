@@ -9,7 +9,7 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.kernel.following import from_previous, long_way_round, serves, swift

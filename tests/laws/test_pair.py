@@ -11,8 +11,7 @@ from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.panel.conjugate import conjugate_gradients
 from lampest.panel.panel import Array, Panel

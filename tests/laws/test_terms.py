@@ -16,8 +16,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Misfit, term_kind, term_types
-from lampest.cost.terms.term import State, Term
+from lampest.cost.terms import Misfit, State, Term, term_kind, term_types
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
@@ -304,6 +303,15 @@ def test_losses_are_what_they_say() -> None:
     assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=1e-12)
     density = t.logpdf(GRID, df=4, scale=CORNER / 2)
     assert_allclose(values(Student(corner=CORNER), GRID), 2 * CORNER**2 / 5 * (density.max() - density), atol=1e-9)
+
+
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
+def test_losses_are_finite_far_out(loss: Loss) -> None:
+    """At 1e8, where a start far from the readings may lie: the value, the slope, and the curvature."""
+    far = np.array([-1e8, -1e4, 1e4, 1e8])
+    assert np.all(np.isfinite(values(loss, far))) and np.all(values(loss, far) > 0)
+    assert np.all(np.isfinite(slopes(loss, far))) and np.all(np.sign(slopes(loss, far)) == np.sign(far))
+    assert np.all(np.isfinite(loss.curvature(far))) and np.all(loss.curvature(far) >= 0)
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)

@@ -6,8 +6,7 @@ import pytest
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Squared
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Misfit, TotalVariation, term_types
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Misfit, Term, TotalVariation, term_types
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene

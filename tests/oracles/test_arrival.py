@@ -13,8 +13,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Arrival, LogRatio, Misfit
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Arrival, LogRatio, Misfit, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName

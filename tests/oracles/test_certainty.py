@@ -11,8 +11,7 @@ from scipy.integrate import quad
 from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct

@@ -10,9 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
 from lampest.cost.losses import Squared
-from lampest.cost.terms import LogRatio, Misfit
-from lampest.cost.terms.gradient import Gradient
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct

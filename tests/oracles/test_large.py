@@ -9,8 +9,7 @@ from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel

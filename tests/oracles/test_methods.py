@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import two_point_resistance
 from lampest.cost.losses import Absolute, Huber
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import Method

@@ -6,8 +6,7 @@ from scipy.optimize import minimize
 
 from lampest import two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.terms import GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout

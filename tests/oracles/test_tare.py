@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.cost.terms import Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct

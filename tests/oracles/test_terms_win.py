@@ -19,11 +19,13 @@ from lampest.cost.terms import (
     GradientOfRelativeChange,
     LogRatio,
     Misfit,
+    Reference,
     RelativeChange,
+    State,
+    Term,
     TotalVariation,
     TotalVariationOfChange,
 )
-from lampest.cost.terms.term import Reference, State, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName

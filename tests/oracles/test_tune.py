@@ -11,8 +11,7 @@ from scipy.integrate import quad
 
 from lampest import two_point_resistance
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel

@@ -10,8 +10,7 @@ from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute
 from lampest.cost.problem import Data
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights

@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest.cost.losses import Squared
-from lampest.cost.terms import LogRatio, Misfit, RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods import TruncatedMethod

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.losses import Student
-from lampest.cost.terms import Arrival, LogRatio, Misfit, RelativeChange, TotalVariationOfChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Arrival, LogRatio, Misfit, RelativeChange, Term, TotalVariationOfChange
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import SmootherMethod
 from lampest.estimate.sequence import reconstruct

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lampest.cost.terms import Gradient, Misfit
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc

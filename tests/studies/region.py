@@ -14,8 +14,7 @@ from time import process_time
 import numpy as np
 
 from lampest import two_point_resistance
-from lampest.cost.terms import Gradient, Misfit
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array, Panel

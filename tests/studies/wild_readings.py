@@ -10,8 +10,7 @@ import numpy as np
 
 from lampest import two_point_resistance
 from lampest.cost.losses import AnyLoss, Huber, Squared
-from lampest.cost.terms import Arrival, Gradient, Misfit
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Arrival, Gradient, Misfit, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array

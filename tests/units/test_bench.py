@@ -9,7 +9,7 @@ import pytest
 
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Huber
-from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms import Misfit
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording

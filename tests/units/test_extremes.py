@@ -11,8 +11,7 @@ import pytest
 from lampest import two_point_resistance
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
-from lampest.cost.terms import Gradient, Misfit
-from lampest.cost.terms.cell_resistance import CellResistance
+from lampest.cost.terms import CellResistance, Gradient, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import lampest
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.recording.readings import Readings

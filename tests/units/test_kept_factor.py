@@ -9,7 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 import lampest
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.recording.readings import Readings

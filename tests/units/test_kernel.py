@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 import lampest
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array

@@ -15,7 +15,7 @@ from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Settings, Solution, Solver
 
 if TYPE_CHECKING:
-    from lampest.cost.terms.term import Term
+    from lampest.cost.terms import Term
     from lampest.estimate.step import Step
     from lampest.estimate.stream import Stream
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError

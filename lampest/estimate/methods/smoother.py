@@ -11,8 +11,7 @@ import numpy as np
 
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Misfit, Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.smoothing.bars import error_bars

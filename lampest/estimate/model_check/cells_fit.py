@@ -14,7 +14,7 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.panel.network import Network
 from lampest.panel.panel import Array

@@ -6,11 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 
-from lampest.cost.terms.cell_resistance import CellResistance
-from lampest.cost.terms.gradient import Gradient
-from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
-from lampest.cost.terms.misfit import Misfit
-from lampest.cost.terms.relative_change import RelativeChange
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
 from lampest.estimate.estimator import Estimator
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, meant

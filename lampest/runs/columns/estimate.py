@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampest.cost.terms import term_kind
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term, term_kind
 from lampest.panel.panel import Array
 from lampest.runs.columns.checks import not_negative, not_zero_or_less, numbers_if_solved, whole_frames_if_solved
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array, Panel
 from lampest.solvers.newton.curvature import Curvature, weighted_square

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.cost.given import Background
-from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding

@@ -8,7 +8,7 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms.misfit import Misfit
+from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import resting_readings

@@ -4,12 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, cast
 
-from lampest.cost.terms.cell_resistance import CellResistance
-from lampest.cost.terms.gradient import Gradient
-from lampest.cost.terms.gradient_of_relative_change import GradientOfRelativeChange
-from lampest.cost.terms.misfit import Misfit
-from lampest.cost.terms.relative_change import RelativeChange
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.files.document import read_document, validated

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.cost.problem import Data
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
 from lampest.estimate.step import Step

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
 from lampest.estimate.methods.truncated import TruncatedMethod

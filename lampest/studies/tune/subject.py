@@ -7,8 +7,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms import term_kind
-from lampest.cost.terms.term import Term
+from lampest.cost.terms import Term, term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import deciding_data, deciding_frame, resting_readings
 from lampest.estimate.weights import WeightSearch

@@ -1,0 +1,285 @@
+"""How a residual becomes a cost. To add a loss: write its class here, before `AnyLoss`, and name it there.
+
+Losses are sums of one even function ρ of every residual, zero at 0, and scaled so that the squared one is ρ = x²,
+without a half: where a factor of two would stand elsewhere, here is half a derivative. `cost` is enough; all else
+follows from it by default, for the losses that are smooth.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isfinite
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+import casadi
+import numpy as np
+
+from lampest.files.tagged import ByKind
+from lampest.panel.panel import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Lowered:
+    """weight·loss of a column of residuals x as the least of `objective` over p, q ≥ 0 where `equation` is 0.
+
+    split : p and q, (rows, 1) each, in a unit that makes them of order one; () where the loss needs none.
+    equation : (rows, 1), x in that unit − p + q, whose multipliers are weight·unit·z, z the duals; None unless the loss
+    enters through duals.
+    """
+
+    objective: casadi.SX
+    split: tuple[casadi.SX, ...] = ()
+    equation: casadi.SX | None = None
+
+
+Entry = Literal["whole", "split", "dual"]
+INSIDE = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
+
+
+class PenaltyEvidence(Protocol):
+    """What the evidence for a penalty's weight counts, over its rows with curvature; x̂ at an estimate."""
+
+    @property
+    def residual(self) -> Array:
+        """x̂ (rows)."""
+
+    @property
+    def squares(self) -> float:
+        """Σ x̂²."""
+
+    @property
+    def magnitude(self) -> float:
+        """Σ E|x|, x scattered about x̂ as the estimate is uncertain."""
+
+    @property
+    def count(self) -> float:
+        """tr(B⁺ B_t): how many residuals there are, those counted once that follow from others."""
+
+    @property
+    def determined(self) -> float:
+        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): how many of them data determine."""
+
+
+@dataclass(frozen=True)
+class Loss(ABC):
+    """Σ ρ(x) over the residuals of a term.
+
+    enters : how solvers take it. 'whole', as it is: its second derivative exists but for single points. 'split': its
+    second derivative jumps, and an interior-point method takes `lowered` instead. 'dual': it is Σ |x|, and its duals z
+    stand for its derivative. squared : whether it is Σ x², so that the cost is one of least squares. convex : whether ρ
+    is; where it is not the cost may have several minima, and an estimate is one of them.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    enters: ClassVar[Entry] = "whole"
+    squared: ClassVar[bool] = False
+    convex: ClassVar[bool] = True
+
+    @abstractmethod
+    def cost(self, residual: Any) -> Any:
+        """Σ ρ(x), one number, of a column of residuals; symbolic or numeric."""
+
+    def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
+        """weight·cost as an interior-point method takes it.
+
+        weight : (1, 1), or of every row where the loss enters through duals. unit : of the split, that of residuals.
+        """
+        return Lowered(weight * self.cost(residual))
+
+    def split_start(self, residual: Array) -> tuple[Array, Array]:
+        """(p, q) where an interior-point method begins, for residuals in the split's unit: x's parts, a little more."""
+        return np.maximum(residual, 0) + INSIDE, np.maximum(-residual, 0) + INSIDE
+
+    def curvature(self, residual: Array) -> Array:
+        """ω = ½ρ''(x) (rows), 0 where it is negative: near x the cost has the second derivative of Σ ω x²."""
+        return np.maximum(_halves(self, residual)[1], 0.0)
+
+    def stiffness(self, residual: Array) -> Array:
+        """½ρ'(x)/x (rows): the weights of reweighted least squares, ½ρ'' at 0."""
+        slope, second = _halves(self, residual)
+        nothing = residual == 0
+        return np.where(nothing, second, slope / np.where(nothing, 1.0, residual))
+
+    def data_curvature(self, residual: Array, noise: Array) -> Array:
+        """ω of data rows with the noise τ (rows)."""
+        return self.curvature(residual)
+
+    def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
+        """ω of penalty rows per weight, with s² = scale."""
+        return self.curvature(residual)
+
+    def steady_pull(self, residual: Array) -> Array:
+        """√((½ρ'(x))² − (ω x)²) (rows): the part of the slope that the curvature ω does not account for."""
+        slope, second = _halves(self, residual)
+        return np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0))
+
+    def size(self, evidence: PenaltyEvidence) -> float:
+        """η of the evidence's fixed point λ = s² γ/η: Σ ½ x ρ'(x).
+
+        Whatever ρ is, a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ, by parts: each residual that data determine
+        counts once.
+        """
+        return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
+
+    def determined(self, evidence: PenaltyEvidence) -> float:
+        """γ of the same."""
+        return evidence.determined
+
+
+def _halves(loss: Loss, residual: Array) -> tuple[Array, Array]:
+    """(½ρ', ½ρ'') of every residual (rows)."""
+    slope, second = _derivatives(loss)(residual[None])
+    return np.asarray(slope).ravel(), np.asarray(second).ravel()
+
+
+@lru_cache(maxsize=64)
+def _derivatives(loss: Loss) -> casadi.Function:
+    """x → (½ρ', ½ρ''); CasADi maps it over the columns of what it is given."""
+    x = casadi.SX.sym("x")
+    slope = casadi.gradient(loss.cost(x), x) / 2
+    return casadi.Function("halves", [x], [slope, casadi.gradient(slope, x)])
+
+
+@dataclass(frozen=True)
+class Squared(Loss):
+    """Σ x²; the loss of the paper's equations (11)-(24)."""
+
+    squared: ClassVar[bool] = True
+    kind: Literal["squared"] = "squared"
+
+    def cost(self, residual: Any) -> Any:
+        """Σ x², symbolic or numeric."""
+        return casadi.sumsqr(residual)
+
+    def curvature(self, residual: Array) -> Array:
+        """ω = 1."""
+        return np.ones_like(residual)
+
+    def steady_pull(self, residual: Array) -> Array:
+        """0: curvature explains the whole slope."""
+        return np.zeros_like(residual)
+
+    def size(self, evidence: PenaltyEvidence) -> float:
+        """η = Σ x²."""
+        return evidence.squares
+
+
+def _check_corner(corner: float) -> None:
+    if not (isfinite(corner) and corner > 0):
+        raise ValueError("corner must be positive and finite")
+
+
+@dataclass(frozen=True)
+class Huber(Loss):
+    """Σ x² where |x| ≤ corner, Σ (2·corner·|x| − corner²) elsewhere; once differentiable.
+
+    corner has the unit of the term's residual. Raises ValueError unless it is positive and finite.
+    Source: Huber, Ann. Math. Statist. 35, 1964.
+    """
+
+    enters: ClassVar[Entry] = "split"
+    corner: float
+    kind: Literal["huber"] = "huber"
+
+    def __post_init__(self) -> None:
+        _check_corner(self.corner)
+
+    def cost(self, residual: Any) -> Any:
+        """Σ c·(2x − c), c = x held to |c| ≤ corner; symbolic or numeric."""
+        inside = casadi.fmin(casadi.fmax(residual, -self.corner), self.corner)
+        return casadi.sum1(inside * (2 * residual - inside))
+
+    def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
+        """The least of Σ (x − p + q)² + 2·corner·(p + q): what lies beyond the corner goes into p or q."""
+        above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
+        inside = residual - unit * (above - below)
+        outside = 2 * self.corner * unit * casadi.sum1(above + below)
+        return Lowered(weight * (casadi.sumsqr(inside) + outside), (above, below))
+
+    def curvature(self, residual: Array) -> Array:
+        """ω = 1 within the corner, 0 beyond."""
+        return np.asarray(np.abs(residual) <= self.corner, dtype=float)
+
+    def steady_pull(self, residual: Array) -> Array:
+        """0 within the corner, corner beyond."""
+        return np.where(np.abs(residual) > self.corner, self.corner, 0.0)
+
+    def size(self, evidence: PenaltyEvidence) -> float:
+        """η = Σ x² of the rows that count: where ω = 0 a residual does not inform the weight."""
+        return evidence.squares
+
+
+@dataclass(frozen=True)
+class Absolute(Loss):
+    """Σ |x|; has no derivative at 0, so solvers replace it by its dual form max over |z| ≤ 1 of Σ z·x."""
+
+    enters: ClassVar[Entry] = "dual"
+    kind: Literal["absolute"] = "absolute"
+
+    def cost(self, residual: Any) -> Any:
+        """Σ |x|, symbolic or numeric; for values, not for derivatives."""
+        return casadi.sum1(casadi.fabs(residual))
+
+    def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
+        """The least of Σ p + q where p − q = x."""
+        above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
+        objective = unit * casadi.dot(weight, above + below)
+        return Lowered(objective, (above, below), residual / unit - above + below)
+
+    def data_curvature(self, residual: Array, noise: Array) -> Array:
+        """ω = √(2/π)/(2τ), half the second derivative of E|x + noise| at 0."""
+        return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
+
+    def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
+        """ω/weight of the normal distribution with the same variance.
+
+        exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
+        """
+        return np.full_like(residual, weight / (8 * scale))
+
+    def steady_pull(self, residual: Array) -> Array:
+        """0: the normal distribution stands for all of it."""
+        return np.zeros_like(residual)
+
+    def size(self, evidence: PenaltyEvidence) -> float:
+        """η = ½ Σ E|x|: the prior is Laplace's."""
+        return 0.5 * evidence.magnitude
+
+    def determined(self, evidence: PenaltyEvidence) -> float:
+        """All residuals: η is an expectation, which has the share that data leave open already."""
+        return evidence.count
+
+
+@dataclass(frozen=True)
+class Student(Loss):
+    """Σ c²·log(1 + (x/c)²), c the corner: x² near 0, logarithmic far out, so that outliers have little influence.
+
+    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν + 1. It is not convex
+    beyond the corner, and brings local minima. corner has the unit of the term's residual. Raises ValueError unless it
+    is positive and finite.
+    Source: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989.
+    """
+
+    convex: ClassVar[bool] = False
+    corner: float
+    kind: Literal["student"] = "student"
+
+    def __post_init__(self) -> None:
+        _check_corner(self.corner)
+
+    def cost(self, residual: Any) -> Any:
+        """The sum, symbolic or numeric."""
+        return self.corner**2 * casadi.sum1(casadi.log1p((residual / self.corner) ** 2))
+
+    def curvature(self, residual: Array) -> Array:
+        """ω = (1 − q)/(1 + q)², q = (x/c)²; 0 beyond the corner. The default, in closed form."""
+        square = (residual / self.corner) ** 2
+        return np.asarray(np.maximum(1 - square, 0.0) / (1 + square) ** 2)
+
+    def steady_pull(self, residual: Array) -> Array:
+        """√((x/(1 + q))² − (ω x)²)."""
+        slope = residual / (1 + (residual / self.corner) ** 2)
+        return np.asarray(np.sqrt(np.maximum(slope**2 - (self.curvature(residual) * residual) ** 2, 0.0)))
+
+
+AnyLoss = Annotated[Squared | Huber | Absolute | Student, ByKind("lampest.losses")]

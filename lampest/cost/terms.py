@@ -1,0 +1,303 @@
+"""The cost terms. To add one: write its class here, before `AnyTerm`, and name it there."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from math import isfinite
+from typing import Annotated, Any, ClassVar, Literal
+
+import casadi
+
+from lampest.cost.given import Given
+from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
+from lampest.files.tagged import ByKind, members_by_kind
+from lampest.panel.panel import Panel
+
+Reference = Literal["baseline", "previous"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State(Given):
+    """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
+
+    Parameters
+    ----------
+    panel : shape of the panel.
+    cell_resistance : r, ohm.
+    reading : y = f(r) as the model has it, in the readout's unit (ohm or volt).
+
+    and all that `Given` declares: what was measured, and what is known from earlier frames.
+    """
+
+    panel: Panel
+    cell_resistance: Any
+    reading: Any
+
+    def relative_change(self) -> Any:
+        """100·(r − r0)/r0 in percent; paper, equation (15)."""
+        return 100 * (self.cell_resistance - self.previous) / self.previous
+
+    def ratio(self, reference: Reference) -> Any:
+        """r/r0, r0 the baseline's or the previous frame's, (cells, 1)."""
+        return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
+
+    def log_steps(self, values: Any) -> Any:
+        """100·log(x_b/x_a) over all pairs of neighbours, b below or right of a, (pairs, 1) percent."""
+        first, second = neighbour_operators(self.panel.rows, self.panel.columns)
+        return 100 * casadi.log((second @ values) / (first @ values))
+
+    def gradient(self, values: Any) -> Any:
+        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D."""
+        return gradient_operator(self.panel.rows, self.panel.columns) @ values
+
+
+@cache
+def gradient_operator(rows: int, columns: int) -> casadi.DM:
+    """Sparse (2·cells, cells): the panel's finite differences for row-major columns."""
+    panel = Panel(rows, columns)
+    along_rows = casadi.sparsify(casadi.DM(panel.row_gradient()))
+    along_columns = casadi.sparsify(casadi.DM(panel.column_gradient()))
+    return casadi.vertcat(
+        casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
+    )
+
+
+@cache
+def neighbour_operators(rows: int, columns: int) -> tuple[casadi.DM, casadi.DM]:
+    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours."""
+
+    def picked(below: tuple[int, int], right: tuple[int, int]) -> casadi.DM:
+        """Rows from `below[0]` to `below[1]` of the panel, then columns from `right[0]` to `right[1]`."""
+        down = casadi.kron(casadi.DM.eye(rows)[slice(*below), :], casadi.DM.eye(columns))
+        return casadi.vertcat(down, casadi.kron(casadi.DM.eye(rows), casadi.DM.eye(columns)[slice(*right), :]))
+
+    return picked((0, rows - 1), (0, columns - 1)), picked((1, rows), (1, columns))
+
+
+Weight = float | Literal["auto"]
+
+
+@dataclass(frozen=True)
+class Term(ABC):
+    """A summand of the cost function: weight · loss(residual(state)).
+
+    weight : a number, or 'auto' where the data are to choose it, which is what lampest's penalties have where none is
+    named. reads_measurement : whether it is a data term, which reads what was measured; all others are penalties.
+    needs_previous : whether it compares with the previous frame or the baseline. weighs_previous : whether it reads
+    how well the previous frame is known, so that its variance is that of the change and of the previous frame's error
+    together. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless the weight
+    is finite and not negative.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    reads_measurement: ClassVar[bool] = False
+    needs_previous: ClassVar[bool] = False
+    weighs_previous: ClassVar[bool] = False
+    convex_in_log: ClassVar[bool] = False
+    unit: ClassVar[str]
+    weight: Weight = 1.0
+    loss: AnyLoss = Squared()
+
+    def __post_init__(self) -> None:
+        if self.weight != "auto" and not (isfinite(self.weight) and self.weight >= 0):
+            raise ValueError("weight must be zero or positive, and finite")
+
+    @abstractmethod
+    def residual(self, state: State) -> Any:
+        """The column of residuals, in `unit`."""
+
+
+@dataclass(frozen=True)
+class Misfit(Term):
+    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11)."""
+
+    reads_measurement: ClassVar[bool] = True
+    unit: ClassVar[str] = "ohm"
+    kind: Literal["misfit"] = "misfit"
+    weight: float = 1.0
+    weighting: Literal["plain", "noise"] = "plain"
+
+    def residual(self, state: State) -> Any:
+        """Modelled minus measured readings, (cells, 1); of a bound only what breaks it."""
+        difference = state.reading - state.measured
+        if state.side is not None:
+            beyond = state.side * casadi.fmin(state.side * difference, 0)
+            difference = state.seen * ((1 - state.side**2) * difference + beyond)
+        return difference / state.sigma if self.weighting == "noise" else difference
+
+
+@dataclass(frozen=True)
+class CellResistance(Term):
+    """r in ohm; LSR-CR, paper, equation (13)."""
+
+    unit: ClassVar[str] = "ohm"
+    kind: Literal["cell_resistance"] = "cell_resistance"
+    weight: Weight = "auto"
+
+    def residual(self, state: State) -> Any:
+        """Cell resistance, (cells, 1)."""
+        return state.cell_resistance
+
+
+@dataclass(frozen=True)
+class RelativeChange(Term):
+    """100·(r − r0)/r0 in percent; LSR-ΔCR, paper, equations (15) and (17)."""
+
+    needs_previous: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent"
+    kind: Literal["relative_change"] = "relative_change"
+    weight: Weight = "auto"
+
+    def residual(self, state: State) -> Any:
+        """Relative change against the previous frame, (cells, 1)."""
+        return state.relative_change()
+
+
+@dataclass(frozen=True)
+class Gradient(Term):
+    """∇r in ohm per cell, row part and column part; LSR-∇CR, paper, equation (19)."""
+
+    unit: ClassVar[str] = "ohm per cell"
+    kind: Literal["gradient"] = "gradient"
+    weight: Weight = "auto"
+
+    def residual(self, state: State) -> Any:
+        """Finite differences of the cell resistance, (2·cells, 1)."""
+        return state.gradient(state.cell_resistance)
+
+
+@dataclass(frozen=True)
+class GradientOfRelativeChange(Term):
+    """∇(100·(r − r0)/r0) in percent per cell; LSR-∇ΔCR, paper, equations (21) and (23)."""
+
+    needs_previous: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent per cell"
+    kind: Literal["gradient_of_relative_change"] = "gradient_of_relative_change"
+    weight: Weight = "auto"
+
+    def residual(self, state: State) -> Any:
+        """Finite differences of the relative change, (2·cells, 1)."""
+        return state.gradient(state.relative_change())
+
+
+@dataclass(frozen=True)
+class TotalVariation(Term):
+    """100·log(r_b/r_a) in percent, over all pairs a, b of neighbours.
+
+    With its absolute loss this is the anisotropic total variation of log r. In log r a fall to a tenth and a rise to
+    tenfold are edges of one height, and forward differences see a cell that stands out alone, which central ones do
+    not. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+    """
+
+    convex_in_log: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent"
+    weight: Weight = "auto"
+    loss: AnyLoss = Absolute()
+    kind: Literal["total_variation"] = "total_variation"
+
+    def residual(self, state: State) -> Any:
+        """Logarithmic steps between neighbouring cells, (pairs, 1)."""
+        return state.log_steps(state.cell_resistance)
+
+
+@dataclass(frozen=True)
+class LogRatio(Term):
+    """100·log(r/r0) in percent, r0 the baseline or the previous frame; weighs suction and pressure alike.
+
+    Convex in log r, which the relative change is not. Against the baseline and squared it is a Gaussian prior of log r
+    with the baseline as its mean; with its absolute loss few cells change, by any amount. Source: Tarantola, Inverse
+    Problem Theory, 2005 (positive parameters by their logarithms).
+    """
+
+    needs_previous: ClassVar[bool] = True
+    convex_in_log: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent"
+    weight: Weight = "auto"
+    loss: AnyLoss = Absolute()
+    kind: Literal["log_ratio"] = "log_ratio"
+    reference: Reference = "baseline"
+
+    def residual(self, state: State) -> Any:
+        """Logarithmic change, (cells, 1)."""
+        return 100 * casadi.log(state.ratio(self.reference))
+
+
+@dataclass(frozen=True)
+class TotalVariationOfChange(Term):
+    """100·log((r/r0)_b/(r/r0)_a) in percent, over all pairs a, b of neighbours; r0 the baseline or the previous frame.
+
+    With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60,
+    1992.
+    """
+
+    needs_previous: ClassVar[bool] = True
+    convex_in_log: ClassVar[bool] = True
+    unit: ClassVar[str] = "percent"
+    weight: Weight = "auto"
+    loss: AnyLoss = Absolute()
+    kind: Literal["total_variation_of_change"] = "total_variation_of_change"
+    reference: Reference = "baseline"
+
+    def residual(self, state: State) -> Any:
+        """Logarithmic steps of the change between neighbouring cells, (pairs, 1)."""
+        return state.log_steps(state.ratio(self.reference))
+
+
+@dataclass(frozen=True)
+class Arrival(Term):
+    """(log r − log r0)/√(sd0² + q²), r0 the previous frame and sd0 the standard deviation of its logarithm.
+
+    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in percent. A step that
+    the readings have in common is no cell's own: r0 takes it before (`Readout.common_step`).
+
+    A random walk of log r whose past is summed up in one frame: the arrival cost of moving-horizon estimation with a
+    horizon of one frame, an extended Kalman filter with bounds. Of the covariance it reads the diagonal. Huber's loss
+    lets cells jump when a load sets in. With misfit.weighting: noise a weight of one is right, with plain readings that
+    all have the noise σ, one of σ² ohm². The baseline is solved alone, by the other terms. Raises ValueError unless q
+    is positive and finite.
+    Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Huber, Ann. Math. Statist. 35,
+    1964; Masreliez & Martin, IEEE Trans. Automat. Contr. 22, 1977 (robust Kalman filter).
+    """
+
+    needs_previous: ClassVar[bool] = True
+    weighs_previous: ClassVar[bool] = True
+    convex_in_log: ClassVar[bool] = True
+    unit: ClassVar[str] = "standard deviations"
+    weight: float = 1.0
+    loss: AnyLoss = Huber(corner=1.25)
+    kind: Literal["arrival"] = "arrival"
+    walk_percent: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (isfinite(self.walk_percent) and self.walk_percent > 0):
+            raise ValueError("walk_percent must be positive and finite")
+
+    def residual(self, state: State) -> Any:
+        """Change in units of its standard deviation, (cells, 1)."""
+        variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
+        return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
+
+
+AnyTerm = Annotated[
+    Misfit
+    | CellResistance
+    | RelativeChange
+    | Gradient
+    | GradientOfRelativeChange
+    | TotalVariation
+    | LogRatio
+    | TotalVariationOfChange
+    | Arrival,
+    ByKind("lampest.terms"),
+]
+
+
+def term_kind(term: Term) -> str:
+    """The word that names the term in YAML and results."""
+    return str(getattr(term, "kind", type(term).__name__))
+
+
+def term_types() -> dict[str, type[Term]]:
+    """kind → class, for every member of the union, in its order; then those of installed packages."""
+    return members_by_kind(AnyTerm)
