@@ -150,7 +150,7 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
     """Find the film's response from known loads and write it into a scene."""
     from lampest.estimate.load_calibration import calibrate_loads
     from lampest.files.whole import write_whole
-    from lampest.loads.calibration.known import read_known_loads
+    from lampest.loads.known_loads import read_known_loads
     from lampest.recording.recording import Recording
 
     told = read_known_loads(loads)

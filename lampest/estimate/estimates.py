@@ -13,7 +13,7 @@ from lampest.estimate.model_check.check import ModelCheck, recording_check
 from lampest.estimate.model_check.frame_misfit import frame_misfit
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen
 from lampest.estimate.step import Step
-from lampest.loads.film.known import FilmKnown
+from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts

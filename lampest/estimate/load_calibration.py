@@ -11,9 +11,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
-from lampest.loads.calibration.fit import Fitted, Loaded, fit_loads
-from lampest.loads.calibration.known import KnownLoad, KnownLoads
-from lampest.loads.calibration.response import response_of
+from lampest.loads.calibration import Fitted, Loaded, fit_loads, response_of
+from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import NORMAL_95, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -52,7 +51,7 @@ class LoadCalibration:
 
 
 def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, tolerance: float) -> LoadCalibration:
-    """The curve and gains that explain known loads best; see `lampest.loads.calibration.fit`.
+    """The curve and gains that explain known loads best; see `lampest.loads.calibration`.
 
     recordings : of one scene, unloaded frames included. tolerance : by which fraction all loads together may be off.
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from lampest.loads.recognition.direct import OralDiscFit
+from lampest.loads.recognition.oral_disc import OralDiscFit
 from lampest.panel.panel import Array
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars

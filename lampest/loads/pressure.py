@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.film.known import FilmKnown
-from lampest.loads.film.track import FilmTrack
+from lampest.loads.film import FilmKnown, FilmTrack
 from lampest.loads.response import (
     RESPONSE_SD,
     TOLD_KPA,

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.oval import Unevenness, oval_pressure
+from lampest.loads.shapes.disc import Disc, Unevenness, oval_pressure
 from lampest.panel.panel import Array, Panel
 
 PANEL = Panel(7, 5, 10.0)

@@ -18,8 +18,7 @@ from lampest.loads.recognition.candidates import KINDS, LOADS
 from lampest.loads.recognition.fit import FARTHEST, Fitting
 from lampest.loads.recognition.frame import Whitening
 from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
-from lampest.loads.shapes.disc import bearing_kpa, log_bearing
-from lampest.loads.shapes.oval import oval_pressure
+from lampest.loads.shapes.disc import bearing_kpa, log_bearing, oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
 from lampest.loads.shapes.shape import POINTS, Candidate
 from lampest.panel.panel import Panel

@@ -9,19 +9,16 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.candidates import CANDIDATES, FLAT, KINDS
+from lampest.loads.recognition.candidates import AND, CANDIDATES, FLAT, KINDS, Several
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.direct import fit_oral_disc
 from lampest.loads.recognition.field import EACH, OWN, SD, field_fit
 from lampest.loads.recognition.frame import Direct, TwoStep, Whitening, outliers
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.prior import HIDDEN, IN_EACH_OTHER, outline_cost
-from lampest.loads.recognition.several import AND, Several
+from lampest.loads.recognition.oral_disc import fit_oral_disc
+from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.together import discs_of
-from lampest.loads.recognition.verdict import OR, Verdict
+from lampest.loads.recognition.verdict import HIDDEN, IN_EACH_OTHER, OR, Verdict, outline_cost
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
-from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.oval import oval_pressure
+from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel

@@ -7,9 +7,7 @@ import pytest
 
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.loads.film.creep import Creep
-from lampest.loads.film.hysteresis import Plays
-from lampest.loads.film.memory import FilmMemory
+from lampest.loads.film import Creep, FilmMemory, Plays
 from lampest.loads.response import pressure_from_ratio, ratio_from_pressure
 from lampest.loads.shapes import Rod, SuctionCup
 from lampest.panel.film import Film

@@ -8,12 +8,10 @@ import pytest
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.baseline import Baseline, Remembered
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct
-from lampest.loads.recognition.memory import Remembered
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.verdict import OR
 from lampest.loads.shapes import OralDisc
 from lampest.panel.film import Film

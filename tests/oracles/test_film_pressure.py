@@ -12,7 +12,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.hdf5 import existing_file, read_attribute
-from lampest.loads.film.known import FilmKnown
+from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.loads.shapes import Rod
 from lampest.panel.film import OPEN_CREEP, Film

@@ -11,8 +11,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.load_calibration import LoadCalibration, calibrate_loads
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.calibration.fit import Loaded, fit_loads
-from lampest.loads.calibration.known import KnownLoad, KnownLoads
+from lampest.loads.calibration import Loaded, fit_loads
+from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.response import log_ratio_from_pressure
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse

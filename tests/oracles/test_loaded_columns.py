@@ -15,7 +15,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout
 from lampest.panel.scene import Faults, Scene

@@ -5,9 +5,8 @@ import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fitting
+from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.frame import Whitening
-from lampest.loads.recognition.spread import along_diameter
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 from lampest.report.detect.detection import numbers_of

@@ -18,7 +18,7 @@ from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import KINDS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct
-from lampest.loads.recognition.model_errors import ModelErrors
+from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.verdict import Verdict
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout

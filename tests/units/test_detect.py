@@ -11,8 +11,7 @@ from support import invented_case
 
 from lampest.files.errors import InputError
 from lampest.loads.recognition.candidates import KINDS
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout

@@ -8,8 +8,7 @@ from lampest.loads.recognition.candidates import LOADS, UNIFORM
 from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.frame import Explained
-from lampest.loads.recognition.over_time import OverTime
-from lampest.loads.recognition.verdict import OR, Verdict
+from lampest.loads.recognition.verdict import OR, OverTime, Verdict
 
 CANDIDATES = UNIFORM + LOADS
 KINDS = (*CANDIDATES, FIELD)

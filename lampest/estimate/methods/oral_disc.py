@@ -17,10 +17,9 @@ from lampest.files.interrupts import delayed_interrupt
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.direct import OralDiscFit, fit_oral_disc
 from lampest.loads.recognition.frame import Direct, counting
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.oral_disc import OralDiscFit, fit_oral_disc
+from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from lampest.loads.recognition.candidates import LOADS, UNIFORM
+from lampest.loads.recognition.baseline import Remembered
+from lampest.loads.recognition.candidates import LOADS, UNIFORM, Several
 from lampest.loads.recognition.field import FIELD, field_fit
-from lampest.loads.recognition.fit import STEPS, Fit, Fitting, linear_evidence
+from lampest.loads.recognition.fit import STEPS, Fit, Fitting, along_diameter, linear_evidence
 from lampest.loads.recognition.frame import (
     SUSPICIOUS,
     Observation,
@@ -18,14 +19,9 @@ from lampest.loads.recognition.frame import (
     with_errors,
     without,
 )
-from lampest.loads.recognition.memory import Remembered
-from lampest.loads.recognition.over_time import OverTime
-from lampest.loads.recognition.prior import outline_cost
 from lampest.loads.recognition.search import DiscSearch, cell_map
-from lampest.loads.recognition.several import Several
-from lampest.loads.recognition.spread import along_diameter
 from lampest.loads.recognition.together import Together, discs_of, twins
-from lampest.loads.recognition.verdict import Verdict, judged
+from lampest.loads.recognition.verdict import OverTime, Verdict, judged, outline_cost
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel

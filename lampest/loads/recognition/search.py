@@ -10,8 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.recognition.frame import Observation, Whitening
-from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.oval import oval_pressure
+from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.shape import Template
 from lampest.panel.panel import Array, Panel
 

@@ -1,11 +1,95 @@
-"""What a user may tell the recognition beside the results."""
+"""What the model does not describe: the sources of error that stand beside the noise of the readings.
 
-from dataclasses import dataclass, field
+What a user may tell the recognition beside the results.
+"""
+
+from dataclasses import dataclass, field, replace
+from math import hypot, isfinite
 from typing import Any, ClassVar
 
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Water
+import numpy as np
+
+from lampest.loads.response import RESPONSE_SD
+from lampest.panel.film import OPEN_CREEP
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, Systematic, Water
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Standard deviations of what is not measured. Every one of them widens error bars and tempers verdicts.
+
+    Parameters
+    ----------
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently. Recognition finds it
+        in the readings, between 0.5 and 2.5 times this.
+    bent : of the same, alike in all cells: bent film answers less, by half where it is bent sharply.
+    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
+    drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
+    settled : of the logarithm of a cell's resistance at rest, apart from drift.
+    creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation; a mean, not an
+        error: what is left of a load that is gone. Wider than a scene that leaves it open, because false alarms cost
+        more than weak loads that come back to a place just left.
+    remanence_sd : of the part of its largest answer of late that a film keeps for minutes; see `memory`.
+    channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
+    reference : relative error of the reference resistor: 1 % at most, uniform.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames; `lampest detect` takes what
+        the recording's own frames told of it.
+
+    Source of the others: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    creep by a few percent for each decade of time. Raises ValueError where one is negative or not finite.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    response: float = RESPONSE_SD
+    bent: float = 0.15
+    cell_spread: float = 0.4
+    drift_per_minute: float = 0.01
+    settled: float = 0.002
+    creep: float = OPEN_CREEP[0]
+    creep_sd: float = 0.05
+    remanence_sd: float = 0.12
+    channel_ohm: float = 3.0
+    reference: float = 0.006
+    reading_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (isfinite(value) and value >= 0):
+                raise ValueError(f"{name} must be zero or positive, and finite")
+
+    def told_by(self, scene: Scene, reading_error: float) -> "ModelErrors":
+        """With what a scene and its frames say of errors and of the film; what they leave open is assumed.
+
+        reading_error : of the logarithm of each reading, the same in all frames, as frames told.
+        """
+        errors = replace(self, reading_error=reading_error)
+        if scene.film is not None:
+            creep = scene.film.told_creep
+            errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)
+        if scene.systematic is None:
+            return errors
+        told = scene.told_systematic or Systematic()
+        reference = told.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
+        return replace(errors, channel_ohm=told.channel_spread_ohm, reference=reference)
+
+    def resting_sd(self, seconds: float) -> float:
+        """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""
+        return hypot(self.drift_per_minute * seconds / 60, self.settled)
+
+    def offsets(self, total: Array) -> Array:
+        """E·sd (cells, offsets) ohm: what one standard deviation of every offset adds to the readings.
+
+        Offsets are those of rows, of columns, of the reference, and where there are such errors, of each reading.
+        total : (rows, columns) ohm, what the divider sees, series resistance included.
+        """
+        rows, columns = total.shape
+        by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
+        by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
+        channels = self.channel_ohm * np.hstack([by_row, by_column])
+        own = [np.diag(self.reading_error * total.ravel())] if self.reading_error else []
+        return np.hstack([channels, self.reference * total.reshape(-1, 1), *own])
+
 
 LEAST, MOST = 1e-9, 1e6  # mm or percent
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lampest.loads.recognition.candidates import Several
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.prior import prior_cost
-from lampest.loads.recognition.several import Several
+from lampest.loads.recognition.verdict import prior_cost
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel

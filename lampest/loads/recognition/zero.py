@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lampest.loads.recognition.baseline import Baseline
+from lampest.loads.recognition.baseline import Baseline, Remembered
 from lampest.loads.recognition.candidates import NOTHING, UNIFORM
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct
-from lampest.loads.recognition.memory import Remembered
 from lampest.loads.recognition.search import cell_map
 from lampest.loads.recognition.verdict import OR, Verdict
 from lampest.loads.tare import FADES, stands_out

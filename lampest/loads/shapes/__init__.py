@@ -1,14 +1,14 @@
-"""What presses on the panel or sucks at it. To add a shape: write its file, name it in `AnyShape`."""
+"""What presses on the panel or sucks at it. To add a shape: write its class, name it in `AnyShape`."""
 
 from typing import TYPE_CHECKING, Annotated
 
 from lampest.files.tagged import ByKind, shipped
-from lampest.loads.shapes.block import Block as Block
-from lampest.loads.shapes.oral_disc import OralDisc as OralDisc
-from lampest.loads.shapes.ring import Ring as Ring
-from lampest.loads.shapes.rod import Rod as Rod
+from lampest.loads.shapes.kinds import Block as Block
+from lampest.loads.shapes.kinds import OralDisc as OralDisc
+from lampest.loads.shapes.kinds import Ring as Ring
+from lampest.loads.shapes.kinds import Rod as Rod
+from lampest.loads.shapes.kinds import SuctionCup as SuctionCup
 from lampest.loads.shapes.shape import Shape as Shape
-from lampest.loads.shapes.suction_cup import SuctionCup as SuctionCup
 
 if TYPE_CHECKING:
     AnyShape = Shape  # a shape that a user derives may stand wherever these may

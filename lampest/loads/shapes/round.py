@@ -8,8 +8,16 @@ from math import exp, log, sqrt
 import numpy as np
 
 from lampest.loads.response import VACUUM_KPA
-from lampest.loads.shapes.disc import Disc, bearing_kpa, bearing_slope, checked_contact, log_bearing
-from lampest.loads.shapes.oval import EVEN, Unevenness, oval_pressure
+from lampest.loads.shapes.disc import (
+    EVEN,
+    Disc,
+    Unevenness,
+    bearing_kpa,
+    bearing_slope,
+    checked_contact,
+    log_bearing,
+    oval_pressure,
+)
 from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Shape, Template, centre_priors
 from lampest.panel.panel import Array, Panel
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lampest.loads.film.memory import FilmMemory
+from lampest.loads.film import FilmMemory
 from lampest.loads.response import gains_of, log_ratio_from_pressure
 from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array

@@ -6,12 +6,10 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.recognition.candidates import KINDS, LOADS
+from lampest.loads.recognition.candidates import KINDS, LOADS, Several
 from lampest.loads.recognition.detector import MOST_AT_ONCE
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.prior import further
-from lampest.loads.recognition.several import Several
-from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.recognition.verdict import Verdict, further
 from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
 from lampest.panel.panel import Array
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.loads.recognition.candidates import LOADS, NOTHING, UNIFORM
-from lampest.loads.recognition.several import AND
+from lampest.loads.recognition.candidates import AND, LOADS, NOTHING, UNIFORM
 from lampest.loads.recognition.verdict import OR
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import NOT_SOLVED, Detection

@@ -13,8 +13,7 @@ from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counting
-from lampest.loads.recognition.model_errors import ModelErrors
-from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.recognition.zero import Zero
 from lampest.panel.panel import Array

@@ -1,1 +1,0 @@
-"""The film's own response from known loads: the curve that all cells share, and each cell's gain."""
