@@ -18,6 +18,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.model_check.cells_fit import cells_alone
 from lampest.panel.hidden import hidden_columns
+from lampest.panel.least_squares import LevenbergMarquardt, Squares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.readings import Readings
@@ -25,7 +26,7 @@ from lampest.recording.readings import Readings
 SIZES = tuple(float(size) for size in np.geomspace(5e-4, 0.3, 22))
 SCATTERS = (0.03, 0.1, 0.2, 0.4)  # s: films of one batch scatter by a tenth, worn ones by 0.4
 UNSEEN = 1e12  # times σ, of a reading that says nothing, or one side only
-MOST_STEPS, MOST_HALVINGS, LONGEST_STEP, SETTLED = 25, 8, 1.5, 1e-2
+FIT = LevenbergMarquardt(evaluations=25, settled=5e-3, damping=0.0, longest=1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,33 +65,21 @@ class Alike:
 
 
 def most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, float]:
-    """(u (rows, columns), −2 log p(y | e, s)) from readings and their τ; Gauss and Newton's method, steps halved."""
+    """(u (rows, columns), −2 log p(y | e, s)) from readings and their τ."""
     count = value.size
-    free = (data.lower < data.upper).ravel()
-    pull = (np.eye(count) - 1 / count) / spread**2
-    bounds = data.log_bounds[0][0], data.log_bounds[1][0]
-    cells = np.where(free.reshape(value.shape), start, np.clip(start, *bounds))
+    unlike = (np.eye(count) - 1 / count) / spread
+    free = data.lower[0] < data.upper[0]
+    lower, upper = (
+        np.where(free, far, bound[0]).ravel() for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
+    )
 
-    def at(cells: Array) -> tuple[Array, Array, float]:
-        network = data.network(0, np.exp(cells))
+    def model(cells: Array) -> Squares:
+        network = data.network(0, np.exp(cells).reshape(value.shape))
         missed = ((network.reading() - value) / deviation).ravel()
-        jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free
-        return missed, jacobian, float(missed @ missed + cells.ravel() @ pull @ cells.ravel())
+        jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
+        return Squares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
-    missed, jacobian, cost = at(cells)
-    for _ in range(MOST_STEPS):
-        gradient = (jacobian.T @ missed + pull @ cells.ravel()) * free
-        step = -np.linalg.solve(jacobian.T @ jacobian + pull, gradient) * free
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        for halving in range(MOST_HALVINGS):
-            moved = cells + (step * 0.5**halving).reshape(cells.shape)
-            there = at(moved)
-            if there[-1] < cost:
-                break
-        else:
-            break
-        gained, (missed, jacobian, cost), cells = cost - there[-1], there, moved
-        if gained < SETTLED:
-            break
-    curvature = np.linalg.slogdet(jacobian.T @ jacobian + pull)[1]
-    return cells, cost + curvature + 2 * np.log(deviation).sum() + 2 * (count - 1) * np.log(spread)
+    found = FIT.minimum(model, start.ravel(), (lower, upper))
+    curvature = np.linalg.slogdet(found.at.normal)[1]
+    prior = 2 * np.log(deviation).sum() + 2 * (count - 1) * np.log(spread)
+    return found.position.reshape(value.shape), 2 * found.at.cost + curvature + prior

@@ -1,0 +1,133 @@
+"""Levenberg and Marquardt's method: the least sum of squares within bounds.
+
+    minimise ½ |f(x)|² over lower ≤ x ≤ upper,   (JᵀJ + μ diag(JᵀJ)) δ = −Jᵀ f
+
+The damping μ falls to a tenth after a step that gains at least half of what the linear model predicts, and grows
+tenfold after one that gains nothing. Unknowns at a bound that the gradient presses against stay there. A prior is a
+part of f: its distance from the mean in standard deviations.
+Source: Moré, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630, Springer, 1978.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+
+
+class Linearised(Protocol):
+    """A sum of squares about one point."""
+
+    @property
+    def cost(self) -> float:
+        """½ |f|²."""
+
+    @property
+    def gradient(self) -> Array:
+        """Jᵀ f, (unknowns)."""
+
+    @property
+    def normal(self) -> Array:
+        """JᵀJ, (unknowns, unknowns)."""
+
+
+P = TypeVar("P", bound=Linearised)
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """A sum of squares from its residual (n) and Jacobian (n, unknowns).
+
+    ridge : 1/variance of a step, added to the diagonal of JᵀJ: what no residual sees stays where it is.
+    """
+
+    residual: Array
+    jacobian: Array
+    ridge: float = 0.0
+
+    @property
+    def cost(self) -> float:
+        """½ |f|²."""
+        return float(self.residual @ self.residual) / 2
+
+    @property
+    def gradient(self) -> Array:
+        """Jᵀ f."""
+        return np.asarray(self.jacobian.T @ self.residual)
+
+    @cached_property
+    def normal(self) -> Array:
+        """JᵀJ + ridge."""
+        return np.asarray(self.jacobian.T @ self.jacobian + self.ridge * np.eye(self.jacobian.shape[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum(Generic[P]):
+    """position : (unknowns). at : the sum of squares there. evaluations : of the model, the first included."""
+
+    position: Array
+    at: P
+    evaluations: int
+
+
+@dataclass(frozen=True, eq=False)
+class LevenbergMarquardt:
+    """The loop's settings.
+
+    evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop.
+    damping : μ to begin with; 0: the first step is Gauss and Newton's. most_damping : μ that ends the loop.
+    longest : most that a step may change an unknown by, for all or for each; longer steps are shortened as a whole.
+    """
+
+    evaluations: int
+    settled: float
+    damping: float = 1e-3
+    most_damping: float = 1e8
+    longest: float | Array = np.inf
+
+    def minimum(
+        self,
+        model: Callable[[Array], P],
+        start: Array,
+        bounds: tuple[Array | float, Array | float] = (-np.inf, np.inf),
+        ended: Callable[[P, int], bool] = lambda at, evaluations: False,
+    ) -> Minimum[P]:
+        """The least sum of squares that is reached from `start` (unknowns).
+
+        model : position → the sum of squares about it; one whose cost is no number is never taken. ended : whether to
+        end at a point after so many evaluations. Raises numpy.linalg.LinAlgError where JᵀJ is singular without damping.
+        """
+        low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
+        position = np.clip(start, low, high)
+        here, count, damping = model(position), 1, self.damping
+        while count < self.evaluations and not ended(here, count):
+            gradient = here.gradient
+            free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
+            if not free.any():
+                break
+            step = self._step(here, free, damping)
+            moved = np.clip(position + step, low, high)
+            step = moved - position
+            there, count = model(moved), count + 1
+            gain, predicted = here.cost - there.cost, -float(gradient @ step + step @ here.normal @ step / 2)
+            if gain > 0:
+                position, here = moved, there
+                damping = max(damping / 10, min(damping, 1e-6)) if gain > predicted / 2 else damping
+            else:
+                damping = max(10 * damping, 1e-3)
+            if (predicted < self.settled and not gain >= self.settled) or damping > self.most_damping:
+                break
+        return Minimum(position, here, count)
+
+    def _step(self, here: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
+        """The damped step (unknowns), within its longest."""
+        step, normal = np.zeros(len(free)), here.normal[np.ix_(free, free)]
+        own = np.diag(normal)
+        damped = normal + damping * np.diag(np.where(own > 0, own, 1.0))
+        step[free] = -np.linalg.solve(damped, here.gradient[free])
+        size = np.abs(step)
+        return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(size, 1e-300)))))
