@@ -39,7 +39,7 @@ P = TypeVar("P", bound=Linearised)
 
 
 @dataclass(frozen=True, eq=False)
-class Squares:
+class SumOfSquares:
     """A sum of squares from its residual (n) and Jacobian (n, unknowns).
 
     ridge : 1/variance of a step, added to the diagonal of JᵀJ: what no residual sees stays where it is.

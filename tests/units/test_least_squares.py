@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from lampest.panel.least_squares import LevenbergMarquardt, Squares
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 
 TIMES = np.linspace(0.0, 2.0, 9)
@@ -19,15 +19,15 @@ def decay(unknowns: Array) -> Array:
     )
 
 
-def decayed(unknowns: Array) -> Squares:
+def decayed(unknowns: Array) -> SumOfSquares:
     amplitude, rate, _ = unknowns
     falling = np.exp(-rate * TIMES)
-    return Squares(decay(unknowns), np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))]))
+    return SumOfSquares(decay(unknowns), np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))]))
 
 
-def rosenbrock(unknowns: Array) -> Squares:
+def rosenbrock(unknowns: Array) -> SumOfSquares:
     x, y = unknowns
-    return Squares(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
+    return SumOfSquares(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
@@ -54,7 +54,7 @@ def test_bounds_that_are_active_hold_and_the_others_settle() -> None:
 def test_steps_evaluations_and_end_are_kept() -> None:
     seen: list[Array] = []
 
-    def model(unknowns: Array) -> Squares:
+    def model(unknowns: Array) -> SumOfSquares:
         seen.append(unknowns)
         return rosenbrock(unknowns)
 
@@ -65,15 +65,15 @@ def test_steps_evaluations_and_end_are_kept() -> None:
 
 
 def test_unknown_that_no_residual_sees_stays() -> None:
-    def model(unknowns: Array) -> Squares:
-        return Squares(unknowns[:1] - 3.0, np.array([[1.0, 0.0]]), ridge=1e-9)
+    def model(unknowns: Array) -> SumOfSquares:
+        return SumOfSquares(unknowns[:1] - 3.0, np.array([[1.0, 0.0]]), ridge=1e-9)
 
     for loop in (LOOP, LevenbergMarquardt(9, 1e-12, 0.0)):
         assert np.allclose(loop.minimum(model, np.array([1.0, 7.0])).position, [3.0, 7.0], atol=1e-6)
 
 
 def test_points_without_a_number_are_not_taken() -> None:
-    def model(unknowns: Array) -> Squares:
-        return Squares(np.log(unknowns) if unknowns[0] > 0 else np.array([np.nan]), 1 / unknowns[None])
+    def model(unknowns: Array) -> SumOfSquares:
+        return SumOfSquares(np.log(unknowns) if unknowns[0] > 0 else np.array([np.nan]), 1 / unknowns[None])
 
     assert np.isclose(LOOP.minimum(model, np.array([3.0])).position[0], 1.0)

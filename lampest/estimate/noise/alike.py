@@ -18,7 +18,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.model_check.cells_fit import cells_alone
 from lampest.panel.hidden import hidden_columns
-from lampest.panel.least_squares import LevenbergMarquardt, Squares
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.readings import Readings
@@ -73,11 +73,11 @@ def most_probable(data: Data, value: Array, deviation: Array, spread: float, sta
         np.where(free, far, bound[0]).ravel() for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
     )
 
-    def model(cells: Array) -> Squares:
+    def model(cells: Array) -> SumOfSquares:
         network = data.network(0, np.exp(cells).reshape(value.shape))
         missed = ((network.reading() - value) / deviation).ravel()
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
-        return Squares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
+        return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
     found = FIT.minimum(model, start.ravel(), (lower, upper))
     curvature = np.linalg.slogdet(found.at.normal)[1]
