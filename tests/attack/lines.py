@@ -20,9 +20,9 @@ from lampest.recording.board import patience
 from lampest.recording.board.framing import message
 from lampest.recording.board.protocol import Hello, hello_body
 from lampest.recording.board.record import record
-from lampest.report.live.newest import Newest
+from lampest.report.live.handover import Newest
+from lampest.report.live.message import View
 from lampest.report.live.server import serving
-from lampest.report.live.view import View
 
 LIMIT_S, SLACK_S = 0.5, 15.0  # how long nothing may fit here, and what the rest may take on a loaded machine
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)

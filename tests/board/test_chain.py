@@ -19,7 +19,7 @@ from lampest.recording.board.record import record
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.live.feed import recorded_from_board
+from lampest.report.live.run import recorded_from_board
 
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 

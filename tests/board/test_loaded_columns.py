@@ -21,7 +21,7 @@ from lampest.recording.board.identity import scene_of, told_readout
 from lampest.recording.board.protocol import Hello, Receiver, hello_body
 from lampest.recording.board.record import record
 from lampest.recording.recording import UNLOADED
-from lampest.report.live.feed import recorded_from_board
+from lampest.report.live.run import recorded_from_board
 
 WIRING = "loaded_columns"
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"

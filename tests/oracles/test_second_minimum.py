@@ -18,7 +18,7 @@ from lampest.recording.simulation import Simulation, simulate
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Cells
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.live.second_look import SecondLook
+from lampest.report.live.state import SecondLook
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 TWO = (8, 9, 15, 23)  # frames that once ended 0.4 to 0.7 % above the lower minimum

@@ -37,16 +37,13 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.carried import ASKED
 from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
-from lampest.report.live.feed import from_recording
-from lampest.report.live.force import total_force
-from lampest.report.live.newest import Newest
-from lampest.report.live.publish.message import Message
-from lampest.report.live.run import METHODS, Replay, chosen, live
+from lampest.report.live.handover import Newest
+from lampest.report.live.load import total_force, verdict_of
+from lampest.report.live.message import POINTS, Message, Picture, View, view_text
+from lampest.report.live.run import METHODS, Replay, chosen, from_recording, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
-from lampest.report.live.verdict import verdict_of
-from lampest.report.live.view import POINTS, Picture, View, view_text
+from lampest.report.live.state import ASKED
 from lampest.solvers.solution import Settings
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
@@ -266,8 +263,8 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
     assert after.status == "optimum verified" and np.isfinite(after.relative_change).all()
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
-    assert content["picture"]["cells"] == [None] * 100 and not content["picture"]["solved"]
-    assert content["picture"]["total"] is None and content["history"] == [[failed.time, None]]
+    assert content["picture"]["change"] == [None] * 100 and not content["picture"]["health"]["solved"]
+    assert content["picture"]["force"] is None and content["history"] == [[failed.time, None]]
 
 
 def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
@@ -355,7 +352,7 @@ def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out(
         content: dict[str, Any] = json.loads(view_text(view, 0.0))["picture"]
         return content
 
-    assert told("pressing")["centre"] == [17.5, 0.0] and told("pressing")["saturated"] == 1
+    assert told("pressing")["centre"] == [17.5, 0.0] and told("pressing")["health"]["saturated"] == [2]
     assert told("nothing")["centre"] is None and told("sucking")["centre"] is None
 
 

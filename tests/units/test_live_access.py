@@ -9,10 +9,10 @@ from contextlib import closing
 import pytest
 
 from lampest.files.errors import InputError
-from lampest.report.live import access as access_module
-from lampest.report.live.newest import Newest
+from lampest.report.live import server as server_module
+from lampest.report.live.handover import Newest
+from lampest.report.live.message import View
 from lampest.report.live.server import PageServer, serving
-from lampest.report.live.view import View
 
 TOKEN = "a-token-of-my-own"
 
@@ -91,7 +91,7 @@ def test_tokens_that_are_none(token: str) -> None:
 def test_tokens_are_compared_in_constant_time(open_page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is brought goes through the comparison that does not tell where texts differ."""
     compared: list[bytes] = []
-    monkeypatch.setattr(access_module, "compare_digest", lambda one, other: bool(compared.append(one)))
+    monkeypatch.setattr(server_module, "compare_digest", lambda one, other: bool(compared.append(one)))
     assert asked(open_page, f"/?token={TOKEN}")[0] == 403
     assert asked(open_page, Authorization=f"Bearer {TOKEN}")[0] == 403
     assert asked(open_page, Cookie=f"{open_page.access.name}={open_page.access.secret}")[0] == 403

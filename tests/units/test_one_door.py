@@ -25,7 +25,7 @@ from lampest.recording.simulation.measure import measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.live.engine import Engine
-from lampest.report.live.feed import from_recording, take_sample
+from lampest.report.live.run import from_recording, take_sample
 
 SHAPE = (8, 9)
 WHOLE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)

@@ -13,10 +13,9 @@ import pytest
 from paho.mqtt.client import Client
 
 from lampest.panel.panel import Panel
+from lampest.report.live.message import Message, Picture, View
 from lampest.report.live.publish import publish_at
-from lampest.report.live.publish.message import Message
 from lampest.report.live.publish.publish import Send
-from lampest.report.live.view import Picture, View
 
 FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
 PATIENCE_SECONDS = 30.0

@@ -1,1 +1,1 @@
-"""Frames as they come → cells → a page in the browser: newest (never lag), engine (solve), feed (frames), server."""
+"""Frames as they come → cells → a page in the browser, and messages for other programs."""

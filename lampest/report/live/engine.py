@@ -18,11 +18,9 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.report.live.beside import Beside, Errand
-from lampest.report.live.carried import Carried, solved_picture
-from lampest.report.live.newest import Newest
-from lampest.report.live.second_look import Findings, SecondLook
-from lampest.report.live.view import POINTS, Picture, Point, View
+from lampest.report.live.handover import Background, Newest, Task
+from lampest.report.live.message import POINTS, Picture, Point, View
+from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
@@ -44,7 +42,7 @@ class Scan:
     lost: int = 0
 
     def readings(self, scene: Scene) -> Readings:
-        """What the frame says to an estimator. Raises InputError as `Readings.of`."""
+        """As an estimator takes them. Raises InputError as `Readings.of`."""
         return Readings.of(scene, self.recorded, self.sigma)
 
 
@@ -79,7 +77,7 @@ class Engine:
         self._solving: Future[None] | None = None
         self._zero_asked = Event()
         self._looked = 0.0
-        self._beside = Beside() if beside else None
+        self._beside = Background() if beside else None
         self._found: SimpleQueue[Any] = SimpleQueue()
 
     def __enter__(self) -> "Engine":
@@ -103,7 +101,7 @@ class Engine:
         self.shown.change(lambda view: replace(view, state=sentence))
 
     def say_of_recording(self, sentence: str, on: bool) -> None:
-        """Show where the recording stands that the page may begin and end, and whether it runs."""
+        """Show the state of the recording that the page may begin and end, and whether it runs."""
         self.shown.change(lambda view: replace(view, recording=(sentence, on)))
 
     def tare(self) -> None:
@@ -114,7 +112,7 @@ class Engine:
         self._zero_asked.set()
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
-        """Start solving against the mean of unloaded frames, without readings that leap.
+        """Start solving against the mean of unloaded frames, without their outliers.
 
         Raises InputError where one of them makes no readings.
         """
@@ -148,19 +146,19 @@ class Engine:
         The circuit is held against the unloaded frames, and once more with the first three frames that show a load: of
         one alone nobody knows whether a reading that stands out is wrong.
         """
-        carried = Carried.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
+        state = PanelState.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
         self._check(source.scene, unloaded)
         seen, loaded = 0, list[Scan]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
-            carried = self._with_findings(carried)
+            state = self._with_findings(state)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
-                carried = carried.asked(self._baseline)
-            carried, picture = solved_scan(carried, news.thing, len(self._unloaded) + seen, skipped)
-            self.shown.change(partial(with_picture, picture=picture, zeroed=carried.zeroed))
-            self._look_again(carried.look)
+                state = state.zero_asked(self._baseline)
+            state, picture = solved_scan(state, news.thing, len(self._unloaded) + seen, skipped)
+            self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
+            self._look_again(state.look)
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
                 loaded.append(news.thing)
                 if len(loaded) == LOADED_FRAMES:
@@ -168,25 +166,25 @@ class Engine:
         if 0 < len(loaded) < LOADED_FRAMES:
             self._check(source.scene, unloaded, *loaded)
 
-    def _with_findings(self, carried: Carried) -> Carried:
+    def _with_findings(self, state: PanelState) -> PanelState:
         """With what second looks have found meanwhile; without them from here on, should their process have died."""
         assert self._solving is not None
         while not self._found.empty():
             found = self._found.get()
             if isinstance(found, Exception):
                 raise found
-            carried = replace(carried, stream=found.into(carried.stream))
-        if self._beside is not None and self._beside.gone and carried.stream.hasty:
-            track = carried.track or carried.stream.track
-            return replace(carried, stream=replace(carried.stream, hasty=False, track=track), track=None)
-        return carried
+            state = replace(state, stream=found.into(state.stream))
+        if self._beside is not None and self._beside.gone and state.stream.hasty:
+            track = state.track or state.stream.track
+            return replace(state, stream=replace(state.stream, hasty=False, track=track), track=None)
+        return state
 
     def _look_again(self, look: SecondLook | None) -> None:
         """Once the other process is free; weights and searches are not pushed aside by what only lacks error bars."""
         now = time.monotonic()
         if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
             self._looked = now
-            self._beside.ask("look", Errand(look.findings, self._take_findings, look.due))
+            self._beside.ask("look", Task(look.findings, self._take_findings, look.due))
 
     def _take_findings(self, found: "Findings | Exception") -> None:
         self._found.put(found)
@@ -195,22 +193,22 @@ class Engine:
             self.shown.change(lambda view: replace(view, deviation=force.deviation, deviation_of=number))
 
     def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
-        """Show what speaks against the scene's circuit, if anything does."""
+        """Show whether the frames contradict the scene's circuit."""
         scans, noises = (*unloaded, *loaded), [scan.sigma for scan in (*unloaded, *loaded)]
-        told = [noise for noise in noises if noise is not None]
+        known = [noise for noise in noises if noise is not None]
         frames = np.arange(len(scans))
         check = partial(
             model_check,
             scene,
             np.stack([scan.recorded for scan in scans]),
-            np.stack(told) if len(told) == len(scans) else None,
+            np.stack(known) if len(known) == len(scans) else None,
             frames[: len(unloaded)],
             frames[len(unloaded) :],
         )
         if self._beside is None or self._beside.gone:
             self._take_check(check())
         else:
-            self._beside.ask("check", Errand(check, self._take_check))
+            self._beside.ask("check", Task(check, self._take_check))
 
     def _take_check(self, found: "ModelCheck | Exception") -> None:
         if isinstance(found, Exception):
@@ -220,17 +218,17 @@ class Engine:
         self.shown.change(lambda view: replace(view, model=said))
 
 
-def solved_scan(carried: Carried, scan: Scan, number: int, skipped: int) -> tuple[Carried, Picture]:
+def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:
     """Solve one frame; where that cannot be, the picture holds NaN and says why."""
-    carried, scene = replace(carried, look=None), carried.stream.scene
+    state, scene = replace(state, look=None), state.stream.scene
     nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
     try:
         readings = scan.readings(scene)
     except InputError as error:
-        return carried, replace(picture, status=str(error))
-    change = 100 * (readings.shown / carried.stream.resting.shown - 1)
-    return solved_picture(carried, readings, replace(picture, measured_change=change))
+        return state, replace(picture, status=str(error))
+    change = 100 * (readings.shown / state.stream.resting.shown - 1)
+    return solved_picture(state, readings, replace(picture, measured_change=change))
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:

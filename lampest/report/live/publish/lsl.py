@@ -11,31 +11,25 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.files.extras import extra
-from lampest.panel.panel import Panel
-from lampest.report.live.publish.message import FORMAT, Message
+from lampest.report.live.message import FORMAT, VERDICTS, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
-from lampest.report.live.verdict import VERDICTS
 
-NUMBERS = (("sequence", "1"), ("force", "newton"), ("verdict", "1"), ("solved", "1"))
-QUIET = "[log]\nlevel = -1\n"  # errors alone; the library tells its life otherwise
-MAPS = (("change", "percent"), ("pressure", "kPa"), ("cells", "ohm"))
+QUIET = "[log]\nlevel = -1\n"  # of liblsl's own configuration: errors alone
 
 
 @dataclass(frozen=True)
 class LslPublish(Publish):
-    """`lsl://NAME`: found by its name in the local network."""
+    """`lsl://NAME`: found by its name in the local network, with the first frame: only then its size is known."""
 
     kind: ClassVar[str] = "lsl"
     name: str = "lampest"
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """The name `lampest` by default."""
         return cls(where.netloc or cls.name)
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """The stream appears with the first frame: before it nobody knows how many cells there are."""
         with extra("streams"):
             try:
                 import pylsl
@@ -45,40 +39,29 @@ class LslPublish(Publish):
         outlets: list[Any] = []
 
         def send(message: Message) -> None:
+            row = message.row().astype(np.float32)
             if not outlets:
-                outlets.append(pylsl.StreamOutlet(self._info(message.panel)))
-            picture = message.picture
-            numbers = (picture.number, picture.total, VERDICTS.index(picture.verdict), message.solved)
-            maps = (picture.relative_change, message.pressure, message.cells)
-            held = (*(one.ravel() for one in maps), [message.view.deviation])
-            sample = np.concatenate([np.array(numbers, dtype=float), *held])
-            outlets[0].push_sample(sample.astype(np.float32), pylsl.local_clock() - (time.time() - picture.arrived))
+                info = pylsl.StreamInfo(self.name, "Pressure", len(row), pylsl.IRREGULAR_RATE, "float32", self.name)
+                _describe(info.desc(), message)
+                outlets.append(pylsl.StreamOutlet(info))
+            outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
 
         yield f"lsl://{self.name}", send
         outlets.clear()
 
-    def _info(self, panel: Panel) -> Any:
-        """What the stream is, and each of its channels: label, unit, and where its cell lies in metre."""
-        import pylsl
 
-        described: list[tuple[str, str, tuple[float, float] | None]]
-        described = [(label, unit, None) for label, unit in NUMBERS]
-        described += [
-            (f"{label}_{row}_{column}", unit, (column * panel.pitch_mm / 1000, row * panel.pitch_mm / 1000))
-            for label, unit in MAPS
-            for row, column in np.ndindex(panel.shape)
-        ]
-        described.append(("force_sd", "newton", None))
-        info = pylsl.StreamInfo(self.name, "Pressure", len(described), pylsl.IRREGULAR_RATE, "float32", self.name)
-        about = info.desc()
-        about.append_child_value("format", FORMAT).append_child_value("verdicts", ",".join(VERDICTS))
-        for name, number in (("rows", panel.rows), ("columns", panel.columns), ("pitch_mm", panel.pitch_mm)):
-            about.append_child_value(name, str(number))
-        channels = about.append_child("channels")
-        for label, unit, place in described:
-            channel = channels.append_child("channel")
-            channel.append_child_value("label", label).append_child_value("unit", unit)
-            if place is not None:
-                location = channel.append_child("location")
-                location.append_child_value("X", str(place[0])).append_child_value("Y", str(place[1]))
-        return info
+def _describe(about: Any, message: Message) -> None:
+    panel = message.panel
+    head = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "rows": panel.rows, "columns": panel.columns}
+    _write(about, head | {"pitch_mm": panel.pitch_mm})
+    channels = about.append_child("channels")
+    for label, unit, place in message.channels():
+        channel = channels.append_child("channel")
+        _write(channel, {"label": label, "unit": unit})
+        if place is not None:
+            _write(channel.append_child("location"), {"X": place[0], "Y": place[1]})
+
+
+def _write(element: Any, values: dict[str, Any]) -> None:
+    for name, value in values.items():
+        element.append_child_value(name, str(value))

@@ -5,18 +5,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult, unquote
 
 from lampest.files.errors import InputError
 from lampest.files.extras import extra
-from lampest.report.live.publish.message import Message
+from lampest.report.live.message import Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
-PORT = 1883
-CONNECT_SECONDS = 5.0
-LONGEST_PAUSE_SECONDS = 10  # between attempts to reach a broker that went away
-CLOSE_SECONDS = 1.0  # for a broker to take the last message
+CONNECT_SECONDS, CLOSE_SECONDS = 5.0, 1.0  # for a broker to answer, and to take the last message
+PAUSES_SECONDS = 1, 10  # between attempts to reach a broker that went away
 
 
 @dataclass(frozen=True)
@@ -25,14 +24,13 @@ class MqttPublish(Publish):
 
     kind: ClassVar[str] = "mqtt"
     host: str = "localhost"
-    port: int = PORT
+    port: int = 1883
     topic: str = "lampest"
     user: str | None = None
     password: str | None = None
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """localhost:1883/lampest by default. Raises InputError where the topic is a pattern."""
         topic = where.path.strip("/") or cls.topic
         if set(topic) & set("+#"):
             raise InputError(f"--publish: mqtt: '{topic}' is no topic to publish to: + and # stand for others")
@@ -41,20 +39,14 @@ class MqttPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        """Connected to the broker. Raises InputError where there is none, or it refuses."""
         with extra("streams"):
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         where = f"mqtt://{self.host}:{self.port}/{self.topic}"
         client = Client(CallbackAPIVersion.VERSION2)
-        client.connect_timeout = CONNECT_SECONDS
-        client.on_socket_open = _at_once
-        client.reconnect_delay_set(1, LONGEST_PAUSE_SECONDS)
-        if self.user is not None:
-            client.username_pw_set(self.user, self.password)
-        self._connect(client, where)
-        client.on_disconnect = lambda *told: say(f"{where}: the broker is gone ({told[3]}); it is called again")
-        client.on_connect = lambda *told: say(f"{where}: the broker is back")
+        client.connect_timeout, client.on_socket_open = CONNECT_SECONDS, _at_once
+        client.reconnect_delay_set(*PAUSES_SECONDS)
+        client.username_pw_set(self.user, self.password)
         waiting: list[Any] = []  # the last message, as long as it is not on its way
 
         def send(message: Message) -> None:
@@ -63,42 +55,41 @@ class MqttPublish(Publish):
             elif not client.is_connected():
                 waiting.clear()
 
-        client.loop_start()
         try:
+            _connect(client, self.host, self.port, where)
+            client.on_disconnect = lambda *told: say(f"{where}: the broker is gone ({told[3]}); it is called again")
+            client.on_connect = lambda *told: say(f"{where}: the broker is back")
             yield where, send
         finally:
             client.on_disconnect = None
-            client.disconnect()
-            _hang_up(client)
-            client.loop_stop()
+            _close(client)
 
-    def _connect(self, client: Any, where: str) -> None:
-        """Wait until the broker has said that it takes us. Raises InputError where it does not."""
-        answers: list[Any] = []
-        client.on_connect = lambda *told: answers.append(told[3])
-        try:
-            client.connect(self.host, self.port)
-            while not answers and client.loop(CONNECT_SECONDS) == 0:
-                pass
-        except (OSError, ValueError) as error:
-            raise InputError(f"--publish: {where}: no broker answers ({error})") from error
-        if not answers or answers[0].is_failure:
-            said = answers[0] if answers else "it hung up"
-            raise InputError(f"--publish: {where}: the broker refuses ({said})")
+
+def _connect(client: Any, host: str, port: int, where: str) -> None:
+    """Wait until the broker has said that it takes us. Raises InputError where it does not."""
+    answers: SimpleQueue[Any] = SimpleQueue()
+    client.on_connect = client.on_disconnect = lambda *told: answers.put(told[3])
+    try:
+        client.connect(host, port)
+        client.loop_start()
+        answer = answers.get(timeout=CONNECT_SECONDS)
+    except (OSError, ValueError, Empty) as error:
+        raise InputError(f"--publish: {where}: no broker answers ({error or 'it says nothing'})") from error
+    if answer.is_failure:
+        raise InputError(f"--publish: {where}: the broker refuses ({answer})")
 
 
 def _at_once(client: Any, user: Any, connection: Any) -> None:
-    """Nothing waits for the broker to confirm what it got before, which it may put off for longer than a frame takes.
-
-    RFC 896 has a short segment wait for that, RFC 1122 lets a receiver put it off for up to 0.5 s (Linux: 40 ms).
-    """
+    """A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122)."""
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def _hang_up(client: Any) -> None:
+def _close(client: Any) -> None:
     """Once what was said has gone out; a broker that does not read would keep the library waiting for ever."""
+    client.disconnect()
     until = time.monotonic() + CLOSE_SECONDS
     while client.socket() is not None and time.monotonic() < until:
         time.sleep(0.01)
     with suppress(OSError, AttributeError):  # it has gone meanwhile
         client.socket().shutdown(socket.SHUT_RDWR)
+    client.loop_stop()

@@ -1,13 +1,15 @@
-"""What a way to publish frames is."""
+"""What a way to publish frames is, and how all ways get every frame."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
+from threading import Thread
 from typing import ClassVar, Self
 from urllib.parse import SplitResult
 
-from lampest.report.live.publish.message import Message
+from lampest.report.live.handover import Newest
+from lampest.report.live.message import Message, View
 
 Send = Callable[[Message], None]
 Say = Callable[[str], None]
@@ -31,6 +33,45 @@ class Publish(ABC):
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
         """(where others find it, what sends a message); open as long as the context lasts.
 
-        Sending never waits for whoever listens: who is slow misses messages. say : told what happens to a connection.
+        Sending never waits for listeners: slow ones miss messages. say : gets sentences about the connection.
         Raises InputError where a library is missing or nobody is there.
         """
+
+
+@contextmanager
+def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
+    """Send every new picture each way, in a thread of its own, until nothing more will come: the ways' addresses.
+
+    say : gets a sentence when a way fails first. Raises InputError where one cannot be opened.
+    """
+    with ExitStack() as opened:
+        outlets = [opened.enter_context(way.opened(say)) for way in ways]
+        threads = [
+            Thread(target=_forward, args=(shown, send, where, say), name="lampest-publish", daemon=True)
+            for where, send in outlets
+        ]
+        for thread in threads:
+            thread.start()
+        try:
+            yield tuple(where for where, _ in outlets)
+        finally:
+            shown.close()
+            for thread in threads:
+                thread.join()
+
+
+def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
+    """Send the newest picture, those that came meanwhile are left out; a failure is said once until it works again."""
+    seen, number, failed = 0, 0, False
+    while (news := shown.after(seen)) is not None:
+        seen, message = news.number, Message.of(news.thing)
+        if message is None or message.picture.number == number:
+            continue
+        number = message.picture.number
+        try:
+            send(message)
+            failed = False
+        except OSError as error:
+            if not failed:
+                say(f"{where}: frames do not get through ({error.strerror or error}); it is tried again with each")
+            failed = True

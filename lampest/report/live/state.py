@@ -1,4 +1,4 @@
-"""Where a live panel stands: its stream, what its film remembers, and its zero, which may be taken anew."""
+"""State of a live panel between frames, one frame solved with it, and the second look at a frame solved in haste."""
 
 from dataclasses import dataclass, replace
 
@@ -14,16 +14,86 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.report.live.force import read_load
-from lampest.report.live.second_look import SecondLook
-from lampest.report.live.verdict import verdict_of
-from lampest.report.live.view import Picture
+from lampest.report.live.load import Force, read_load, verdict_of
+from lampest.report.live.message import Picture
+from lampest.solvers.search import SAME
 
 ASKED = "it was asked for"
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class Findings:
+    """What a second look gives to later frames.
+
+    number : of the frame. weights, weighed_at : as `Stream` has them. lower : its cells (rows, columns) ohm where their
+    minimum is lower than the one found in haste, or belongs to other weights; None where it is not. force : with its
+    error, or None.
+    """
+
+    number: int
+    weights: tuple[float, ...] | None
+    weighed_at: float
+    lower: Array | None
+    force: Force | None
+
+    def into(self, stream: Stream) -> Stream:
+        """The stream as the next frame takes it."""
+        stream = replace(stream, weights=self.weights, weighed_at=self.weighed_at)
+        return stream if self.lower is None else replace(stream, previous=self.lower)
+
+
+@dataclass(frozen=True, eq=False)
+class SecondLook:
+    """A frame to be solved again: by weights of its own, from all starts, and with error bars.
+
+    number, time : of the frame. stream, load : before it, without what cannot travel to another process.
+    objective : of the minimum that was found in haste. due : whether weights or starts were left open.
+    """
+
+    number: int
+    time: float
+    stream: Stream
+    load: PressureTrack
+    readings: Readings
+    objective: float
+    due: bool
+
+    @classmethod
+    def at(
+        cls,
+        number: int,
+        time: float,
+        stream: Stream,
+        load: PressureTrack,
+        readings: Readings,
+        step: Step,
+        track: Track | None,
+    ) -> "SecondLook | None":
+        """None where the frame left nothing open.
+
+        step : how it was solved. track : for error bars, of the unloaded panel; None: none are wanted.
+        """
+        due = step.solution.unsearched or stream.due(readings)
+        if not stream.hasty or not step.solution.solved or not (due or track is not None):
+            return None
+        baseline = None if stream.baseline is None else stream.baseline.bare()
+        stream = replace(stream, hasty=False, prepared=None, track=track, baseline=baseline)
+        return cls(number, time, stream, load, readings, step.solution.objective, due)
+
+    def findings(self) -> Findings:
+        """Solve the frame once more."""
+        stream, step = self.stream.push(self.readings)
+        found, lower, force = step.estimate(-1), None, None
+        if found is not None:
+            same = stream.weights == self.stream.weights
+            lower = None if same and step.solution.objective > self.objective * (1 - SAME) else found
+            if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
+                force = read_load(self.load, found / stream.baseline_resistance, step.bars, self.time)[1]
+        return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
+
+
+@dataclass(frozen=True, eq=False)
+class PanelState:
     """What is carried from frame to frame.
 
     stream, load : cells, and pressures from them. recent : the newest readings. missing : frames that still have to
@@ -44,13 +114,13 @@ class Carried:
     @classmethod
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, hasty: bool = False
-    ) -> "Carried":
-        """Against the unloaded readings; hasty : see `hurried`. Raises InputError as `Stream.begin`."""
+    ) -> "PanelState":
+        """Against the unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`."""
         begun = cls(Stream.begin(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
-        return begun.hurried() if hasty else begun
+        return begun.in_haste() if hasty else begun
 
-    def hurried(self) -> "Carried":
-        """Frames take no longer than they must, and say what they leave open.
+    def in_haste(self) -> "PanelState":
+        """Frames take no longer than they must, and leave the rest open for a second look.
 
         The first weights are the baseline's. Error bars are left to second looks, but those that the next frame needs.
         """
@@ -60,11 +130,11 @@ class Carried:
         track = None if stream.estimator.relative else stream.track
         return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
 
-    def asked(self, frames: int) -> "Carried":
-        """Once somebody has said that nothing touches the panel, and that so many frames shall be its zero."""
+    def zero_asked(self, frames: int) -> "PanelState":
+        """The next frames, so many, shall be the unloaded panel."""
         return replace(self, recent=(), missing=frames)
 
-    def after(self, readings: Readings, step: Step, time: float) -> "Carried":
+    def after(self, readings: Readings, step: Step, time: float) -> "PanelState":
         """Once a frame was solved: its zero is new where enough frames have come, or nothing touches the panel."""
         here = replace(self, zeroed="", recent=self._kept(readings))
         ratio = self.ratio(step)
@@ -78,8 +148,8 @@ class Carried:
             return here
         return here._zeroed(here.recent[: tare.frames // 2], time, tared)
 
-    def calmed(self, readings: Readings) -> tuple["Carried", Readings, int]:
-        """With a frame among those before the next; the frame without readings that leap, and how many do."""
+    def without_outliers(self, readings: Readings) -> tuple["PanelState", Readings, int]:
+        """With a frame among those before the next; the frame without its outliers, and how many there are."""
         stream, after = self.stream, replace(self, before=self.before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
         return after, *self.before.without_leaps(readings, *known)
@@ -96,7 +166,7 @@ class Carried:
         most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
         return (*self.recent, readings)[-most:] if most else ()
 
-    def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "Carried":
+    def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
         """Against the mean of some frames from now on; as it was where too little of them was read."""
         first, *others = frames
         try:
@@ -104,23 +174,23 @@ class Carried:
             stream = stream.tared(first.together(*others).mean())
         except InputError:
             return replace(self, missing=None, recent=())
-        begun = Carried(stream, self.load.rebased(time), zeroed=why)
-        return begun.hurried() if stream.hasty else begun
+        begun = PanelState(stream, self.load.rebased(time), zeroed=why)
+        return begun.in_haste() if stream.hasty else begun
 
 
-def solved_picture(carried: Carried, readings: Readings, picture: Picture) -> tuple[Carried, Picture]:
-    """Solve one frame without its leaps: (where the panel stands then, the picture with what the solver found).
+def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
+    """Solve one frame without its outliers: (the state after it, the picture with what the solver found).
 
     Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
     """
-    carried, readings, leaps = carried.calmed(readings)
+    state, readings, leaps = state.without_outliers(readings)
     picture = replace(picture, leaps=leaps)
     try:
-        stream, step = carried.stream.push(readings)
+        stream, step = state.stream.push(readings)
     except InputError as error:
-        return carried, replace(picture, status=str(error))
-    look = SecondLook.at(picture.number, picture.time, carried.stream, carried.load, readings, step, carried.track)
-    here, solution = replace(carried, stream=stream, look=look), step.solution
+        return state, replace(picture, status=str(error))
+    look = SecondLook.at(picture.number, picture.time, state.stream, state.load, readings, step, state.track)
+    here, solution = replace(state, stream=stream, look=look), step.solution
     picture = replace(picture, status=solution.status.value, seconds=step.seconds)
     ratio = here.ratio(step)
     if ratio is not None:

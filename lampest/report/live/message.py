@@ -1,0 +1,247 @@
+"""One frame for those who look on: what a picture holds, and the one text of it for programs and for the page.
+
+docs/reference/stream.md explains the message.
+"""
+
+import json
+import time
+from bisect import bisect_right
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array, Panel
+
+FORMAT = "lampest stream 1"
+MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
+POINTS = 1800  # frames of the page's history, one minute at 30 frames a second
+NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS = (
+    "nothing",
+    "pressing",
+    "sucking",
+    "pressing and sucking",
+    "unsolved",
+)
+
+
+class Channel(NamedTuple):
+    """One number of a frame; place : (x, y) of its cell, m."""
+
+    label: str
+    unit: str
+    place: tuple[float, float] | None = None
+
+
+class Point(NamedTuple):
+    """One frame in the history: its number, its time in s, and the total pressure in newton, NaN where it failed."""
+
+    number: int
+    time: float
+    total: float
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One reconstructed frame.
+
+    number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
+    measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
+    open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton over the cells
+    whose pressure the response tells, NaN where it failed.
+    status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
+    cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
+    where the response does not tell the pressure. verdict : one of VERDICTS. total_deviation : newton, standard
+    deviation of the total; NaN where it is not known, or comes later. leaps : outliers among the readings, each
+    replaced by what the frames before say.
+    """
+
+    number: int
+    time: float
+    arrived: float
+    measured_change: Array
+    relative_change: Array
+    open_cell: NDArray[np.bool_]
+    total: float
+    status: str
+    seconds: float
+    skipped: int
+    cell_resistance: Array | None = None
+    pressure: Array | None = None
+    saturated: NDArray[np.uint8] | None = None
+    verdict: str = UNSOLVED
+    total_deviation: float = float("nan")
+    leaps: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that the page shows.
+
+    source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
+    model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
+    zero : when zero was taken anew last and why, a sentence; empty: it never was.
+    recording : state of one that the page may begin and end, a sentence, and whether it runs; None: without a port.
+    deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of which it is known.
+    frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
+    """
+
+    source: str
+    method: str
+    state: str
+    panel: Panel | None = None
+    frames: int = 0
+    lost: int = 0
+    skipped: int = 0
+    picture: Picture | None = None
+    history: tuple[Point, ...] = ()
+    model: str = ""
+    zero: str = ""
+    deviation: float = float("nan")
+    deviation_of: int = 0
+    recording: tuple[str, bool] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One frame for other programs.
+
+    panel : rows, columns, pitch. picture : the frame. view : what was shown when it was solved.
+    """
+
+    panel: Panel
+    picture: Picture
+    view: View
+
+    @classmethod
+    def of(cls, view: View) -> "Message | None":
+        """The newest frame of a view; None where there is none yet."""
+        return None if view.panel is None or view.picture is None else cls(view.panel, view.picture, view)
+
+    @property
+    def maps(self) -> dict[str, Array]:
+        """In the order of MAP_UNITS, each (rows, columns), NaN where the frame failed."""
+        failed, picture = np.full(self.panel.shape, np.nan), self.picture
+        known = {"change": picture.relative_change, "pressure": picture.pressure, "cells": picture.cell_resistance}
+        return {name: failed if values is None else values for name, values in known.items()}
+
+    @property
+    def solved(self) -> bool:
+        """Whether the frame has cells."""
+        return self.picture.verdict != UNSOLVED
+
+    def row(self) -> Array:
+        """The frame as one row of numbers, in the order of `channels`."""
+        picture = self.picture
+        head = np.array([picture.number, picture.total, VERDICTS.index(picture.verdict), self.solved], dtype=float)
+        return np.concatenate([head, *(values.ravel() for values in self.maps.values()), [self.view.deviation]])
+
+    def channels(self) -> list[Channel]:
+        """What the numbers of `row` are."""
+        head = [Channel("sequence", "1"), Channel("force", "newton"), Channel("verdict", "1"), Channel("solved", "1")]
+        metre = self.panel.pitch_mm / 1000
+        cells = [
+            Channel(f"{name}_{row}_{column}", MAP_UNITS[name], (column * metre, row * metre))
+            for name in self.maps
+            for row, column in np.ndindex(self.panel.shape)
+        ]
+        return [*head, *cells, Channel("force_sd", "newton")]
+
+    def content(self, sent_at: float) -> dict[str, Any]:
+        """As docs/reference/stream.schema.json has it; what is no number is None. sent_at : s since 1970-01-01 UTC."""
+        picture, view, maps = self.picture, self.view, self.maps
+        saturated = () if picture.saturated is None else np.flatnonzero(picture.saturated).tolist()
+        return {
+            "format": FORMAT,
+            "sequence": picture.number,
+            "time": picture.time,
+            "panel": _panel(self.panel),
+            **{name: _numbers(maps[name], digits) for name, digits in (("cells", 2), ("change", 3), ("pressure", 4))},
+            "force": _number(picture.total, 4),
+            "force_sd": _number(view.deviation, 4),
+            "force_sd_of": view.deviation_of or None,
+            "verdict": picture.verdict,
+            "health": {
+                "solved": self.solved,
+                "status": picture.status,
+                "arrived": picture.arrived,
+                "sent": sent_at,
+                "solve_seconds": picture.seconds,
+                "lost": view.lost,
+                "skipped": view.skipped,
+                "leaps": picture.leaps,
+                "open": np.flatnonzero(picture.open_cell).tolist(),
+                "saturated": saturated,
+                "state": view.state,
+                "model": view.model,
+                "zero": view.zero,
+            },
+        }
+
+    def text(self) -> str:
+        """One line of JSON."""
+        return _line(self.content(time.time()))
+
+
+def view_text(view: View, sent_at: float, known: int = 0) -> str:
+    """One line of JSON for the page: the view, its message and its history as far as newer than frame `known`.
+
+    The message is that of other programs without `cells` and `pressure`, with `measured` (percent), `passed` (frames
+    skipped for this one) and `centre`. sent_at : s since 1970-01-01 UTC.
+    """
+    first = bisect_right(view.history, known, key=lambda point: point.number)
+    message = Message.of(view)
+    return _line(
+        {
+            "source": view.source,
+            "method": view.method,
+            "state": view.state,
+            "model": view.model,
+            "zero": view.zero,
+            "deviation": _number(view.deviation, 4),
+            "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
+            "sent": sent_at,
+            "panel": view.panel and _panel(view.panel),
+            "frames": view.frames,
+            "lost": view.lost,
+            "skipped": view.skipped,
+            "picture": _page_picture(message, sent_at) if message and message.picture.number > known else None,
+            "history": [[point.time, _number(point.total, 4)] for point in view.history[first:]],
+        }
+    )
+
+
+def _page_picture(message: Message, sent_at: float) -> dict[str, Any]:
+    picture = message.picture
+    content = {name: value for name, value in message.content(sent_at).items() if name not in ("cells", "pressure")}
+    own = {"measured": _numbers(picture.measured_change, 2), "passed": picture.skipped, "centre": _centre(message)}
+    return content | own
+
+
+def _centre(message: Message) -> list[float] | None:
+    """x and y in mm, Σ p x/Σ p over the cells that press; None where nothing does."""
+    picture = message.picture
+    if picture.pressure is None or "pressing" not in picture.verdict:
+        return None
+    pressing = np.maximum(np.nan_to_num(picture.pressure), 0.0)
+    x, y = message.panel.centres_mm()
+    total = pressing.sum()
+    return [round(float(at), 1) for at in (pressing.sum(axis=0) @ x / total, pressing.sum(axis=1) @ y / total)]
+
+
+def _panel(panel: Panel) -> dict[str, Any]:
+    return {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}
+
+
+def _line(content: dict[str, Any]) -> str:
+    return json.dumps(content, allow_nan=False, separators=(",", ":"))
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    return [_number(value, digits) for value in values.ravel().tolist()]
+
+
+def _number(value: float, digits: int) -> float | None:
+    return round(value, digits) if isfinite(value) else None
