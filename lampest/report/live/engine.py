@@ -18,7 +18,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.report.live.handover import Background, Newest, Task
+from lampest.report.live.handover import Beside, Errand, Newest
 from lampest.report.live.message import POINTS, Picture, Point, View
 from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
 
@@ -77,7 +77,7 @@ class Engine:
         self._solving: Future[None] | None = None
         self._zero_asked = Event()
         self._looked = 0.0
-        self._beside = Background() if beside else None
+        self._beside = Beside() if beside else None
         self._found: SimpleQueue[Any] = SimpleQueue()
 
     def __enter__(self) -> "Engine":
@@ -184,7 +184,7 @@ class Engine:
         now = time.monotonic()
         if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
             self._looked = now
-            self._beside.ask("look", Task(look.findings, self._take_findings, look.due))
+            self._beside.ask("look", Errand(look.findings, self._take_findings, look.due))
 
     def _take_findings(self, found: "Findings | Exception") -> None:
         self._found.put(found)
@@ -208,7 +208,7 @@ class Engine:
         if self._beside is None or self._beside.gone:
             self._take_check(check())
         else:
-            self._beside.ask("check", Task(check, self._take_check))
+            self._beside.ask("check", Errand(check, self._take_check))
 
     def _take_check(self, found: "ModelCheck | Exception") -> None:
         if isinstance(found, Exception):

@@ -59,7 +59,7 @@ class Newest(Generic[T]):
             return self._news if self._news.number > number else None
 
 
-class Task(NamedTuple):
+class Errand(NamedTuple):
     """run : computes the answer, in the other process. then : takes the answer, or the exception, in a thread here.
 
     urgent : whether it may not be replaced by one that is not.
@@ -70,7 +70,7 @@ class Task(NamedTuple):
     urgent: bool = False
 
 
-class Background:
+class Beside:
     """One process that runs one task after the other; of each kind the newest waits. What it holds is its only state.
 
     A process that dies takes its tasks with it: nothing is answered any more, and `gone` says so.
@@ -78,7 +78,7 @@ class Background:
 
     def __init__(self) -> None:
         self._changed = Condition()
-        self._waiting: dict[str, Task] = {}
+        self._waiting: dict[str, Errand] = {}
         self._closed = self._gone = False
         self._worker: Worker | None = None
         self._thread = Thread(target=self._serve, name="lampest-background", daemon=True)
@@ -88,7 +88,7 @@ class Background:
         """Whether nothing is answered any more."""
         return self._gone
 
-    def ask(self, kind: str, task: Task) -> None:
+    def ask(self, kind: str, task: Errand) -> None:
         """Never waits; the task replaces one of its kind that waits, unless that is urgent and it not."""
         with self._changed:
             waiting = self._waiting.get(kind)
@@ -122,7 +122,7 @@ class Background:
             except (EOFError, OSError):
                 self._gone = True
 
-    def _next(self) -> Task | None:
+    def _next(self) -> Errand | None:
         with self._changed:
             self._changed.wait_for(lambda: self._closed or bool(self._waiting))
             return None if self._closed else self._waiting.pop(next(iter(self._waiting)))
