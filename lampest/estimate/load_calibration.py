@@ -14,6 +14,7 @@ from lampest.files.errors import InputError
 from lampest.loads.calibration import Fitted, Loaded, fit_loads, response_of
 from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import NORMAL_95, water_pressure
+from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
@@ -70,8 +71,9 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         if not felt.any():
             raise InputError(f"load {number + 1}: its foot misses the film of every cell")
     water = water_pressure(scene.panel, scene.water)
+    base = scene.response or PUBLISHED
     flat = [values.reshape(len(order), -1) for values in (change, sd, pressure, pressure_sd)]
-    fitted = fit_loads(Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), scene.response))
+    fitted = fit_loads(Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base))
     if not fitted.touched.any():
         raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")
     if fitted.scatter > MOST_SCATTER:
@@ -79,7 +81,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             f"the loads do not explain the cells: answers scatter by {100 * fitted.scatter:.0f} % about any common "
             "curve; are frames, places (x along columns, y along rows) and weights right?"
         )
-    response = response_of(fitted, scene.response, scene.panel.shape, tolerance)
+    response = response_of(fitted, base, scene.panel.shape, tolerance)
     return LoadCalibration(replace(scene, response=response), fitted, len(order))
 
 

@@ -7,17 +7,16 @@ steeper than the base the film is there: the curve falls strictly, whatever ψ. 
 the load, and scatter·|ln(r/r0)| from load to load. Spread and scatter are those of the largest evidence; of a cell that
 no load has touched the curve and the spread remain.
 Regularised calibration by one load that is moved about: arXiv 2404.15131.
-
-What was fitted as the response that a scene holds.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 
-from lampest.loads.response import TOLD_KPA, log_ratio_from_pressure
+from lampest.loads.response import PUBLISHED
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.response import Response, Table, TableResponse
 
@@ -27,10 +26,12 @@ ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
 # Assumptions, in logarithms: how much steeper than the base a film is as a whole, and from a piece to the next: e^0.4,
 # for the published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
 LEVEL, WALK = 1.0, 0.4
-LEAST_SD = 1e-3  # of ln(r/r0): nothing is better known
-BEGIN = (0.2, 0.05)  # spread and scatter
-RANGE = (1e-3, 2.0)  # where they are looked for
-ROUNDS = 4
+LEAST_SD = 1e-3  # of ln(r/r0): no answer counts as better known
+BEGIN, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
+ROUNDS = 4  # of least squares and evidence, one after the other
+LEAST_SQUARES = LevenbergMarquardt(evaluations=100, settled=1e-9)
+AN_OCTAVE, LEAST_KPA = 3, 0.25  # points of the table: how many an octave, and the one next to 0 kPa
+UNLOADED_OHM = 1000.0  # of the table: only ratios to it count
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Loaded:
     """change, sd : (loads, cells) ln(r/r0) and its standard deviation; NaN where nothing is known.
 
     pressure, pressure_sd : (loads, cells) kPa of the load. water : (cells) kPa. base : the curve that ours is a
-    multiple of, piece by piece; None: the published one.
+    multiple of, piece by piece.
     """
 
     change: Array
@@ -46,17 +47,17 @@ class Loaded:
     pressure: Array
     pressure_sd: Array
     water: Array
-    base: Response | None
+    base: Response = PUBLISHED
 
     def pieces(self, pressure: Array) -> Array:
         """a (loads, cells, pieces) of a load's pressures (loads, cells)."""
         return falls(pressure + self.water, self.base) - falls(self.water, self.base)
 
 
-def falls(pressure: Array, base: Response | None) -> Array:
+def falls(pressure: Array, base: Response) -> Array:
     """How much of −ln f_base(p) lies in each piece, (..., pieces); signed as the pressure."""
-    fallen = -log_ratio_from_pressure(pressure, base)[..., None]
-    ends = np.concatenate([[-np.inf], -log_ratio_from_pressure(ENDS, base), [np.inf]])
+    fallen = -base.logarithm(pressure)[..., None]
+    ends = np.concatenate([[-np.inf], -base.logarithm(ENDS), [np.inf]])
     low, high = ends[:-1], ends[1:]
     return np.asarray(np.clip(fallen, low, high) - np.clip(0.0, low, high))
 
@@ -93,7 +94,7 @@ class Fitted:
         own = np.einsum("ij,jk,ik->i", self.centred, self.covariance, self.centred)
         return np.exp(logarithm), np.sqrt(own + self.scatter**2)
 
-    def curve(self, pressure: Array, base: Response | None) -> tuple[Array, Array]:
+    def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
         """ln f and its relative standard deviation at pressures (n) kPa but 0."""
         parts = falls(pressure, base) * np.exp(self.pieces)
         total = parts.sum(axis=1)
@@ -143,32 +144,24 @@ class _Answers:
         known, square = self.variance(found)
         weight = 1 / np.sqrt(known + found.scatter**2 * square)
         walk = np.diff(np.eye(pieces), axis=0) / WALK
-        level = np.zeros((1, pieces))
-        level[0, np.searchsorted(ENDS, 0.0) + 1] = 1 / LEVEL
-        prior = np.vstack([walk, level])
+        level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None] / LEVEL
+        prior = np.zeros((cells + pieces, cells + pieces))
+        prior[:cells, :cells] = np.eye(cells) / found.spread
+        prior[cells:, cells:] = np.vstack([walk, level])
         change, rows = self.loaded.change[self.felt], np.arange(len(self.cell))
-
-        gains_prior = np.eye(cells, cells + pieces) / found.spread
 
         def split(state: Array) -> Fitted:
             return replace(found, gains=state[:cells], pieces=state[cells:])
 
-        def residual(state: Array) -> Array:
-            miss = weight * (self.answer(split(state), self.loaded.pressure)[0] - change)
-            return np.concatenate([miss, state[:cells] / found.spread, prior @ state[cells:]])
-
-        def slope(state: Array) -> Array:
+        def model(state: Array) -> SumOfSquares:
             answer, parts = self.answer(split(state), self.loaded.pressure)
             own = np.zeros((len(rows), cells))
             own[rows, self.cell] = weight * answer
-            data, rest = np.hstack([own, weight[:, None] * parts]), np.hstack([np.zeros((len(prior), cells)), prior])
-            return np.vstack([data, gains_prior, rest])
+            residual = np.concatenate([weight * (answer - change), prior @ state])
+            return SumOfSquares(residual, np.vstack([np.hstack([own, weight[:, None] * parts]), prior]))
 
-        state = np.concatenate([found.gains, found.pieces])
-        ended = least_squares(residual, state, slope, method="trf", x_scale="jac")
-        jacobian = slope(ended.x)
-        covariance = np.linalg.inv(jacobian.T @ jacobian)
-        return replace(split(ended.x), covariance=covariance, answers=len(rows))
+        ended = LEAST_SQUARES.minimum(model, np.concatenate([found.gains, found.pieces]))
+        return replace(split(ended.position), covariance=np.linalg.inv(ended.at.normal), answers=len(rows))
 
     def supposed(self, found: Fitted) -> Fitted:
         """With spread and scatter of the largest evidence, cell by cell: residuals are N(0, V + spread² x xᵀ)."""
@@ -191,18 +184,12 @@ class _Answers:
         return replace(found, spread=float(spread), scatter=float(scatter))
 
 
-AN_OCTAVE = 3  # points of the table
-LEAST_KPA = 0.25
-DIGITS = 6
-UNLOADED_OHM = 1000.0  # only what others are over it counts
-
-
-def response_of(fitted: Fitted, base: Response | None, shape: tuple[int, int], tolerance: float) -> TableResponse:
+def response_of(fitted: Fitted, base: Response, shape: tuple[int, int], tolerance: float) -> TableResponse:
     """Points from where the base curve begins to where it ends, densest about 0; gains of cells (rows, columns).
 
     tolerance : by which fraction all loads together may be off, evenly: σ = 1/√3 of it, of the curve.
     """
-    low, high = TOLD_KPA if base is None else base.told_kpa
+    low, high = base.told_kpa
     pressure = np.concatenate([-_rising(-low)[::-1], [0.0], _rising(high)])
     logarithm, sd = np.zeros(len(pressure)), np.zeros(len(pressure))
     loaded = pressure != 0
@@ -226,7 +213,7 @@ def _rising(most: float) -> Array:
     return np.geomspace(LEAST_KPA, most, 1 + int(np.ceil(AN_OCTAVE * np.log2(most / LEAST_KPA))))
 
 
-def _significant(values: Array, digits: int = DIGITS) -> tuple[float, ...]:
+def _significant(values: Array, digits: int = 6) -> tuple[float, ...]:
     """To so many significant digits."""
     return tuple(float(f"{value:.{digits}g}") for value in values)
 

@@ -1,52 +1,55 @@
-"""Hysteresis: loading follows the response curve, unloading lags behind it, and a load that is gone leaves nothing.
-
-    p_e = w_0 p + Σ w_i z_i,   z_i held between p and b_i p
-
-A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. It is
-causal, independent of rate, odd (suction is as pressure), homogeneous (half the load makes half the loop) and forgets
-all where the load crosses zero. Its inverse is exact: p_e is strictly monotone and piecewise linear in p, w_0 > 0. The
-weights are such that from a peak P the film unloads along the hyperbola p_e/P = s²t/(1 + (s² − 1)t), t = p/P, with
-s = (1 + η)/(1 − η); its largest gap from the line is η, at t = 1/(1 + s).
-
-Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
-Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015), who compare it with
-others.
-
-Creep: an answer that goes on growing with the logarithm of time, and fades the same way.
-
-    a = u + c Σ_j s_j,   ds_j/dt = (u − s_j)/τ_j,   τ_j = 1, 10, … 10⁵ s
-
-u is what the film answers at once, −ln r/r0; c is the creep per decade. One Kelvin-Voigt element in each decade makes
-Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day; by superposition a load that lay for T
-leaves c u log10((T + t)/t) at a time t after it. What creeps within the first second belongs to the response curve.
-
-ln r, because it is the gap between conducting grains that creeps, and tunnelling makes ln r linear in it. Sources:
-Zhang et al., J. Polym. Sci. B 38, 2739 (2000), time dependence of piezoresistance of filled polymers; data sheets of
-Interlink's FSR, logarithmic drift; Krejčí & Kuhnen, IEE Proc. Control Theory Appl. 148, 185 (2001), a row of
-relaxations beside hysteresis, and the inverse of both.
-
-A film before its next frame: pressure → answer and back, with all that it remembers.
+"""What a film remembers: hysteresis and creep as operators over the frames, forwards and backwards.
 
     p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
 f is the response curve, p_w the water that was there at rest, β the cell's gain κ times what bending leaves of it.
 
-What is known of a film's strengths, and what a recording tells of those that its scene leaves open.
+Hysteresis: loading follows the response curve, unloading lags behind it, and a load that is gone leaves nothing.
 
-Pressures of frames as they come, on a film that remembers: what it remembers is carried on from frame to frame.
+    p_e = w_0 p + Σ w_i z_i,   z_i held between p and b_i p
+
+A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. It is
+causal, independent of rate, odd, homogeneous and forgets all where the load crosses zero. Its inverse is exact: p_e is
+strictly monotone and piecewise linear in p, w_0 > 0. From a peak P the film unloads along the hyperbola
+p_e/P = s²t/(1 + (s² − 1)t), t = p/P, with s = (1 + η)/(1 − η); its largest gap from the line is η, at t = 1/(1 + s).
+Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
+Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015).
+
+Creep: an answer that goes on growing with the logarithm of time, and fades the same way.
+
+    a = u + c Σ_j s_j,   ds_j/dt = (u − s_j)/τ_j,   τ_j = 1, 10, … 10⁵ s
+
+u is what the film answers at once; c is the creep per decade. One Kelvin-Voigt element in each decade makes
+Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day; a load that lay for T leaves
+c u log10((T + t)/t) at a time t after it. What creeps within the first second belongs to the response curve. It is in
+ln r because tunnelling makes ln r linear in the gap between conducting grains, and the gap creeps.
+Sources: Zhang et al., J. Polym. Sci. B 38, 2739 (2000); data sheets of Interlink's FSR; Krejčí & Kuhnen, IEE Proc.
+Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, and the inverse of both.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampest.loads.response import VACUUM_KPA, gains_of, log_ratio_from_pressure, pressure_from_logarithm
+from lampest.loads.response import PUBLISHED, VACUUM_KPA
 from lampest.panel.film import MOST_CREEP, Film, Strength
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
 
 # Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
+DECADES = 10.0 ** np.arange(6)  # τ_j, s
+# Strengths of creep that `FilmKnown.estimated` compares, per decade: as dense as their posteriors are narrow.
+CREEPS = MOST_CREEP * np.linspace(0, 1, 81) ** 2
+# Of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for each minute (drift).
+SETTLED, DRIFT = 0.005, 0.01
+# Relative error of a cell's predicted memory: peaks fall between frames; and the same where cells may differ.
+OWN, ALIKE = 0.05, 0.2
+# The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
+RANGE = 4.0
+INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
+SOONEST = 1e-3  # s between frames whose times do not increase
+MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,49 +67,37 @@ class Plays:
         cut = CUTS.reshape(-1, *[1] * np.ndim(hysteresis))
         below, above = 1 / (1 + steep * np.exp(-cut)), 1 / (1 + np.exp(-cut) / steep)
         nothing, whole = np.zeros((1, *np.shape(hysteresis))), np.ones((1, *np.shape(hysteresis)))
-        slopes = np.diff(above, axis=0, prepend=nothing, append=whole) / np.diff(
-            below, axis=0, prepend=nothing, append=whole
-        )
+        rise, run = (np.diff(np.concatenate([nothing, part, whole]), axis=0) for part in (above, below))
+        slopes = rise / run
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * below])
         return cls(weight, 1 / below, np.zeros_like(below))
 
     def after(self, pressure: Array) -> "Plays":
         """The plays once the pressure (...) kPa has come, monotonously."""
-        return replace(self, held=self._moved(pressure))
-
-    @property
-    def answered(self) -> Array:
-        """Σ w_i z_i, (...) kPa: p_e but for w_0 p."""
-        return np.asarray((self.weight[1:] * self.held).sum(axis=0))
+        far = self.reach * pressure
+        return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
 
     def effective(self, pressure: Array) -> Array:
         """p_e (...) kPa were the pressure the next."""
-        return self._sum(pressure, self._moved(pressure))
+        held = self.after(pressure).held
+        return np.asarray(self.weight[0] * pressure + (self.weight[1:] * held).sum(axis=0))
 
     def pressure(self, effective: Array) -> Array:
         """p (...) kPa of the next p_e: the inverse of `effective`. NaN stays."""
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
         each = replace(self, weight=self.weight[:, None], reach=self.reach[:, None], held=self.held[:, None])
         reached = each.effective(corners)
-        last = len(corners) - 1
-        below = np.clip((reached <= effective).sum(axis=0) - 1, 0, last - 1)
-        start, end = (np.take_along_axis(corners, below[None] + step, axis=0)[0] for step in (0, 1))
-        low, high = (np.take_along_axis(reached, below[None] + step, axis=0)[0] for step in (0, 1))
+        below = np.clip((reached <= effective).sum(axis=0) - 1, 0, len(corners) - 2)
+        start, end, low, high = (
+            np.take_along_axis(values, below[None] + step, axis=0)[0]
+            for values in (corners, reached)
+            for step in (0, 1)
+        )
         slope = np.where(high > low, (end - start) / np.where(high > low, high - low, 1.0), 1.0)
         inside = start + (effective - low) * slope
         # Beyond all corners every play rests on the line p itself.
         under, over = corners[0] + effective - reached[0], corners[-1] + effective - reached[-1]
         return np.asarray(np.where(effective < reached[0], under, np.where(effective > reached[-1], over, inside)))
-
-    def _moved(self, pressure: Array) -> Array:
-        far = self.reach * pressure
-        return np.asarray(np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
-
-    def _sum(self, pressure: Array, held: Array) -> Array:
-        return np.asarray(self.weight[0] * pressure + (self.weight[1:] * held).sum(axis=0))
-
-
-DECADES = 10.0 ** np.arange(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +116,9 @@ class Creep:
         """Once u (...) has lasted for so long."""
         return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
 
-    @property
-    def memory(self) -> Array:
-        """c Σ s_j, (...): what remains of −ln r/r0 at the moment when all load is gone."""
-        return np.asarray(self.strength * self.crept.sum(axis=0))
-
     def answer(self, at_once: Array, seconds: float) -> Array:
         """a (...) at the end of an interval in which u lasts."""
-        kept = self._kept(seconds)
-        crept = (self.crept * kept).sum(axis=0) + at_once * (1 - kept).sum(axis=0)
-        return np.asarray(at_once + self.strength * crept)
+        return np.asarray(at_once + self.strength * self.after(at_once, seconds).crept.sum(axis=0))
 
     def at_once(self, answer: Array, seconds: float) -> Array:
         """u (...) of an interval with a at its end: the inverse of `answer`."""
@@ -148,20 +132,20 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class FilmMemory:
-    """plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them.
+    """A film before its next frame.
 
-    response : the scene's own curve; None: the published one.
+    plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them.
     """
 
     plays: Plays
     creep: Creep
     gain: Array
     water: Array
-    response: Response | None = None
+    response: Response = PUBLISHED
 
     @classmethod
     def at_rest(
-        cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response | None = None
+        cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response = PUBLISHED
     ) -> "FilmMemory":
         """Before the first load, long in the water; all of one shape."""
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
@@ -170,7 +154,7 @@ class FilmMemory:
         """(the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
         at_once = self._at_once(self.plays.effective(pressure))
         answer = self.gain * self.creep.answer(at_once, seconds)
-        return self._after(pressure, at_once, seconds), -answer
+        return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
 
     def pressure(self, change: Array, seconds: float) -> Array:
         """p (...) kPa of a load under which ln(r/r_rest) is `change` at the end of such an interval; ±∞ and NaN stay.
@@ -179,61 +163,41 @@ class FilmMemory:
         """
         return self.plays.pressure(self._effective(change, seconds))
 
-    def told(self, change: Array, seconds: float) -> "FilmMemory":
+    def observed(self, change: Array, seconds: float) -> "FilmMemory":
         """The film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
         known = np.isfinite(change)
         effective = self._effective(np.where(known, change, 0.0), seconds)
-        pressure = self.plays.pressure(effective)
-        after = self._after(pressure, self._at_once(effective), seconds)
-        plays = replace(after.plays, held=np.where(known, after.plays.held, self.plays.held))
-        creep = replace(after.creep, crept=np.where(known, after.creep.crept, self.creep.crept))
-        return replace(self, plays=plays, creep=creep)
+        held = self.plays.after(self.plays.pressure(effective)).held
+        crept = self.creep.after(self._at_once(effective), seconds).crept
+        return replace(
+            self,
+            plays=replace(self.plays, held=np.where(known, held, self.plays.held)),
+            creep=replace(self.creep, crept=np.where(known, crept, self.creep.crept)),
+        )
 
     def fading(self, seconds: float) -> Array:
-        """ln(r/r_rest) (...) after an interval without load: what the film remembers of those before."""
-        nothing = np.zeros(np.shape(self.creep.strength))
-        return -self.gain * self.creep.answer(nothing, seconds)
-
-    def _after(self, pressure: Array, at_once: Array, seconds: float) -> "FilmMemory":
-        return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds))
-
-    def _at_once(self, effective: Array) -> Array:
-        return self._rest - log_ratio_from_pressure(self.water + effective, self.response)
-
-    @property
-    def _rest(self) -> Array:
-        """ln f(p_w)."""
-        return log_ratio_from_pressure(self.water, self.response)
+        """ln(r/r_rest) (...) after an interval without load: what is left of the loads before."""
+        return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 
     def at_once(self, change: Array, seconds: float) -> Array:
         """−ln(r/r_rest) (...) without what crept, at the end of such an interval."""
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
+    def _at_once(self, effective: Array) -> Array:
+        return self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
+
     def _effective(self, change: Array, seconds: float) -> Array:
         at_once = self.creep.at_once(-change / self.gain, seconds)
-        on_film = pressure_from_logarithm(self._rest - at_once, self.response)
+        on_film = self.response.pressure(self.response.logarithm(self.water) - at_once)
         return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
-
-
-# Strengths that are tried: as dense as their posteriors are narrow.
-CREEPS = MOST_CREEP * np.linspace(0, 1, 81) ** 2
-# Of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for each minute (drift).
-SETTLED, DRIFT = 0.005, 0.01
-# How exactly a cell's memory follows from what it has shown: peaks fall between frames; and where cells may differ.
-OWN, ALIKE = 0.05, 0.2
-# The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
-RANGE = 4.0
-# Errors of a cell stay from frame to frame: all its frames count as so many.
-INDEPENDENT = 3.0
-SOONEST = 1e-3  # s between frames of which the clock says nothing
-MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
 
 
 @dataclass(frozen=True)
 class FilmKnown:
-    """hysteresis, creep : strengths of a cell. film : what the scene says. sentence : where they come from; ''.
+    """What is known of a film's strengths.
 
-    cells : (rows, columns) the creep of each cell and its deviation, where the recording has told it; else None.
+    hysteresis, creep : strengths of a cell. film : what the scene says. sentence : where they come from, or ''.
+    cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
     """
 
     film: Film
@@ -244,16 +208,14 @@ class FilmKnown:
 
     @classmethod
     def told(cls, film: Film) -> "FilmKnown":
-        """By the scene; what it leaves open as is usual."""
+        """As the scene specifies; what it leaves open as is usual."""
         found = cls(film, film.told_hysteresis, film.told_creep)
         return replace(found, sentence=found._said("assumed"))
 
-    def memories(self, water: Array, response: Response | None = None) -> tuple[FilmMemory, ...]:
+    def memories(self, water: Array, response: Response = PUBLISHED) -> tuple[FilmMemory, ...]:
         """Films at rest in p_w (rows, columns) kPa: the mean one, then one with each strength by its deviation more."""
-        gap, gain = (
-            np.full(water.shape, self.hysteresis.mean),
-            np.broadcast_to(self.film.answer * gains_of(response), water.shape),
-        )
+        gap = np.full(water.shape, self.hysteresis.mean)
+        gain = np.broadcast_to(self.film.answer * response.gains, water.shape)
         creep, creep_sd = self.cells or (np.full(water.shape, strength) for strength in self.creep)
         pairs = [(gap, creep)]
         if self.hysteresis.sd:
@@ -263,13 +225,11 @@ class FilmKnown:
         return tuple(FilmMemory.at_rest(*pair, gain, water, response) for pair in pairs)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
-        """With the creep that makes cells be at rest, or clearly not, after what they have shown; if it is open.
+        """With the creep that the recording shows; unchanged where the scene specifies it.
 
-        Where cells differ, each has its own: that of all beforehand, and what its own frames say.
-
-        Where a load is gone, what a cell still shows is c Σ s_j and nothing else. P(c) ∝ P(c) beforehand ·
-        Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u what is left of ln r/r_rest without the memory. A recording
-        in which nothing was released says nothing: then what is usual stands.
+        Where a load is gone, a cell still shows c Σ s_j. P(c) ∝ P(c) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over
+        frames and cells, u what is left of ln r/r_rest without the memory. Where cells differ, each has its own
+        posterior about that of all. Where nothing was released, the prior stays.
 
         change, sd : (frames, rows, columns) ln(r/r_rest) and its standard deviation; NaN where a frame failed.
         time : (frames) s.
@@ -308,7 +268,7 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
 def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float) -> Array:
     """ln P(frames of a cell | c) for every c of CREEPS, up to what all share, (strengths, rows, columns).
 
-    own : by which part its memory may differ from what it has shown.
+    own : relative standard deviation of a cell's predicted memory.
     """
     shape, last = (len(CREEPS), *change.shape[1:]), float(time[0])
     creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None, None], shape))
@@ -333,11 +293,9 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float) 
 class FilmTrack:
     """Where a film stands after a frame.
 
-    Parameters
-    ----------
     films : the mean film, then one with each of its strengths by a standard deviation more; (rows, columns) each.
     zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare.
-    time : s, of the last frame that was seen; None before the first.
+    time : s, of the last frame that was observed; None before the first.
     """
 
     films: tuple[FilmMemory, ...]
@@ -345,8 +303,8 @@ class FilmTrack:
     time: float | None = None
 
     @classmethod
-    def begin(cls, known: FilmKnown, water: Array, response: Response | None = None) -> "FilmTrack":
-        """At rest in water, (rows, columns) kPa; response : the scene's own."""
+    def begin(cls, known: FilmKnown, water: Array, response: Response = PUBLISHED) -> "FilmTrack":
+        """At rest in water, (rows, columns) kPa."""
         films = known.memories(water, response)
         return cls(films, np.zeros((len(films), *water.shape)))
 
@@ -354,34 +312,29 @@ class FilmTrack:
         """Since the last frame; a second before the first."""
         return 1.0 if self.time is None else max(time - self.time, SOONEST)
 
-    def fading(self, time: float) -> Array:
-        """ln(r/r_rest) (rows, columns) of a panel that nothing has touched since the last frame, its zero included."""
-        return np.asarray(self.films[0].fading(self.seconds(time)) + self.zeros[0])
-
     def memory(self, time: float) -> Array:
-        """The same without the zero: what is remembered of loads."""
+        """ln(r/r_rest) (rows, columns) that is left of loads where nothing has touched the panel since the last frame,
+
+        without the zero.
+        """
         return self.films[0].fading(self.seconds(time))
 
-    def told(self, change: Array, time: float) -> "FilmTrack":
+    def observed(self, change: Array, time: float) -> "FilmTrack":
         """After a frame with ln(r/r_rest) = `change` (rows, columns); where that is NaN, the film stands still."""
         if not np.isfinite(change).any():
             return self
-        seconds = self.seconds(time)
-        films = tuple(film.told(change - zero, seconds) for film, zero in zip(self.films, self.zeros, strict=True))
-        return replace(self, films=films, time=time)
+        seconds, pairs = self.seconds(time), zip(self.films, self.zeros, strict=True)
+        return replace(self, films=tuple(film.observed(change - zero, seconds) for film, zero in pairs), time=time)
 
     def tared(self, change: Array, time: float) -> "FilmTrack":
         """As if nothing pressed in a frame with this ln(r/r_rest): what the memory does not explain is the new zero."""
-        seconds = self.seconds(time)
-        fading = np.stack([film.fading(seconds) for film in self.films])
+        fading = np.stack([film.fading(self.seconds(time)) for film in self.films])
         return replace(self, zeros=np.where(np.isfinite(change), change - fading, self.zeros))
 
     def pressures(self, change: Array, time: float) -> Array:
-        """(films, rows, columns) kPa that ln(r/r_rest) = `change` tells each film, (…, rows, columns)."""
-        seconds = self.seconds(time)
-        return np.stack(
-            [film.pressure(change - zero, seconds) for film, zero in zip(self.films, self.zeros, strict=True)]
-        )
+        """(films, rows, columns) kPa under which each film shows ln(r/r_rest) = `change`, (…, rows, columns)."""
+        seconds, pairs = self.seconds(time), zip(self.films, self.zeros, strict=True)
+        return np.stack([film.pressure(change - zero, seconds) for film, zero in pairs])
 
     def at_once(self, change: Array, time: float) -> Array:
         """−ln(r/r_rest) without the memory, (rows, columns), of the mean film."""

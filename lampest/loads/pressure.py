@@ -1,27 +1,20 @@
 """Pressure of a load on every cell, from the cell's resistance over its unloaded one; and the water's pressure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.loads.film import FilmKnown, FilmTrack
-from lampest.loads.response import (
-    RESPONSE_SD,
-    TOLD_KPA,
-    VACUUM_KPA,
-    gains_of,
-    log_ratio_from_pressure,
-    pressure_from_logarithm,
-)
+from lampest.loads.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
 from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
 
-GRAVITY = 9.81
+GRAVITY = 9.81  # m/s²
 KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
 
@@ -35,10 +28,8 @@ class Pressure:
     pressure : (frames, rows, columns) kPa; NaN where the estimate is.
     lower, upper : ends of the 95 % interval, kPa. `lower` is never below an empty space; `upper` may be infinite.
     errors : half the 68 % interval, kPa: one standard deviation where the response is straight.
-    saturated : 1 where the response does not tell the pressure: the interval reaches beyond 40 kPa, where the curve is
-        flat, or below −10 kPa, where there is none (on the film, water included). The value is still the best one, but
-        not to be trusted, and an end beyond even less. Without any error of the estimate this begins at 31 kPa; the
-        paper calls the response "largely saturated" above 28.
+    saturated : 1 where the response leaves the pressure open: the interval reaches beyond `told_kpa` of the response,
+        water included; of the published one −10 and 40 kPa. Without any error of the estimate this begins at 31 kPa.
     tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
 
@@ -62,11 +53,8 @@ def pressure_of(
     """p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
-    that of the estimate (each side its own), |T − T_b|·σ_α, and for the scatter of the cells' response
-    `response_sd`·|x| of the scene's systematic errors, RESPONSE_SD·|x| where it names none, or what its own response
-    says of the curve and of the cell's gain κ.
-    A cell at its baseline has none of the last: f(0) = 1 by definition. Where the scene names a film, frame after
-    frame is read by what the film remembers of those before; see `PressureTrack`.
+    that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
+    names a film, its memory of earlier frames is taken off; see `PressureTrack`.
 
     Parameters
     ----------
@@ -110,9 +98,9 @@ class PressureTrack:
         """Before the first frame. known : of the film; None: what the scene says. tare : when zero is taken anew."""
         if scene.film is None and tare is None:
             return cls(scene, None)
-        water = water_pressure(scene.panel, scene.water)
         known = known or FilmKnown.told(scene.film or Film())
-        return cls(scene, FilmTrack.begin(known, water, scene.response), None if tare is None else TareWatch(tare))
+        film = FilmTrack.begin(known, water_pressure(scene.panel, scene.water), scene.response or PUBLISHED)
+        return cls(scene, film, None if tare is None else TareWatch(tare))
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
         """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where there is no film.
@@ -120,29 +108,31 @@ class PressureTrack:
         What the film's strengths leave open is one more error: what p moves by if each is by its deviation more.
         """
         change, below, above = self._change(ratio), *self._beside(ratio, lower, upper, time)
-        water, tell = water_pressure(self.scene.panel, self.scene.water), self._tell(time)
-        here, *others = tell(change)
-        least, most = tell(change + above)[0], tell(change - below)[0]
-        errors = (tell(change - below / NORMAL_95)[0] - tell(change + above / NORMAL_95)[0]) / 2
+        water = water_pressure(self.scene.panel, self.scene.water)
+        here, *others = self._pressures(change, time)
+        least, most = (self._pressures(end, time)[0] for end in (change + above, change - below))
+        low, high = (self._pressures(change + part / NORMAL_95, time)[0] for part in (above, -below))
+        errors = (high - low) / 2
         if others:
             open_kpa = np.sqrt(np.sum((np.stack(others) - here) ** 2, axis=0))
             least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
             most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
-        told = TOLD_KPA if self.scene.response is None else self.scene.response.told_kpa
-        saturated = (least + water < told[0]) | (most + water > told[1])
+        known = (self.scene.response or PUBLISHED).told_kpa
+        saturated = (least + water < known[0]) | (most + water > known[1])
         return Pressure(here, least, most, errors, saturated.astype(np.uint8))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
-        """Once a frame with r/r_baseline (rows, columns) has been seen at a time in s."""
+        """Once a frame with r/r_baseline (rows, columns) has come at a time in s."""
         if self.film is None:
             return self
-        change, fading = self._change(ratio), self.film.fading(time)
-        memory, film = self.film.memory(time), self.film.told(change, time)
+        change, memory = self._change(ratio), self.film.memory(time)
+        film = self.film.observed(change, time)
         if self.watch is None:
             return replace(self, film=film)
-        watch, zero, tared = self.watch.after(change - fading, memory, time)
-        if zero is not None:
-            film = film.tared(zero + film.fading(time), time)
+        zero = self.film.zeros[0]
+        watch, moved, tared = self.watch.after(change - (memory + zero), memory, time)
+        if moved is not None:
+            film = film.tared(moved + (film.memory(time) + zero), time)
         return replace(self, film=film, watch=watch, tared=tared)
 
     def rebased(self, time: float) -> "PressureTrack":
@@ -170,23 +160,22 @@ class PressureTrack:
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
 
-    def _tell(self, time: float) -> Callable[[Array], Sequence[Array]]:
-        """Changes → pressures of the load, by every film."""
-        film = self.film
-        if film is not None:
-            return lambda change: list(film.pressures(change, time))
-        water = water_pressure(self.scene.panel, self.scene.water)
-        response = self.scene.response
-        rest, gain = log_ratio_from_pressure(water, response), gains_of(response)
-        return lambda change: [np.maximum(pressure_from_logarithm(rest + change / gain, response), VACUUM_KPA) - water]
+    def _pressures(self, change: Array, time: float) -> Sequence[Array]:
+        """Pressures of the load under which each film shows such changes."""
+        if self.film is not None:
+            return list(self.film.pressures(change, time))
+        water, response = water_pressure(self.scene.panel, self.scene.water), self.scene.response or PUBLISHED
+        on_film = response.pressure(response.logarithm(water) + change / response.gains)
+        return [np.maximum(on_film, VACUUM_KPA) - water]
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
-    """Relative standard deviation of ln(r/r0) of cells at a pressure, where it is `answer` (…, rows, columns)."""
-    response, named = scene.response, usual(scene)
+    """Relative standard deviation of ln(r/r0) of cells at a pressure, where it is `answer` (…, rows, columns).
+
+    The scene's `response_sd`, RESPONSE_SD where it names none, or the gains' own; and that of the scene's curve.
+    """
+    response, named = scene.response or PUBLISHED, usual(scene)
     scatter = np.array(RESPONSE_SD if named is None or named.response_sd is None else named.response_sd)
-    if response is None:
-        return scatter
     if response.gain_sd is not None:
         scatter = np.array(response.gain_sd)
     return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))

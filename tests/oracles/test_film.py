@@ -8,7 +8,7 @@ import pytest
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.loads.film import Creep, FilmMemory, Plays
-from lampest.loads.response import pressure_from_ratio, ratio_from_pressure
+from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.loads.shapes import Rod, SuctionCup
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
@@ -85,14 +85,14 @@ def test_memory_is_undone_exactly_under_water_too() -> None:
     for pressure in generator.uniform(-6, 25, (200, 1)) * np.ones(2):
         there, change = there.answered(pressure, 1.3)
         np.testing.assert_allclose(here.pressure(change, 1.3), pressure, atol=1e-8)
-        here = here.told(change, 1.3)
+        here = here.observed(change, 1.3)
     np.testing.assert_allclose(here.creep.crept, there.creep.crept, atol=1e-9)
 
 
 def test_what_is_no_number_leaves_the_memory_alone() -> None:
     memory = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.ones(2), np.zeros(2))
-    memory = memory.told(np.array([-1.0, -1.0]), 1.0)
-    after = memory.told(np.array([-1.2, np.nan]), 1.0)
+    memory = memory.observed(np.array([-1.0, -1.0]), 1.0)
+    after = memory.observed(np.array([-1.2, np.nan]), 1.0)
     assert after.creep.crept[0, 1] == memory.creep.crept[0, 1] and after.creep.crept[0, 0] > memory.creep.crept[0, 0]
     assert np.isnan(memory.pressure(np.array([np.nan, 0.0]), 1.0)).tolist() == [True, False]
 
@@ -111,7 +111,7 @@ def seen(recording: Recording) -> Array:
     """Pressure as the response curve alone reads it, (frames) kPa, of a cell under the rod."""
     assert recording.truth_cell_resistance is not None
     cell = recording.truth_cell_resistance[:, 3, 3]
-    return pressure_from_ratio(cell / cell[0])
+    return PUBLISHED.pressure(np.log(cell / cell[0]))
 
 
 def test_simulated_film_has_the_hysteresis_that_it_is_told() -> None:
@@ -143,7 +143,7 @@ def test_cells_differ_by_the_spread_and_films_by_the_deviation() -> None:
     def gaps(seed: int, film: Film) -> Array:
         made = recorded(film, seed=seed)
         assert made.truth_cell_resistance is not None and made.truth_pressure is not None
-        effective = pressure_from_ratio(made.truth_cell_resistance / made.truth_cell_resistance[0])
+        effective = PUBLISHED.pressure(np.log(made.truth_cell_resistance / made.truth_cell_resistance[0]))
         return (effective - made.truth_pressure)[44:52].max(axis=0)[2:6, 2:6]
 
     alike, spread = gaps(1, Film(hysteresis=0.2)), gaps(1, Film(hysteresis=0.2, cell_spread=0.3))

@@ -13,7 +13,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.calibration import Loaded, fit_loads
 from lampest.loads.known_loads import KnownLoad, KnownLoads
-from lampest.loads.response import log_ratio_from_pressure
+from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse
 from lampest.panel.scene import Scene
@@ -78,14 +78,14 @@ def test_bars_of_gains_and_curve_hold_the_truth() -> None:
     for _ in range(40):
         own = np.exp(0.2 * rng.standard_normal(60))
         scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
-        change = own * scatter * log_ratio_from_pressure(pressure, OTHER)
+        change = own * scatter * OTHER.logarithm(pressure)
         change += 0.01 * rng.standard_normal(pressure.shape)
-        found = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60), None))
+        found = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
         gain, sd = found.gain()
         shift = np.log(own).mean()
         gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
-        curve, curve_sd = found.curve(pressure[:, 0], None)
-        truth = np.exp(shift) * log_ratio_from_pressure(pressure[:, 0], OTHER)
+        curve, curve_sd = found.curve(pressure[:, 0])
+        truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
         curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
     assert np.mean(gains) > 0.9
     assert np.mean(curves) > 0.9
@@ -113,14 +113,12 @@ def test_pressures_over_the_whole_panel_suction_too() -> None:
     kpa = [-6.0, 2.0, 6.0, 12.0]
     loads = tuple(KnownLoad(frames=(n, n), pressure_kpa=one) for n, one in enumerate(kpa))
     gains = true_gains(bench).ravel()
-    change = gains * log_ratio_from_pressure(np.array(kpa)[:, None])
+    change = gains * PUBLISHED.logarithm(np.array(kpa)[:, None])
     pressure = np.stack([load.pressure(bench.panel, 6.0).ravel() for load in loads])
-    found = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16), None))
+    found = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16)))
     shift = np.exp(np.log(gains).mean())
     np.testing.assert_allclose(found.gain()[0], gains / shift, rtol=0.01)
-    np.testing.assert_allclose(
-        found.curve(np.array(kpa), None)[0], shift * log_ratio_from_pressure(np.array(kpa)), rtol=0.01
-    )
+    np.testing.assert_allclose(found.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
 
 
 def test_loads_at_other_places_are_no_calibration() -> None:

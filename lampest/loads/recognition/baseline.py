@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.film import Creep
 from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.response import PUBLISHED
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
@@ -40,7 +41,7 @@ class Baseline:
     logarithm : (rows, columns) mean of ln r0. offsets : those of `ModelErrors.offsets`, in standard deviations.
     covariance : of both together, (cells + offsets)².
     series_ohm : what was taken off the readings, to be broadcast to them. model_errors : the errors that are assumed.
-    response : the scene's own; None: the published one.
+    response : of the scene.
     """
 
     logarithm: Array
@@ -48,7 +49,7 @@ class Baseline:
     covariance: Array
     series_ohm: Array
     model_errors: ModelErrors
-    response: Response | None = None
+    response: Response = PUBLISHED
 
     @cached_property
     def alike(self) -> Array:
@@ -108,7 +109,12 @@ class Baseline:
                 break
         covariance = prior - across @ cho_solve(factor, across.T)
         return cls(
-            state[:cells].reshape(rows, columns), state[cells:], covariance, series_ohm, model_errors, scene.response
+            state[:cells].reshape(rows, columns),
+            state[cells:],
+            covariance,
+            series_ohm,
+            model_errors,
+            scene.response or PUBLISHED,
         )
 
 

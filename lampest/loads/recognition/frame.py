@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, lapack
 
 from lampest.loads.recognition.baseline import Baseline, network_of
-from lampest.loads.response import gains_of, log_ratio_from_pressure
+from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
 
@@ -32,10 +32,10 @@ def counting(sigma: Array, measured: Array) -> Array:
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
 
 
-def log_response(pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
+def log_response(pressure: Array, response: Response = PUBLISHED) -> tuple[Array, Array]:
     """κ·ln f(p) and its slope, (…, rows, columns), kPa → 1 and 1/kPa; a difference over 2 Pa: f has corners."""
     near = pressure + NEAR_KPA
-    here, up, down = gains_of(response) * log_ratio_from_pressure(near, response)
+    here, up, down = response.gains * response.logarithm(near)
     return here, (up - down) / (2 * STEP_KPA)
 
 

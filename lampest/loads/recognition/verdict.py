@@ -29,7 +29,7 @@ from scipy.special import log_ndtr, logsumexp
 from lampest.loads.recognition.candidates import AND, UNIFORM, Several
 from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.response import gains_of, log_ratio_from_pressure
+from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
@@ -46,8 +46,8 @@ SHOWN, SHARE = 0.2, 0.35
 OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
 
 
-def prior_cost(panel: Panel, fit: Fit, response: Response | None = None) -> float:
-    """−ln P of a fit before the measurement, up to what all share. response : the scene's own; None: the published."""
+def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
+    """−ln P of a fit before the measurement, up to what all share."""
     return RARER * further(fit.candidate) + outline_cost(panel, fit, response)
 
 
@@ -56,7 +56,7 @@ def further(candidate: Candidate) -> int:
     return len(candidate.parts) - 1 if isinstance(candidate, Several) else 0
 
 
-def outline_cost(panel: Panel, fit: Fit, response: Response | None = None) -> float:
+def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
     """By how much ln P falls of suction that raises no cell, and of loads that stand in each other; 0 for all others.
 
     By HIDDEN and IN_EACH_OTHER, and by nothing where a cell clearly rises, or loads stand clear.
@@ -81,11 +81,11 @@ def _rise(panel: Panel, change: Array, disc: Disc | None) -> float:
     return float(change[near].max(initial=0.0))
 
 
-def _hidden(rise: float, disc: Disc | None, response: Response | None) -> float:
+def _hidden(rise: float, disc: Disc | None, response: Response) -> float:
     """HIDDEN where suction raises no cell, or none by much of what it would where nothing else is."""
     missing = exp(-((rise / SHOWN) ** 2))
     if disc is not None:
-        full = float(np.mean(gains_of(response) * log_ratio_from_pressure(disc.suction_kpa, response)))
+        full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
         missing = max(missing, exp(-((rise / max(full, 1e-9) / SHARE) ** 2)))
     return HIDDEN * missing
 
@@ -175,7 +175,7 @@ def judged(
     candidates: Sequence[Candidate],
     fits: tuple[Fit, ...],
     readings: int,
-    response: Response | None = None,
+    response: Response = PUBLISHED,
 ) -> Verdict:
     """P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand): all kinds are alike, but `prior_cost` makes some fits rarer.
 

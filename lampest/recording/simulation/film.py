@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lampest.loads.film import FilmMemory
-from lampest.loads.response import gains_of, log_ratio_from_pressure
+from lampest.loads.response import PUBLISHED
 from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
@@ -22,15 +22,15 @@ def remembered_ratio(
     water: Array,
     time: Array,
     period: float,
-    response: Response | None = None,
+    response: Response = PUBLISHED,
 ) -> Array:
     """r over that of a flat, unloaded film in air, (frames, rows, columns).
 
     pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
-    (frames) s, `period` apart. response : the film's own; None: the published one.
+    (frames) s, `period` apart.
     """
     memory = true_memory(film, seed, water, response)
-    rest = memory.gain * log_ratio_from_pressure(water, response)
+    rest = memory.gain * response.logarithm(water)
     step, parts = period / MOMENTS, []
     for first in range(0, len(time), AT_ONCE):
         frames = time[first : first + AT_ONCE]
@@ -42,7 +42,7 @@ def remembered_ratio(
     return np.stack(parts)
 
 
-def true_memory(film: Film, seed: int, water: Array, response: Response | None = None) -> FilmMemory:
+def true_memory(film: Film, seed: int, water: Array, response: Response = PUBLISHED) -> FilmMemory:
     """A film at rest, drawn as is known of it: all cells together by its deviation, each by its spread."""
     strengths = []
     for name, value, most in (
@@ -54,5 +54,5 @@ def true_memory(film: Film, seed: int, water: Array, response: Response | None =
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
         strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
     hysteresis, creep = strengths
-    gain = np.broadcast_to(film.answer * gains_of(response), water.shape)
+    gain = np.broadcast_to(film.answer * response.gains, water.shape)
     return FilmMemory.at_rest(hysteresis, creep, gain, water, response)

@@ -10,7 +10,7 @@ import numpy as np
 from lampest.files.document import to_yaml
 from lampest.files.memory import check_memory
 from lampest.loads.pressure import water_pressure
-from lampest.loads.response import gains_of, ratio_from_pressure
+from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.loads.shapes import AnyShape
 from lampest.panel.film import Film
 from lampest.panel.panel import Array
@@ -202,10 +202,10 @@ def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
 def film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
     first, film = time[simulation.baseline_frames], simulation.true_film
-    response = simulation.response or simulation.scene.response
+    response = simulation.response or simulation.scene.response or PUBLISHED
     if film is None:
         pressure = pressure_at(simulation, time - first, later_s)
-        return np.asarray(ratio_from_pressure(pressure, response) ** gains_of(response))
+        return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
     scene, period = simulation.scene, simulation.frame_period_s
     water = water_pressure(scene.panel, simulation.water or scene.water)
     return film.lowering * remembered_ratio(

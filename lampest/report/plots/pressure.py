@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.loads.response import TOLD_KPA, ratio_from_pressure
+from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
@@ -55,7 +55,15 @@ class PressurePlot(Plot):
         least, most = WIDTH_TICKS_KPA[0], WIDTH_TICKS_KPA[-1]
         half = np.clip((upper - lower) / 2, least / 2, 2 * most)  # none and infinite: beyond the scale, not missing
         _map(middle, case, Tile("(b) uncertainty", half, "", marked, "saturated"), _widths())
-        _response(right, 1 + case.relative_change[index] / 100, pressure, lower, upper, marked, case.scene.response)
+        _response(
+            right,
+            1 + case.relative_change[index] / 100,
+            pressure,
+            lower,
+            upper,
+            marked,
+            case.scene.response or PUBLISHED,
+        )
         right.set_title("(c) cells and response", fontsize=TEXT_POINT)
         handles, labels = right.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=SMALL_POINT, frameon=False)
@@ -97,11 +105,11 @@ def _response(
     lower: Array,
     upper: Array,
     marked: Marks,
-    response: Response | None,
+    response: Response,
 ) -> None:
     """Resistance against pressure with 95 % intervals; water and temperature move cells off the curve."""
     least, most = SHOWN_KPA
-    curve, told = np.linspace(least, most, 1000), TOLD_KPA if response is None else response.told_kpa
+    curve, told = np.linspace(least, most, 1000), response.told_kpa
     axes.plot(100 * ratio_from_pressure(curve, response), curve, color="0.6", lw=1, label="response in air", zorder=1)
     for beyond in ((least, max(told[0], least)), (min(told[1], most), most)):
         axes.axhspan(
