@@ -38,7 +38,7 @@ RESPONSE_SD = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class PublishedResponse(Response):
+class PublishedCurve(Response):
     """The paper's curve, for scenes that name no response of their own."""
 
     def logarithm(self, pressure: ArrayLike) -> Array:
@@ -70,7 +70,7 @@ class PublishedResponse(Response):
         return TOLD_KPA
 
 
-PUBLISHED = PublishedResponse()
+PUBLISHED = PublishedCurve()
 
 
 def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> Array:
