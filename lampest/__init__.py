@@ -99,7 +99,7 @@ if TYPE_CHECKING:
     from lampest.recording.simulation import read_simulations as read_simulations
     from lampest.recording.simulation import simulate as simulate
     from lampest.report.export import Export as Export
-    from lampest.report.export.results import export_results as export_results
+    from lampest.report.export import export_results as export_results
     from lampest.report.plots import CertaintyPlot as CertaintyPlot
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot

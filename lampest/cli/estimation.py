@@ -147,7 +147,7 @@ def import_(
 ) -> None:
     """Turn measurements of another program into a recording, and say how they were understood."""
     from lampest.recording.foreign.importing import import_file
-    from lampest.report.imported import understood_lines
+    from lampest.report.info import understood_lines
 
     check_positive("--period", period)
     told = scene_of(scene, assign)

@@ -41,8 +41,7 @@ def compare(
     frames: FramesNamed = None,
 ) -> None:
     """Table over methods and recordings: times, data errors, cell errors, published figures."""
-    from lampest.report.compare import compare_files, model_notes, write_csv
-    from lampest.report.on_screen import legend, screen_blocks
+    from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
     with progress("recordings") as on_recording:
         rows = compare_files(results, _frames(frames))
@@ -55,7 +54,7 @@ def compare(
     blocks = screen_blocks(rows, each)
     for block in blocks:
         say(block.title)
-        print_table(block.table)
+        print_table(block)
     print_notes((*legend(rows, blocks), *model_notes(rows)))
 
 
@@ -115,7 +114,7 @@ def export(
     frames: FramesNamed = None,
 ) -> None:
     """Write results for other programs: pandas and R, MATLAB and Octave, xarray, NWB; units and meanings included."""
-    from lampest.report.export.results import export_results
+    from lampest.report.export import export_results
 
     for file in export_results(results, to, out, recording, start, _frames(frames)):
         say(file)

@@ -2,10 +2,10 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,30 @@ from numpy.typing import NDArray
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
+from lampest.solvers.solution import VERIFIED
 
 Steps = Literal["all", "initial", "following"]
 Chosen = NDArray[np.bool_]
-SOUND = ("", "yes")  # marks of a circuit that nothing speaks against, or of which an older file says nothing
+T = TypeVar("T")
+SOUND = ("", "yes")  # marks of a circuit that explains the readings, or of which an older file says nothing
+LEAST = 1e-3  # percent or ms: less is rounding
+MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
+STEPS = {"all": "", "initial": " first", "following": " later"}
+SOLVED_NOTE = (
+    "solved: frames whose estimate was checked outside the solver: a local optimum (no small change of the cells costs "
+    "less), the lowest that its starts reached (lampest info tells how many); or what else the formulation promises"
+)
+LATER_NOTE = (
+    "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames after it"
+)
+ERROR_NOTES = {
+    "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
+    "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
+}
+PUBLISHED_NOTE = (
+    "published: of another recording, on another computer, as the run's file quotes it; figures of this recording are "
+    "not expected to equal it"
+)
 
 
 @dataclass(frozen=True)
@@ -43,10 +63,10 @@ class Row:
     cell_error : |cell resistance − truth|/truth over all cells and solved frames, in percent; None without a truth.
     open_cells : cells that cannot be told from open ones, summed over the solved frames.
     worst_kkt_residual : the largest violation of the optimality conditions.
-    missing_readings, bound_readings : of all frames, solved or not: say nothing; are at a rail, zero or below.
+    missing_readings, bound_readings : of all frames, solved or not: missing; at a rail, zero or below.
     published : what a publication says of the same steps.
     model_mark, model_sentence : whether the scene's circuit explains the recording, as `CaseResult` has them.
-    noise_sentence : what speaks against the noise that the scene tells, likewise.
+    noise_sentence : what contradicts the noise that the scene specifies, likewise.
     """
 
     source: str
@@ -149,10 +169,11 @@ def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures | 
 
 @dataclass(frozen=True)
 class Table:
-    """Headers with units and rows of text, ready to be drawn."""
+    """Headers with units and rows of text, ready to be drawn; title : the line above it."""
 
     headers: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
+    title: str = ""
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
@@ -166,33 +187,159 @@ def csv_text(rows: Sequence[Row]) -> str:
     """All figures of the rows as CSV with units in the headers, full precision, empty where there is none."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(
-        ["results", "recording", "estimator", "steps", "frames", "frames solved"]
-        + ["solve time mean [s]", "solve time sd [s]", "data error mean [%]", "data error sd [%]"]
-        + ["cell error median [%]", "cell error mean [%]", "cell error 95th percentile [%]"]
-        + ["open cells", "worst KKT residual"]
-        + [f"published {name}" for name in ("time [s]", "time sd [s]", "data error [%]", "data error sd [%]")]
-        + ["missing readings", "bound readings", "model", "model check", "noise check"]
-    )
-    for row in rows:
-        time, data, cell, figures = row.solve_time, row.data_error, row.cell_error, row.published
-        writer.writerow(
-            [row.source, row.recording, row.estimator, row.steps, row.frames, row.solved]
-            + ([time.mean, time.sd] if time else [None, None])
-            + ([data.mean, data.sd] if data else [None, None])
-            + ([cell.median, cell.mean, cell.percentile_95] if cell else [None, None, None])
-            + [row.open_cells, row.worst_kkt_residual]
-            + (
-                [figures.time_s, figures.time_sd_s, figures.error_percent, figures.error_sd_percent]
-                if figures
-                else [None] * 4
-            )
-            + [row.missing_readings, row.bound_readings, row.model_mark, row.model_sentence]
-            + [row.noise_sentence]
-        )
+    writer.writerow([header for header, _ in CSV_COLUMNS])
+    writer.writerows([figure(row) for _, figure in CSV_COLUMNS] for row in rows)
     return stream.getvalue()
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     """Write the rows as CSV, whole or not at all. Raises InputError where the place cannot be written."""
     write_whole(Path(path), csv_text(rows))
+
+
+def screen_blocks(rows: Sequence[Row], each: bool = False) -> list[Table]:
+    """A table for each recording; of more than six recordings one that sums them up, unless `each` is asked for."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.source, row.recording), []).append(row)
+    if len(groups) > MOST_BLOCKS and not each:
+        return [_summary(rows, len(groups))]
+    several = len({source for source, _ in groups}) > 1
+    return [_table(_title(group, several), group, COLUMNS) for group in groups.values()]
+
+
+def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
+    """What the headers of the blocks mean, a sentence each."""
+    headers = {header for block in blocks for header in block.headers}
+    notes = [SOLVED_NOTE] if rows else []
+    notes += [note for header, note in ERROR_NOTES.items() if any(each.startswith(header) for each in headers)]
+    notes += [LATER_NOTE] if any(row.steps != "all" for row in rows) else []
+    return notes + ([PUBLISHED_NOTE] if any("published" in header for header in headers) else [])
+
+
+def _title(group: Sequence[Row], several: bool) -> str:
+    """'lamprey_35mm: 21 frames, 12 readings missing'."""
+    own = [row for row in group if row.estimator == group[0].estimator]
+    counts = [
+        (sum(row.frames for row in own), "frames"),
+        (sum(row.missing_readings for row in own), "readings missing"),
+        (sum(row.bound_readings for row in own), "readings only bounds"),
+    ]
+    words = ", ".join(f"{count} {what}" for number, (count, what) in enumerate(counts) if count or not number)
+    return f"{own[0].source + ': ' if several else ''}{own[0].recording}: {words}"
+
+
+def _table(title: str, things: Sequence[T], columns: Sequence[tuple[str, Callable[[T], str]]]) -> Table:
+    """A row for each of the things; a column in which none has anything is left out."""
+    texts = {header: [text(thing) for thing in things] for header, text in columns}
+    filled = {header: column for header, column in texts.items() if any(column)}
+    return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
+
+
+def _summary(rows: Sequence[Row], recordings: int) -> Table:
+    """One row for each estimator, over all recordings: medians, and the range of the cells' median error."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.estimator, row.steps), []).append(row)
+    title = (
+        f"{recordings} recordings, medians over them (--each shows every one, --csv FILE and --report PAGE hold all)"
+    )
+    return _table(title, list(groups.values()), OVER_ALL)
+
+
+def _format(value: float, digits: int) -> str:
+    """A format with so many significant digits of `value`, without an exponent wherever that is short."""
+    if not 1e-4 <= abs(value) < 1e5:
+        return f"{{:.{digits - 1}e}}" if value else "{:g}"
+    return f"{{:.{max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))}f}}"
+
+
+def _plus_minus(values: Spread | None, factor: float = 1.0) -> str:
+    if values is None:
+        return ""
+    if 0 < factor * values.mean < LEAST:
+        return f"< {LEAST:g}"
+    form = _format(factor * values.mean, 2)
+    sd = "" if values.sd is None else f" ± {form.format(factor * values.sd)}"
+    return form.format(factor * values.mean) + sd
+
+
+def _joined(values: Sequence[float], between: str = "") -> str:
+    return between.join(_format(value, 3).format(value) for value in values)
+
+
+def _median_and_worst(values: Spread | None) -> str:
+    return "" if values is None else _joined((values.median, values.percentile_95), " / ")
+
+
+def _published(figures: StepFigures | None, mean: str, sd: str) -> str:
+    if figures is None or getattr(figures, mean) is None:
+        return ""
+    deviation = getattr(figures, sd)
+    return f"{getattr(figures, mean):g}" + ("" if deviation is None else f" ± {deviation:g}")
+
+
+def _residual(residual: float | None) -> str:
+    """Where it alone does not show an optimum, and a Newton step had to."""
+    return "" if residual is None or residual <= VERIFIED else f"{residual:.0e}"
+
+
+def _median(values: Sequence[float], factor: float = 1.0) -> str:
+    return _joined([factor * float(np.median(values))]) if values else ""
+
+
+def _range(values: Sequence[float]) -> str:
+    return _joined([min(values), max(values)], " … ") if values else ""
+
+
+COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("estimator", lambda row: row.estimator),
+    ("solved", lambda row: f"{row.solved}/{row.frames}{STEPS[row.steps]}"),
+    ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
+    ("data error [%]", lambda row: _plus_minus(row.data_error)),
+    ("cell error [%]", lambda row: _median_and_worst(row.cell_error)),
+    ("open cells", lambda row: str(row.open_cells or "")),
+    ("worst KKT", lambda row: _residual(row.worst_kkt_residual)),
+    ("model", lambda row: "" if row.model_mark in SOUND else row.model_mark),
+    ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
+    ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
+)
+OVER_ALL: tuple[tuple[str, Callable[[Sequence[Row]], str]], ...] = (
+    ("estimator", lambda group: group[0].estimator),
+    (
+        "solved",
+        lambda group: f"{sum(row.solved for row in group)}/{sum(row.frames for row in group)}{STEPS[group[0].steps]}",
+    ),
+    ("time [ms]", lambda group: _median([row.solve_time.mean for row in group if row.solve_time], 1000)),
+    ("data error [%], mean", lambda group: _median([row.data_error.mean for row in group if row.data_error])),
+    ("cell error [%], median", lambda group: _median([row.cell_error.median for row in group if row.cell_error])),
+    ("least … most of them", lambda group: _range([row.cell_error.median for row in group if row.cell_error])),
+    ("open cells", lambda group: str(sum(row.open_cells for row in group) or "")),
+    ("worst KKT", lambda group: _residual(max((row.worst_kkt_residual or 0.0 for row in group), default=None))),
+)
+CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
+    ("results", lambda row: row.source),
+    ("recording", lambda row: row.recording),
+    ("estimator", lambda row: row.estimator),
+    ("steps", lambda row: row.steps),
+    ("frames", lambda row: row.frames),
+    ("frames solved", lambda row: row.solved),
+    ("solve time mean [s]", lambda row: row.solve_time and row.solve_time.mean),
+    ("solve time sd [s]", lambda row: row.solve_time and row.solve_time.sd),
+    ("data error mean [%]", lambda row: row.data_error and row.data_error.mean),
+    ("data error sd [%]", lambda row: row.data_error and row.data_error.sd),
+    ("cell error median [%]", lambda row: row.cell_error and row.cell_error.median),
+    ("cell error mean [%]", lambda row: row.cell_error and row.cell_error.mean),
+    ("cell error 95th percentile [%]", lambda row: row.cell_error and row.cell_error.percentile_95),
+    ("open cells", lambda row: row.open_cells),
+    ("worst KKT residual", lambda row: row.worst_kkt_residual),
+    ("published time [s]", lambda row: row.published and row.published.time_s),
+    ("published time sd [s]", lambda row: row.published and row.published.time_sd_s),
+    ("published data error [%]", lambda row: row.published and row.published.error_percent),
+    ("published data error sd [%]", lambda row: row.published and row.published.error_sd_percent),
+    ("missing readings", lambda row: row.missing_readings),
+    ("bound readings", lambda row: row.bound_readings),
+    ("model", lambda row: row.model_mark),
+    ("model check", lambda row: row.model_sentence),
+    ("noise check", lambda row: row.noise_sentence),
+)

@@ -1,8 +1,10 @@
-"""What a recording or a results file holds, in a few lines of text with a small map of its first frame."""
+"""What a recording, a results file or an import holds, in a few lines of text with a small map."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.noise.seen import frame_noise_seen
 from lampest.files import hdf5
@@ -15,7 +17,6 @@ from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
-from lampest.report.holes import Holes
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
@@ -196,7 +197,7 @@ def _results_lines(results: Results) -> list[str]:
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
             f"readings  {_range(first.measured, first.scene.circuit.unit)} "
             "(as the network is read, series resistance taken off)",
-            *(f"{'':9} {sentence}" for sentence in (Holes.of_case(first).sentence(),) if sentence),
+            *(f"{'':9} {sentence}" for sentence in (_holes_of_case(first),) if sentence),
         ]
         if first.model_mark:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
@@ -230,9 +231,9 @@ def _starts(case: CaseResult) -> str:
 
 
 def _holes(recording: Recording) -> list[str]:
-    """What is missing or only a bound, and what follows from it."""
-    sentences = [Holes.of_recording(recording).sentence()]
+    """What is missing or only a bound, readings of faulty cells aside, and what follows from it."""
     readings = recording.readings()
+    sentences = [holes_sentence(readings.missing(recording.scene), readings.bounds)]
     enough = readings.enough(recording.scene)
     if not np.all(enough):
         sentences.append(f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated")
@@ -240,6 +241,44 @@ def _holes(recording: Recording) -> list[str]:
     if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(recording.scene):
         sentences.append("the unloaded frames have too few values: the first frame with enough stands for them")
     return [sentence for sentence in sentences if sentence]
+
+
+def _holes_of_case(case: CaseResult) -> str:
+    """Of the measured frames. Results that do not say which readings are bounds have none."""
+    missing, faults = np.isnan(case.measured), case.scene.faults
+    if faults is not None:
+        missing &= ~faults.blind(case.scene.panel)
+    bounds = np.zeros(missing.shape, bool) if case.reading_side is None else case.reading_side != 0
+    return holes_sentence(missing, bounds)
+
+
+def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
+    """`12 readings missing (0.4 %), 30 at a rail, zero or below the series resistance (1 %), in 7 of 40 frames`.
+
+    missing, bounds : (frames, rows, columns). Lines that have no reading are named. Empty where every one is a value.
+    """
+    kinds = (missing, "missing"), (bounds, "at a rail, zero or below the series resistance")
+    counts = [(int(np.sum(kind)), words) for kind, words in kinds if np.any(kind)]
+    if not counts:
+        return ""
+    parts = [f"{count} {words} ({float(f'{100 * count / missing.size:.2g}'):g} %)" for count, words in counts]
+    parts[0] = parts[0].replace(" ", " reading " if counts[0][0] == 1 else " readings ", 1)
+    frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
+    empty = (("row", missing.all(axis=(0, 2))), ("column", missing.all(axis=(0, 1))))
+    lines = [f"{name} {number}" for name, blank in empty for number in np.flatnonzero(blank)]
+    none = f"; {' and '.join(lines)} {'has' if len(lines) == 1 else 'have'} none" if lines else ""
+    return f"{', '.join(parts)}, in {frames} of {len(missing)} frames{none}"
+
+
+def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
+    """The sentences of an import, and a map of every cell's mean reading over the frames that have one.
+
+    Rows and columns that were swapped or turned show in the map.
+    """
+    counted = np.isfinite(recording.recorded)
+    total = np.where(counted, recording.recorded, 0.0).sum(axis=0)
+    mean = np.where(counted.any(axis=0), total / np.maximum(counted.sum(axis=0), 1), np.nan)
+    return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean)]
 
 
 def _range(values: Array, unit: str) -> str:

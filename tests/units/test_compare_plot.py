@@ -13,9 +13,8 @@ from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
-from lampest.report.compare import Table, compare, compare_files, csv_text, write_csv
+from lampest.report.compare import Table, compare, compare_files, csv_text, legend, screen_blocks, write_csv
 from lampest.report.info import describe
-from lampest.report.on_screen import legend, screen_blocks
 from lampest.report.plots.contours import ContourPlot
 from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.results import plot_results
@@ -57,7 +56,7 @@ def test_the_table_on_screen() -> None:
     cases = [invented_case(name, failed=(0, 1, 2) if name == "LSR-CR" else ()) for name in METHODS]
     rows = compare(Results(tuple(cases), PUBLISHED))
     (block,) = screen_blocks(rows)
-    table = block.table
+    table = block
     assert block.title == "mouth: 3 frames"
     assert all(len(line) == len(table.headers) for line in table.cells) and len(table.cells) == 7
     line = dict(zip(table.headers, table.cells[0], strict=True))
@@ -67,7 +66,7 @@ def test_the_table_on_screen() -> None:
     assert any(note.startswith("published: of another recording") for note in legend(rows, [block]))
     rows = compare(Results((invented_case(truth=False),)))
     bare = screen_blocks(rows)
-    assert not any("cell error" in header or "published" in header for header in bare[0].table.headers)
+    assert not any("cell error" in header or "published" in header for header in bare[0].headers)
     assert not any("published" in note or "truth" in note for note in legend(rows, bare))
     assert screen_blocks([]) == []
 
@@ -78,7 +77,7 @@ def test_the_table_fits_a_hundred_columns_with_whole_names(capsys: pytest.Captur
     blocks = screen_blocks(compare(Results(tuple(cases), PUBLISHED)))
     assert [block.title.split(":")[0] for block in blocks] == ["lamprey_35mm", "lamprey_25mm"]
     for block in blocks:
-        print_table(block.table)
+        print_table(block)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 100 and not any("…" in line for line in lines)
     names = next(line.index("solved") for line in lines if "solved" in line)
@@ -91,8 +90,8 @@ def test_many_recordings_are_summed_up() -> None:
     cases = [invented_case(name, f"mouth{number}") for number in range(7) for name in METHODS[:3]]
     rows = compare(Results(tuple(cases)))
     (block,) = screen_blocks(rows)
-    assert block.title.startswith("7 recordings") and len(block.table.cells) == 4
-    line = dict(zip(block.table.headers, block.table.cells[0], strict=True))
+    assert block.title.startswith("7 recordings") and len(block.cells) == 4
+    line = dict(zip(block.headers, block.cells[0], strict=True))
     errors = [row.cell_error.median for row in rows if row.estimator == "LSM"]
     assert float(line["cell error [%], median"]) == pytest.approx(np.median(errors), rel=0.01)
     assert float(line["least … most of them"].split(" … ")[1]) == pytest.approx(max(errors), rel=0.01)

@@ -4,16 +4,23 @@ A package adds formats by naming them in the entry point group `lampest.exports`
 `export_results`.
 """
 
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
 from lampest.files.errors import InputError
 from lampest.files.plugins import installed
-from lampest.report.export.csv_table import CsvExport
+from lampest.files.whole import refuse_input, sparing, whole_file
+from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export
-from lampest.report.export.matlab import MatlabExport
 from lampest.report.export.nwb import NwbExport
-from lampest.report.export.parquet import ParquetExport
-from lampest.report.export.zarr_archive import ZarrExport
+from lampest.report.export.tables import CsvExport, ParquetExport
+from lampest.runs.case import CaseResult
+from lampest.runs.results import read_results
 
-__all__ = ["EXPORTS", "Export", "export_of"]
+__all__ = ["EXPORTS", "Export", "export_of", "export_results"]
 EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
 
 
@@ -27,3 +34,50 @@ def export_of(kind: str) -> Export:
             f"--to: there {'is no format' if not named else 'are two formats'} '{kind}'; there are {kinds}"
         )
     return named[0]
+
+
+def export_results(
+    results: str | Path,
+    to: str | Export,
+    out: str | Path | None = None,
+    recording: str | None = None,
+    start: str | None = None,
+    frames: range | None = None,
+) -> tuple[Path, ...]:
+    """Write a results file in another format, whole or not at all: the files that were written.
+
+    to : csv, parquet, mat, zarr, nwb, or an Export of your own. out : the file; by default beside the results, with the
+    format's suffix. recording : this one alone. start : date and time at 0 s, ISO 8601, of recordings that do not say.
+    frames : as `read_results` takes them.
+
+    Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
+    be written, and where a library is missing.
+    """
+    export = export_of(to) if isinstance(to, str) else to
+    source = Path(results)
+    path = source.with_suffix(export.suffix) if out is None else Path(out)
+    with sparing((source,)):
+        refuse_input(path)
+    read = read_results(source, frames=frames)
+    cases = _started(read.cases if recording is None else read.of(recording), start)
+    if not cases:
+        raise InputError(f"{source}: holds no case that could be exported")
+    second = path.with_name(path.name + export.beside) if export.beside else None
+    with ExitStack() as files:
+        beside = None if second is None else files.enter_context(whole_file(second))
+        export.write(cases, path.name, files.enter_context(whole_file(path)), beside)
+    return (path,) if second is None else (path, second)
+
+
+def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:
+    """The cases, with a start where they have none. Raises InputError where they say another, or it is no date."""
+    if start is None:
+        return tuple(cases)
+    try:
+        datetime.fromisoformat(start)
+    except ValueError as error:
+        raise InputError(f"--start: '{start}' is no date and time such as 2026-05-04T09:30:00+02:00") from error
+    for case in cases:
+        if case.start_time not in ("", start):
+            raise InputError(f"--start: {case.recording} says itself that it began at {case.start_time}")
+    return tuple(replace(case, start_time=start) for case in cases)

@@ -1,20 +1,23 @@
-"""What a format for other programs is."""
+"""What a format for other programs is, and what of a case every format writes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from lampest.runs.case import CaseResult
+from lampest.runs.columns import FIGURES, FRAMES, all_columns
 
 
 @dataclass(frozen=True)
 class Export(ABC):
     """One format.
 
-    kind : the word that asks for it. suffix : of its files. beside : the suffix of a second file that tells what the
-    first cannot hold; '' for none.
+    kind : the word that asks for it. suffix : of its files. beside : the suffix of a second file for what the first
+    cannot hold; '' for none.
     """
 
     kind: ClassVar[str]
@@ -28,3 +31,41 @@ class Export(ABC):
         name : that `path` will have once it is whole. Raises InputError where a library is missing, or the cases do not
         fit the format.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One thing that a case holds.
+
+    axes : of `runs.columns`, time, row, column. values : an array over them, or a tuple of texts. flags : what each
+    value means where values are no amounts. shared : True for what was measured.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    values: Any
+    units: str
+    long_name: str
+    flags: tuple[tuple[int, str], ...] = ()
+    shared: bool = False
+
+    @property
+    def is_text(self) -> bool:
+        """Whether its values are texts."""
+        return isinstance(self.values, tuple)
+
+
+def series_of(case: CaseResult) -> list[Series]:
+    """Every column and figure that the case holds, in its readout's unit; a cost is called cost_misfit."""
+    held = []
+    for column in all_columns():
+        values, column = case.column(column.name), column.of(case.scene.circuit)
+        if values is not None:
+            stored = tuple(values) if column.dtype is str else column.stored(values)
+            said = column.units, column.long_name, column.flags, column.shared
+            held.append(Series(column.name, column.axes, stored, *said))
+    return held + [
+        Series(f"{folder.folder}_{name}", FRAMES, np.asarray(values), folder.units(name), folder.long_name(name))
+        for folder in FIGURES
+        for name, values in getattr(case, folder.name).items()
+    ]

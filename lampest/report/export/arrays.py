@@ -1,0 +1,86 @@
+"""Cases as labelled arrays: MATLAB 5, read by MATLAB, Octave and scipy; and Zarr, as xarray has it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+from zipfile import ZipFile, ZipInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.files.extras import extra
+from lampest.report.export.export import Export, series_of
+from lampest.runs.case import CaseResult
+from lampest.runs.labelled import about
+
+
+class MatlabExport(Export):
+    """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` says 'ohm'.
+
+    `long_name` has the meanings in words; `flags.open_cell.values` and `.meanings` what the values of a flag say; `y`
+    and `x` the positions of rows and columns in mm; texts of frames are cells of texts.
+    """
+
+    kind: ClassVar[str] = "mat"
+    suffix: ClassVar[str] = ".mat"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """A cell of structs, for cases need not hold the same."""
+        from scipy.io import savemat
+        from scipy.io.matlab import MatWriteError
+
+        try:
+            with path.open("wb") as file:
+                held = {"cases": _cells([_struct(case) for case in cases]).reshape(1, -1)}
+                savemat(file, held, long_field_names=True, do_compression=True, oned_as="column")
+        except (ValueError, MatWriteError) as error:
+            raise InputError(f"{name}: does not fit a MATLAB 5 file ({error})") from error
+
+
+def _struct(case: CaseResult) -> dict[str, Any]:
+    held = series_of(case)
+    x, y = case.scene.panel.centres_mm()
+    flags = {
+        one.name: {
+            "values": np.array([value for value, _ in one.flags]),
+            "meanings": _cells([word for _, word in one.flags]),
+        }
+        for one in held
+        if one.flags
+    }
+    values = {one.name: _cells(one.values) if one.is_text else one.values for one in held}
+    units = {one.name: one.units for one in held} | {"x": "mm", "y": "mm"}
+    names = {one.name: one.long_name for one in held}
+    return about(case) | values | {"x": x, "y": y, "units": units, "long_name": names, "flags": flags}
+
+
+def _cells(things: Sequence[Any]) -> NDArray[Any]:
+    """(things, 1) a cell each, whatever they are."""
+    cells = np.empty((len(things), 1), dtype=np.object_)
+    for number, thing in enumerate(things):
+        cells[number, 0] = thing
+    return cells
+
+
+class ZarrExport(Export):
+    """`xarray.open_datatree(zarr.storage.ZipStore(path), engine="zarr")`: groups recording/estimator.
+
+    Version 2 of the format, which every library for zarr reads. One zip archive, because a folder of thousands of files
+    cannot appear whole.
+    """
+
+    kind: ClassVar[str] = "zarr"
+    suffix: ClassVar[str] = ".zarr.zip"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """The archive."""
+        with extra("export"):
+            from xarray import DataTree
+            from zarr.storage import MemoryStore
+        tree = DataTree.from_dict({f"/{case.recording}/{case.estimator}": case.to_xarray() for case in cases})
+        held: dict[str, Any] = {}  # zarr writes some keys several times, and an archive would keep them all
+        tree.to_zarr(MemoryStore(held), mode="w", zarr_format=2)
+        with ZipFile(path, "w") as archive:
+            for key in sorted(held):
+                archive.writestr(ZipInfo(key), held[key].to_bytes())
