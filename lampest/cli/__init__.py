@@ -28,35 +28,6 @@ app = typer.Typer(
 _MEMORY = typer.Option("--memory", metavar="SIZE", help="Memory it may take, such as 8GB; else most of what is free.")
 
 
-EXAMPLES = {
-    "init": "lampest init mine",
-    "run": "lampest run run.yaml --set formulation=reduced --jobs 2",
-    "starts": "lampest starts run.yaml --random 50",
-    "tune": "lampest tune run.yaml --out results/tune",
-    "simulate": "lampest simulate simulation.yaml --set seed=2 --out second.h5",
-    "import": "lampest import mine.csv --scene scene.yaml --baseline 3 --out mine.h5",
-    "tare": "lampest tare mine.h5 --frames 40:50 --out tared.h5",
-    "compare": "lampest compare results/run/results.h5 --report page.html",
-    "plot": "lampest plot results/run/results.h5 --frame 12 --estimator LSM --out one.svg",
-    "detect": "lampest detect results/run/results.h5 --depth 50",
-    "terms": "lampest terms",
-    "schema": "lampest schema > lampest.schema.json",
-    "info": "lampest info mine.h5",
-    "check": "lampest check mine.h5 results/run/results.h5",
-    "ports": "lampest ports",
-    "record": "lampest record --out today.h5 --scene scene.yaml --baseline 3 --seconds 60",
-    "repair": "lampest repair today.h5",
-    "calibrate": "lampest calibrate known.h5 --known known.csv --out scene.yaml",
-    "export": "lampest export results/run/results.h5 --to csv",
-    "live": "lampest live --recording example.h5 --speed 2",
-    "bench": "lampest bench bench.yaml --set sizes=[10]",
-    "tradeoff": "lampest tradeoff tradeoff.yaml",
-    "extremes": "lampest extremes extremes.yaml",
-    "audit": "lampest audit audit.yaml",
-    "paper": "lampest paper --out results/paper",
-}
-
-
 def _print_version(asked: bool) -> None:
     """Print the version and end."""
     if asked:
@@ -102,37 +73,81 @@ def _paths(value: object) -> list[Path]:
     return [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, Path)]
 
 
-for _command in (
-    start.init,
-    estimation.run,
-    estimation.starts,
-    estimation.tune,
-    estimation.simulate,
-    estimation.import_,
-    estimation.tare,
-    results.compare,
-    results.plot,
-    results.export,
-    results.detect,
-    results.terms,
-    results.schema,
-    results.info,
-    results.check,
-    board.ports,
-    board.record,
-    board.repair,
-    board.calibrate,
-    board.live,
-    studies.bench,
-    studies.tradeoff,
-    studies.extremes,
-    studies.audit,
-    studies.paper,
-):
-    _small = _command in (results.terms, results.schema, board.ports)
-    _name = _command.__name__.rstrip("_")
-    _epilog = f"Example: {EXAMPLES[_name]}" if _name in EXAMPLES else None
-    app.command(_name, epilog=_epilog)(_command if _small else _guarded(_command))
+def _renamed(old: str, new: str, command: Callable[..., None]) -> Callable[..., None]:
+    """A command of the release before, which says its new name."""
+
+    @wraps(command)
+    def called(**options: Any) -> None:
+        say(f"lampest: {old} is now: lampest {new}; the old word answers for one release more", to=sys.stderr)
+        command(**options)
+
+    return called
+
+
+COMMANDS: dict[str, tuple[Callable[..., None], str]] = {  # name → (command, example)
+    "init": (start.init, "mine"),
+    "run": (estimation.run, "run.yaml --set formulation=reduced --jobs 2"),
+    "simulate": (estimation.simulate, "simulation.yaml --set seed=2 --out second.h5"),
+    "import": (estimation.import_, "mine.csv --scene scene.yaml --baseline 3 --out mine.h5"),
+    "tare": (estimation.tare, "mine.h5 --frames 40:50 --out tared.h5"),
+    "compare": (results.compare, "results/run/results.h5 --report page.html"),
+    "plot": (results.plot, "results/run/results.h5 --frame 12 --estimator LSM --out one.svg"),
+    "export": (results.export, "results/run/results.h5 --to csv"),
+    "detect": (results.detect, "results/run/results.h5 --depth 50"),
+    "info": (results.info, "mine.h5"),
+    "check": (results.check, "mine.h5 results/run/results.h5"),
+    "record": (board.record, "--out today.h5 --scene scene.yaml --baseline 3 --seconds 60"),
+    "calibrate": (board.calibrate, "known.h5 --known known.csv --out scene.yaml"),
+    "live": (board.live, "--recording example.h5 --speed 2"),
+    "show terms": (results.terms, ""),
+    "show schema": (results.schema, "> lampest.schema.json"),
+    "study bench": (studies.study_command("bench"), "bench.yaml --set sizes=[10]"),
+    "study tradeoff": (studies.study_command("tradeoff"), "tradeoff.yaml"),
+    "study extremes": (studies.study_command("extremes"), "extremes.yaml"),
+    "study audit": (studies.study_command("audit"), "audit.yaml"),
+    "study paper": (studies.paper, "--out results/paper"),
+    "study weights": (studies.study_command("weights"), "run.yaml --out results/weights"),
+    "study starts": (studies.starts, "run.yaml --random 50"),
+}
+OLD = {  # word of the release before → new name
+    "ports": "record --list",
+    "repair": "check --repair",
+    "tune": "study weights",
+    **{word: f"study {word}" for word in ("bench", "tradeoff", "extremes", "audit", "paper", "starts")},
+    **{word: f"show {word}" for word in ("terms", "schema")},
+}
+OF_THEIR_OWN: dict[str, Callable[..., None]] = {
+    "ports": board.ports,
+    "repair": results.repair,
+}  # old words whose new names are options
+UNGUARDED = (results.terms, results.schema, board.ports)  # they read and write no files
+GROUPS = {
+    "show": "List what a run's file may hold: terms, or its JSON schema.",
+    "study": "Measure lampest itself: solvers, formulations, extremes, error bars, weights, starts, the paper.",
+}
+
+
+def _add(group: typer.Typer, word: str, command: Callable[..., None], example: str, **further: Any) -> None:
+    """Register a command."""
+    command = command if inspect.unwrap(command) in UNGUARDED else _guarded(command)
+    group.command(word, epilog=f"Example: lampest {example}".rstrip(), **further)(command)
+
+
+def _build() -> None:
+    """All commands, the groups after them, then the hidden words of the release before."""
+    groups = {name: typer.Typer(no_args_is_help=True, help=about) for name, about in GROUPS.items()}
+    for name, (command, example) in COMMANDS.items():
+        group, _, word = name.rpartition(" ")
+        _add(groups.get(group, app), word, command, f"{name} {example}")
+    for name, group_app in groups.items():
+        first = next(each for each in COMMANDS if each.startswith(f"{name} "))
+        app.add_typer(group_app, name=name, epilog=f"Example: lampest {first} {COMMANDS[first][1]}".rstrip())
+    for old, new in OLD.items():
+        renamed = OF_THEIR_OWN[old] if old in OF_THEIR_OWN else COMMANDS[new][0]
+        _add(app, old, _renamed(old, new, renamed), new, hidden=True)
+
+
+_build()
 
 
 def main() -> None:

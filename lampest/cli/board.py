@@ -14,7 +14,6 @@ from lampest.cli.screen import (
     AssignToScene,
     check_positive,
     markless,
-    mended,
     progress,
     say,
     say_text,
@@ -47,7 +46,7 @@ def ports() -> None:
 
 
 def record(
-    out: Annotated[Path, written("--out", "The recording that is written; must not exist.")],
+    out: Annotated[Path | None, written("--out", "The recording that is written; must not exist.")] = None,
     port: Port = None,
     frames: Frames = None,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds, such as 60.")] = None,
@@ -57,8 +56,14 @@ def record(
         int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
     ] = 0,
     period: Period = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the serial ports and end; no --out is needed.")] = False,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
+    if listed:
+        ports()
+        return
+    if out is None:
+        raise InputError("--out: name the recording that is written")
     from lampest.recording.board.keys import pressed_keys
     from lampest.recording.board.record import record as record_board
 
@@ -80,13 +85,6 @@ def record(
             keys=keys,
         )
     report_recorded(done)
-
-
-def repair(file: Annotated[Path, mended("A recording that was not closed.")]) -> None:
-    """Turn what a crash left into a clean recording; one that is clean stays as it is."""
-    from lampest.recording.board.record import repair as repair_recording
-
-    say(f"{repair_recording(file)} frames: {file}")
 
 
 def calibrate(

@@ -10,14 +10,12 @@ from lampest.cli.screen import (
     SOME_FAILED,
     Assign,
     AssignToScene,
-    Folder,
     check_positive,
     progress,
     say,
     scene_of,
     written,
 )
-from lampest.cli.tables import print_table
 
 
 def run(
@@ -50,54 +48,6 @@ def run(
         say(f"lampest: {name} failed: {sentence}", to=sys.stderr)
     if report.failed:
         raise typer.Exit(SOME_FAILED)
-
-
-def tune(
-    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
-    out: Folder = None,
-    assign: Assign = None,
-) -> None:
-    """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice."""
-    from lampest.runs.config import read_run
-    from lampest.studies.tune.figure import plot_study
-    from lampest.studies.tune.report import tune_table, write_study
-    from lampest.studies.tune.run import run_tune
-
-    cases = read_run(config, tuple(assign or ()))
-    with progress("cases") as on_case:
-        study = run_tune(cases, on_case)
-    folder = out or Path("results") / config.stem
-    files = (*write_study(folder, study), *plot_study(study, folder))
-    print_table(tune_table(study))
-    for file in files:
-        say(file)
-    for name, reason in study.left_out:
-        say(f"lampest: {name} left out: {reason}", to=sys.stderr)
-
-
-def starts(
-    config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
-    random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
-    seed: Annotated[int, typer.Option("--seed", help="Of the random starts: the same seed, the same starts.")] = 0,
-    assign: Assign = None,
-) -> None:
-    """Say how often every case of a run reaches the best objective known from random starts."""
-    from lampest.report.compare import Table
-    from lampest.runs.config import read_run
-    from lampest.studies.starts import tally
-
-    cases = read_run(config, tuple(assign or ())).cases
-    rows = []
-    with progress("cases") as on_case:
-        for number, case in enumerate(cases, 1):
-            found = tally(case, random, seed)
-            share = f"{found.best}/{found.frames}"
-            excess = f"{100 * found.worst_excess:.2g}"
-            ended = f"{found.random_solved}/{found.random}"
-            rows.append((found.recording, found.estimator, share, excess, str(found.most_minima), ended))
-            on_case(number, len(cases))
-    headers = ("recording", "estimator", "frames at the best", "worst excess [%]", "most minima", "random solved")
-    print_table(Table(headers, tuple(rows)))
 
 
 def simulate(

@@ -9,6 +9,7 @@ import typer
 from lampest.cli.screen import (
     SOME_FAILED,
     WRONG_INPUT,
+    mended,
     print_notes,
     progress,
     say,
@@ -219,7 +220,12 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
         say(line)
 
 
-def check(files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings or results.")]) -> None:
+def check(
+    files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Turn recordings that a crash left into clean ones first.")
+    ] = False,
+) -> None:
     """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
     from lampest.report.checked import checked_sentence
 
@@ -227,10 +233,21 @@ def check(files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="R
     with progress("files") as on_file:
         for number, file in enumerate(files, 1):
             try:
-                say(checked_sentence(file))
+                say(_repaired(file) if repair else checked_sentence(file))
             except InputError as error:
                 say(f"lampest: {error}", to=sys.stderr)
                 damaged += 1
             on_file(number, len(files))
     if damaged:
         raise typer.Exit(WRONG_INPUT)
+
+
+def _repaired(file: Path) -> str:
+    from lampest.recording.board.record import repair
+
+    return f"{repair(file)} frames: {file}"
+
+
+def repair(file: Annotated[Path, mended("FILE", "A recording that was not closed.")]) -> None:
+    """Turn what a crash left into a clean recording; one that is clean stays as it is."""
+    check([file], repair=True)

@@ -36,9 +36,9 @@ def written(name: str, text: str) -> Any:
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
 
 
-def mended(text: str) -> Any:
-    """The argument of a file that a command writes anew in its own place."""
-    return typer.Argument(parser=Path, help=text)
+def mended(name: str, text: str) -> Any:
+    """The argument of files that a command may write anew in their own place."""
+    return typer.Argument(parser=Path, metavar=name, help=text)
 
 
 def is_written(annotation: Any) -> bool:

@@ -1,102 +1,85 @@
-"""Commands that measure lampest itself."""
+"""Commands that measure lampest itself: `lampest study ...`."""
 
+import sys
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, progress, say
+from lampest.cli.screen import Assign, Folder, progress, say, written
 from lampest.cli.tables import print_table
 
+if TYPE_CHECKING:
+    from lampest.studies.study import Reported
 
-def bench(
-    config: Annotated[Path, typer.Argument(help="The benchmark's YAML file.")],
-    out: Folder = None,
+Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
+# Word → the module of the study, and what it says of itself.
+STUDIES = {
+    "bench": (
+        "lampest.studies.bench.report",
+        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's, published ones.
+
+        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv, mats.csv,
+        bench.md and bench.h5 with every sample. What the file's limits or its budget leave out is named.
+        """,
+    ),
+    "tradeoff": (
+        "lampest.studies.tradeoff.report",
+        "Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure.",
+    ),
+    "extremes": (
+        "lampest.studies.extremes.report",
+        "Solve scenes at the edge of what can be measured and say how each ended; table, HDF5 and heat map.",
+    ),
+    "audit": (
+        "lampest.studies.audit",
+        "Count how often error bars cover the truth where electronics, films or animals do what no scene states.",
+    ),
+    "weights": (
+        "lampest.studies.weights.report",
+        "Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.",
+    ),
+}
+
+
+def study_command(word: str) -> Callable[..., None]:
+    """The command of a study."""
+    module, about = STUDIES[word]
+
+    def command(config: Config = None, out: Folder = None, assign: Assign = None) -> None:
+        study = import_module(module).STUDY
+        with progress(study.counts) as on_step:
+            reported = study.run(config, out, tuple(assign or ()), on_step)
+        print_reported(reported)
+
+    command.__name__, command.__doc__ = word, about
+    return command
+
+
+def starts(
+    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
+    out: Annotated[Path | None, written("--out", "Folder for starts.csv; else there is none.")] = None,
+    random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", help="Of the random starts: the same seed, the same starts.")] = 0,
     assign: Assign = None,
 ) -> None:
-    """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's, published ones.
+    """Say how often every case of a run reaches the best objective known from random starts."""
+    from lampest.recording.datasets import folder
+    from lampest.runs.config import read_run
+    from lampest.studies.starts import run_starts
 
-    Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv, mats.csv,
-    bench.md and bench.h5 with every sample. What the file's limits or its budget leave out is named.
-    """
-    from lampest.studies.bench.files import tables, write_bench
-    from lampest.studies.bench.report import bench_remarks
-    from lampest.studies.bench.run import run_bench
-    from lampest.studies.bench.settings import read_bench
-
-    settings = read_bench(config, tuple(assign or ()))
-    with progress("methods") as on_step:
-        found = run_bench(settings, on_step)
-    files = write_bench(out or Path("results") / config.stem, found, settings)
-    for title, table in tables(found):
-        say(title)
-        print_table(table)
-    for line in (*bench_remarks(found, settings), *files):
-        say(line)
-
-
-def tradeoff(
-    config: Annotated[Path, typer.Argument(help="The trade-off's YAML file.")],
-    out: Folder = None,
-    assign: Assign = None,
-) -> None:
-    """Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure."""
-    from lampest.studies.tradeoff.figure import plot_tradeoff
-    from lampest.studies.tradeoff.report import tradeoff_table, write_tradeoff
-    from lampest.studies.tradeoff.run import run_tradeoff
-    from lampest.studies.tradeoff.settings import read_plan
-
-    plan = read_plan(config, tuple(assign or ()))
-    with progress("measurements") as on_step:
-        found = run_tradeoff(plan, on_step)
-    folder = out or Path("results") / config.stem
-    files = (*write_tradeoff(folder, found), plot_tradeoff(found, folder / "tradeoff.png"))
-    print_table(tradeoff_table(found))
-    for file in files:
-        say(file)
-
-
-def extremes(
-    config: Annotated[Path, typer.Argument(help="The atlas' YAML file.")],
-    out: Folder = None,
-    assign: Assign = None,
-) -> None:
-    """Solve scenes at the edge of what can be measured and tell how each ended; table, HDF5 and heat map."""
-    from lampest.studies.extremes.figure import plot_extremes
-    from lampest.studies.extremes.report import atlas_remarks, atlas_table, write_atlas
-    from lampest.studies.extremes.run import run_atlas
-    from lampest.studies.extremes.settings import read_atlas
-
-    atlas = read_atlas(config, tuple(assign or ()))
-    with progress("scenes") as on_step:
-        found = run_atlas(atlas, on_step)
-    folder = out or Path("results") / config.stem
-    files = (*write_atlas(folder, found), plot_extremes(found, folder / "extremes.png"))
-    print_table(atlas_table(found))
-    for line in (*atlas_remarks(found), *files):
-        say(line)
-
-
-def audit(
-    config: Annotated[Path, typer.Argument(help="The audit's YAML file.")],
-    out: Folder = None,
-    assign: Assign = None,
-) -> None:
-    """Count how often error bars hold the truth where electronics, films or animals do what no scene tells."""
-    from lampest.studies.audit.report import audit_remarks, audit_table, write_audit
-    from lampest.studies.audit.run import run_audit
-    from lampest.studies.audit.settings import read_audit
-
-    settings = read_audit(config, tuple(assign or ()))
-    with progress("recordings") as on_step:
-        found = run_audit(settings, on_step)
-    files = write_audit(out or Path("results") / config.stem, found)
-    print_table(audit_table(found))
-    for line in (*audit_remarks(found), *files):
-        say(line)
+    run = read_run(config or folder() / "configs" / "table1.yaml", tuple(assign or ()))
+    with progress("cases") as on_case:
+        reported = run_starts(run, random, seed, out, on_case)
+    print_reported(reported)
 
 
 def paper(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder of the output.")] = Path("results/paper"),
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="Processes here; else all cores.")] = None,
 ) -> None:
@@ -107,6 +90,17 @@ def paper(
     from lampest.studies.paper.run import write_paper
 
     with progress("cases") as on_case:
-        files = write_paper(out, jobs, on_case)
-    for file in files:
-        say(file)
+        reported = write_paper(config, out, jobs, on_case)
+    print_reported(reported)
+
+
+def print_reported(reported: "Reported") -> None:
+    """Tables, remarks and files of a study; what was left out on stderr."""
+    for title, table in reported.tables:
+        if title:
+            say(title)
+        print_table(table)
+    for line in (*reported.remarks, *reported.files):
+        say(line)
+    for sentence in reported.left_out:
+        say(f"lampest: {sentence}", to=sys.stderr)

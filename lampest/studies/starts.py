@@ -1,24 +1,25 @@
-"""How often the sequence's own start reaches the best known minimum: the same solves from random starts."""
+"""`lampest study starts`: how often a sequence's own start reaches the best minimum that random starts find."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.runs.config import Case
-from lampest.solvers.newton.newton import Newton
+from lampest.report.compare import Table
+from lampest.runs.config import Case, Run
 from lampest.solvers.search import solved_from
 from lampest.solvers.solution import Status
 from lampest.solvers.starts import evaluated
+from lampest.studies.study import OnStep, Reported, write_rows
 
-SAME = 1e-6
-FARTHEST = 60.0
+SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
+FARTHEST = 60.0  # random starts reach up to so many times the reading
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Tally:
     """Of one case: frames solved, frames at the best known objective, the worst excess, and distinct minima in a frame.
 
     A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in units of φ plus the
-    cost of a cell without a model.
+    cost of a cell without a model. random_solved : of `random` solves from random starts.
     """
 
     recording: str
@@ -39,7 +40,7 @@ class Tally:
     random: int
 
 
-def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None] = lambda: None) -> Tally:
+def tally(case: Case, random_starts: int, seed: int) -> Tally:
     """Replay a case's sequence; solve each frame also from `random_starts` starts r = R_m·exp(uniform(0, ln 60)).
 
     Frames of which too little was read to be solved are left out.
@@ -52,47 +53,56 @@ def tally(case: Case, random_starts: int, seed: int, on_frame: Callable[[], None
     for frame in recording.measured_frames():
         data, _ = stream.given(readings[frame])
         stream, step = stream.push(readings[frame])
-        on_frame()
         if step.solution.status in (Status.UNREAD, Status.UNRESTED):
             continue
         estimator = case.estimator.with_weights(step.weights)  # those of `weight: auto` are the frame's
-        others = _objectives(estimator, recording, data, random_starts, generator)
+        others, own = _objectives(estimator, recording, data, random_starts, generator)
         ended += len(others)
         found = step.solution.objective if step.solution.solved else float("inf")
         least = min([found, *others])
-        size = least + _size(estimator, recording, data)
-        excess.append((found - least) / size)
-        minima.append(_distinct(np.array([found, *others]) / size))
+        excess.append((found - least) / (least + own))
+        ordered = np.sort(np.array([found, *others]) / (least + own))
+        ordered = ordered[np.isfinite(ordered)]
+        minima.append(int(1 + np.sum(np.diff(ordered) > SAME)) if len(ordered) else 0)
     at_best = sum(value <= SAME for value in excess)
-    tried = random_starts * len(excess)
     worst, most = max(excess, default=0.0), max(minima, default=0)
+    tried = random_starts * len(excess)
     return Tally(case.recording, case.name, len(excess), at_best, worst, most, ended, tried)
 
 
 def _objectives(
     estimator: Estimator, recording: Recording, data: Data, count: int, generator: np.random.Generator
-) -> list[float]:
-    cost = _cost(estimator, recording, data)
+) -> tuple[list[float], float]:
+    """(where solves from random starts end, the cost of a cell if f(r) were zero, at the least cells)."""
+    cost = estimator.cost(recording.scene, len(data.measured), data.partial)
+    solver = named_method("reduced").solver(cost, recording.scene, estimator.solver, 1.0)
     found = []
     for _ in range(count):
         start: Array = data.apparent_resistance * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
-        solution = solved_from(Newton(cost, estimator.solver), evaluated(cost, data, start))
+        solution = solved_from(solver, evaluated(cost, data, start))
         if solution.solved:
             found.append(solution.objective)
-    return found
+    at = evaluated(cost, data, data.lower)
+    return found, at.cost_scale - at.objective
 
 
-def _cost(estimator: Estimator, recording: Recording, data: Data) -> Cost:
-    return estimator.cost(recording.scene, len(data.measured), data.partial)
-
-
-def _size(estimator: Estimator, recording: Recording, data: Data) -> float:
-    """The cost of a cell if f(r) were zero, at the least cells that the bounds allow."""
-    at = evaluated(_cost(estimator, recording, data), data, data.lower)
-    return at.cost_scale - at.objective
-
-
-def _distinct(objectives: Array) -> int:
-    """Number of objectives that differ by more than 1e-6."""
-    ordered = np.sort(objectives[np.isfinite(objectives)])
-    return int(1 + np.sum(np.diff(ordered) > SAME)) if len(ordered) else 0
+def run_starts(run: Run, random: int, seed: int, out: Path | None, on_step: OnStep) -> Reported:
+    """Every case of a run; writes starts.csv where a folder is named. on_step is called with how many are done."""
+    found = []
+    for number, case in enumerate(run.cases, 1):
+        found.append(tally(case, random, seed))
+        on_step(number, len(run.cases))
+    headers = ("recording", "estimator", "frames at the best", "worst excess [%]", "most minima", "random solved")
+    rows = tuple(
+        (
+            one.recording,
+            one.estimator,
+            f"{one.best}/{one.frames}",
+            f"{100 * one.worst_excess:.2g}",
+            str(one.most_minima),
+            f"{one.random_solved}/{one.random}",
+        )
+        for one in found
+    )
+    files = [] if out is None else [write_rows(out / "starts.csv", Tally, found)]
+    return Reported([("", Table(headers, rows))], files)

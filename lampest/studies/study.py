@@ -1,28 +1,128 @@
-"""What studies of lampest itself have in common: rows as CSV, and a file that holds every sample."""
+"""What every study is: settings from YAML → measurements → rows as CSV, samples as HDF5, a figure, tables."""
 
 import csv
+import importlib.util
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import cache
 from importlib.metadata import version
 from math import isnan
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from lampest.files import hdf5
+from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
 from lampest.files.whole import write_whole
+from lampest.recording.datasets import folder as shipped_folder
+from lampest.report.compare import Table
+from lampest.runs.executors import Executor, local
 
 LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
+Settings = TypeVar("Settings")
+Found = TypeVar("Found")
+Kind = TypeVar("Kind")
+Task = TypeVar("Task")
+OnStep = Callable[..., None]
+Column = tuple[str, str, str] | tuple[str, str, str, str]  # name, unit, meaning; path where it is not the name
 
 
-def write_rows(path: Path, kind: type[Any], rows: Sequence[Any]) -> None:
+@dataclass(frozen=True)
+class Reported:
+    """What a study leaves. tables : with their titles, '' for none. remarks, left_out : sentences. files : written."""
+
+    tables: Sequence[tuple[str, Table]]
+    files: Sequence[Path]
+    remarks: Sequence[str] = ()
+    left_out: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Study(Generic[Settings, Found]):
+    """A study in three steps.
+
+    counts : what the progress bar counts. config : the shipped file that is taken where none is named.
+    read : (file, overriding entries) → settings; raises InputError with line and column.
+    measure : (settings, on_step) → what was found. report : (what was found, settings, folder) → files and tables.
+    """
+
+    counts: str
+    config: str
+    read: Callable[[Path, tuple[str, ...]], Settings]
+    measure: Callable[[Settings, OnStep], Found]
+    report: Callable[[Found, Settings, Path], Reported]
+
+    def run(self, config: Path | None, out: Path | None, assigned: tuple[str, ...], on_step: OnStep) -> Reported:
+        """Read, measure and write into a folder, results/<config> by default.
+
+        Raises InputError where the file is at fault or the folder cannot be written.
+        """
+        file = config or shipped_folder() / "configs" / self.config
+        settings = self.read(file, assigned)
+        return self.report(self.measure(settings, on_step), settings, out or Path("results") / file.stem)
+
+
+def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
+    """What reads a YAML file as a dataclass, with entries overridden; raises InputError with line and column."""
+
+    def read(path: Path, assigned: tuple[str, ...] = ()) -> Kind:
+        found: Kind = validated(read_document(path, assigned), kind)
+        return found
+
+    return read
+
+
+def of_tasks(
+    function: Callable[[Task], tuple[Found, ...]],
+    tasks: Sequence[Task],
+    executor: Executor | None,
+    lost: Callable[[Task, object], Found],
+    on_step: OnStep,
+) -> tuple[Found, ...]:
+    """What a function finds of every task, in order, on an executor or all cores; `lost` stands for a task that died.
+
+    on_step is called with how many of how many are done. Raises InputError where the executor cannot run here.
+    """
+    executor = executor or local(None, len(tasks))
+    executor.ready()
+    found: dict[int, tuple[Found, ...]] = {}
+    numbers = {id(task): number for number, task in enumerate(tasks)}
+    for task, result in executor.results(function, tasks):
+        found[numbers[id(task)]] = result if isinstance(result, tuple) else (lost(task, result),)
+        on_step(len(found), len(tasks))
+    return tuple(one for number in range(len(tasks)) for one in found[number])
+
+
+@cache
+def published_code(name: str) -> ModuleType:
+    """A module of tests/oracles/ with solvers that others have published; a wheel carries it beside `configs/`.
+
+    Raises InputError where it is not there.
+    """
+    file = shipped_folder() / "tests" / "oracles" / f"{name}.py"
+    if not file.is_file():
+        raise InputError(f"{file}: the solvers of others, to compare with, are not there")
+    described = importlib.util.spec_from_file_location(f"lampest_{name}", file)
+    assert described is not None and described.loader is not None
+    module = importlib.util.module_from_spec(described)
+    described.loader.exec_module(module)
+    return module
+
+
+def write_rows(path: Path, kind: type[Any], rows: Sequence[Any]) -> Path:
     """Dataclass objects of one kind as CSV, a column for each field; six digits, empty where there is no number.
 
     Raises InputError where the place cannot be written.
     """
     names = [field.name for field in fields(kind)]
     write_whole(path, comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)]))
+    return path
 
 
 def comma_separated(rows: Sequence[Sequence[Any]]) -> str:
@@ -48,3 +148,39 @@ def samples_file(path: Path, form: str, **attributes: Any) -> Iterator[Any]:
         hdf5.set_attributes(entry, NX_class="NXentry", **attributes)
         hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
         yield entry
+
+
+def write_columns(
+    group: Any, rows: Any, columns: Sequence[Column], scales: tuple[str, ...] = (), dtype: Any = None
+) -> None:
+    """A dataset for every column: one number or text of each row of a sequence, or an object's own array.
+
+    Truth values become 0 and 1, text ASCII, None NaN where dtype is float.
+    """
+    for name, units, meaning, *path in columns:
+        value = attrgetter(*(path or [name]))
+        values = np.asarray([value(row) for row in rows] if isinstance(rows, list | tuple) else value(rows), dtype)
+        if values.dtype == bool:
+            values = values.astype(np.uint8)
+        hdf5.write_dataset(
+            group, name, hdf5.ascii_array(values) if values.dtype.kind == "U" else values, units, meaning, scales
+        )
+
+
+def write_sequence(
+    path: Path,
+    form: str,
+    name: str,
+    signal: str,
+    axis: tuple[str, str],
+    rows: Sequence[Any],
+    columns: Sequence[Column],
+    **attributes: Any,
+) -> Path:
+    """/entry/<name> of a new file: a dataset for every column, with an entry for each row; axis : name and meaning."""
+    with samples_file(path, form, default=name, **attributes) as entry:
+        group = entry.create_group(name)
+        hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=[axis[0]])
+        hdf5.write_scale(group, axis[0], np.arange(len(rows)), "1", axis[1])
+        write_columns(group, rows, columns, (axis[0],))
+    return path

@@ -35,7 +35,6 @@ DOORS = {
         "panel.readouts.equation",
         "cost",
         "solvers.ipopt",
-        "studies.bench",
     ),
     "numba": ("panel.machine",),
     "llvmlite": ("panel.machine",),

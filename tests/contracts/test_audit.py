@@ -1,4 +1,4 @@
-"""`lampest audit`: a table on screen, CSV and HDF5, and one sentence for what is wrong with its file."""
+"""`lampest study audit`: a table on screen, CSV and HDF5, and one sentence for what is wrong with its file."""
 
 import csv
 import os
@@ -32,7 +32,8 @@ executor: {kind: serial}
 def audit(folder: Path, text: str = FILE) -> subprocess.CompletedProcess[str]:
     """Run it on a file of that text."""
     (folder / "small.yaml").write_text(text)
-    command = [sys.executable, "-c", "from lampest.cli import main; main()", "audit", "small.yaml", "--out", "out"]
+    program = "from lampest.cli import main; main()"
+    command = [sys.executable, "-c", program, "study", "audit", "small.yaml", "--out", "out"]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=300, env={**os.environ, "COLUMNS": "100"}
     )

@@ -1,4 +1,4 @@
-"""The command `lampest bench`: what is written, what is refused. No time is asserted."""
+"""The command `lampest study bench`: what is written, what is refused. No time is asserted."""
 
 import csv
 from collections.abc import Callable
@@ -14,7 +14,7 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
     text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nmats: {sides: [4], draws: 1}\n"
     text += "limits: {nodal: 0, scipy_difference: 0, scipy_lbfgsb: 0}\n"
     text += "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n"
-    ended = lampest("bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
+    ended = lampest("study", "bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.err) == (0, "")
     for words in ("3 × 3", "trf exact", "krylov", "verified", "bench.csv", "mats.csv", "bench.md", "bench.h5"):
         assert words in ended.out
@@ -56,7 +56,7 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
     ],
 )
 def test_wrong_files_are_one_sentence(line: str, message: str, disk: SimpleNamespace, lampest: Command) -> None:
-    ended = lampest("bench", disk.run(f"schema: 1\n{line}\n", "bench.yaml"), "--out", disk.folder / "out")
+    ended = lampest("study", "bench", disk.run(f"schema: 1\n{line}\n", "bench.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.out) == (2, "")
     assert message in ended.err
     assert not (disk.folder / "out").exists()

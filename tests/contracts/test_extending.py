@@ -160,8 +160,8 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
     command("run", "run.yaml", "--out", "out", "--jobs", "1")
     command("plot", "out/results.h5", "--show", "histogram")
     assert (tmp_path / "out" / "histogram_ellipse.png").is_file()
-    assert "leash" in command("terms")
-    schema = command("schema")
+    assert "leash" in command("show", "terms")
+    schema = command("show", "schema")
     assert '"leash"' in schema and '"even"' in schema
     with h5py.File(tmp_path / "out" / "results.h5") as file:
         case = file["entry/ellipse/leashed"]

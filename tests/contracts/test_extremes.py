@@ -1,4 +1,4 @@
-"""The command `lampest extremes`: what is written, what is refused."""
+"""The command `lampest study extremes`: what is written, what is refused."""
 
 import csv
 from collections.abc import Callable
@@ -13,7 +13,7 @@ Command = Callable[..., SimpleNamespace]
 def test_command_writes_table_samples_and_figure(disk: SimpleNamespace, lampest: Command) -> None:
     text = "schema: 1\ngrid: {sizes: [[2, 3]], decades: [1], noise: [0]}\nstructured: {sizes: []}\n"
     text += "estimators: {mine: {terms: {misfit: {}}}}\n"
-    ended = lampest("extremes", disk.run(text, "edge.yaml"), "--out", disk.folder / "out")
+    ended = lampest("study", "extremes", disk.run(text, "edge.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.err) == (0, "")
     for words in ("2 of 2 solves end with a verified optimum or a sentence (100.00 %)", "extremes.csv", "extremes.h5"):
         assert words in ended.out
@@ -42,7 +42,7 @@ def test_command_writes_table_samples_and_figure(disk: SimpleNamespace, lampest:
     ],
 )
 def test_wrong_files_are_one_sentence(line: str, message: str, disk: SimpleNamespace, lampest: Command) -> None:
-    ended = lampest("extremes", disk.run(f"schema: 1\n{line}\n", "edge.yaml"), "--out", disk.folder / "out")
+    ended = lampest("study", "extremes", disk.run(f"schema: 1\n{line}\n", "edge.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.out) == (2, "")
     assert message in ended.err
     assert not (disk.folder / "out").exists()

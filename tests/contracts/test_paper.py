@@ -1,4 +1,4 @@
-"""`lampest paper`: one page that needs nothing else, its pictures, and every published number beside ours."""
+"""`lampest study paper`: one page that needs nothing else, its pictures, and every published number beside ours."""
 
 import csv
 import os
@@ -11,7 +11,8 @@ import pytest
 
 def paper(folder: Path) -> subprocess.CompletedProcess[str]:
     """Run it as a user does."""
-    command = [sys.executable, "-c", "from lampest.cli import main; main()", "paper", "--out", "out", "--jobs", "1"]
+    program = "from lampest.cli import main; main()"
+    command = [sys.executable, "-c", program, "study", "paper", "--out", "out", "--jobs", "1"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=dict(os.environ))
 
 

@@ -295,12 +295,12 @@ def test_help_is_quick_because_it_imports_little(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines()[-1] == "loaded: []"
-    for command in ("run", "simulate", "import", "compare", "plot", "terms", "schema", "info"):
+    for command in ("run", "simulate", "import", "compare", "plot", "show", "info"):
         assert command in ended.stdout
 
 
 def test_terms_lists_all(lampest: Command) -> None:
-    ended = lampest("terms")
+    ended = lampest("show", "terms")
     assert (ended.code, ended.err) == (0, "")
     for kind, term in term_types().items():
         (line,) = (line for line in ended.out.splitlines() if line.strip().startswith(f"{kind} "))
@@ -309,10 +309,10 @@ def test_terms_lists_all(lampest: Command) -> None:
 
 
 def test_schema_is_the_shipped_one(lampest: Command) -> None:
-    ended = lampest("schema")
+    ended = lampest("show", "schema")
     assert (ended.code, ended.err) == (0, "")
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
-    assert ended.out == shipped, "lampest schema > configs/lampest.schema.json"
+    assert ended.out == shipped, "lampest show schema > configs/lampest.schema.json"
     text = json.dumps(json.loads(shipped))
     for word in (*term_types(), "huber", "per_pixel", "resolution", "sweep", "published"):
         assert f'"{word}"' in text

@@ -1,4 +1,4 @@
-"""The command `lampest tradeoff`: what is written, what is refused. No time is asserted."""
+"""The command `lampest study tradeoff`: what is written, what is refused. No time is asserted."""
 
 import csv
 from collections.abc import Callable
@@ -19,7 +19,7 @@ def test_command_writes_table_samples_and_figure(
         "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
         "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n"
     )
-    done = lampest("tradeoff", config, "--out", tmp_path / "out")
+    done = lampest("study", "tradeoff", config, "--out", tmp_path / "out")
     assert done.code == 0, done.err
     assert "reduced" in done.out
     with (tmp_path / "out" / "tradeoff.csv").open() as stream:
@@ -57,7 +57,7 @@ def test_faults_of_the_file_are_one_sentence(
     config = tmp_path / "wrong.yaml"
     assert old in TRADEOFF
     config.write_text(TRADEOFF.replace(old, new, 1))
-    done = lampest("tradeoff", config, "--out", tmp_path / "out")
+    done = lampest("study", "tradeoff", config, "--out", tmp_path / "out")
     assert done.code == 2
     assert place in done.err and words in done.err
     assert len(done.err.strip().splitlines()) == 1

@@ -11,8 +11,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.studies.paper.as_published import Weights, left_by_solver
-from lampest.studies.paper.lsqnonlin import lsqnonlin
+from lampest.studies.paper.side import Weights
+from tests.oracles.as_published import left_by_solver, lsqnonlin
 
 PANEL = Panel(4, 5)
 

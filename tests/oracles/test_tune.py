@@ -19,9 +19,9 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.studies.tune.choices import Tuned, l_curve, morozov, tune
-from lampest.studies.tune.curves import CurvePoint, held, solve_at
-from lampest.studies.tune.subject import TuneSubject
+from lampest.studies.weights.choices import Tuned, l_curve, morozov, tune
+from lampest.studies.weights.curves import CurvePoint, bound_evidence, solve_at
+from lampest.studies.weights.subject import WeightSubject
 
 pytestmark = pytest.mark.slow
 
@@ -44,10 +44,10 @@ def recording(rows: int = 4, columns: int = 5, noise: float = NOISE) -> Recordin
     )
 
 
-def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> TuneSubject:
+def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
     """One penalty beside the paper's misfit."""
     estimator = Estimator((Misfit(), penalty), "reduced", bounds=bounds or Bounds())
-    return TuneSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
+    return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
         reach = 60 / max(slope, np.sqrt(bend))
         density, _ = quad(lambda t, g=slope, a=bend: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
         expected += np.log(2 * np.pi) - 2 * np.log(density)
-    assert_allclose(held(model), expected, rtol=1e-5)
+    assert_allclose(bound_evidence(model), expected, rtol=1e-5)
 
 
 def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> None:

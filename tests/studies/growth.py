@@ -16,7 +16,9 @@ from lampest.panel.panel import Array
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Solution
 from lampest.studies.bench.problems import frame_data, solver_of
-from lampest.studies.bench.settings import PAPER, BenchFile, read_bench
+from lampest.studies.bench.settings import BenchFile
+from lampest.studies.methods import PAPER
+from lampest.studies.study import read_settings
 
 FRAMES = 3  # the first, and later ones, of which the median counts
 
@@ -28,7 +30,7 @@ def main() -> None:
     parser.add_argument("--methods", choices=PAPER, nargs="+", default=list(PAPER))
     parser.add_argument("--recording", type=int, default=2)
     told = parser.parse_args()
-    bench = read_bench(Path("configs/bench.yaml"))
+    bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
     for method in told.methods:
         spent = np.array([_spent(bench, method, side, told.recording - 1) for side in told.sides])
         for name, seconds in zip(("first", "later"), spent.T, strict=True):

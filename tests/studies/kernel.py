@@ -34,7 +34,8 @@ from lampest.solvers.newton.smoothing import Smoothing
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import check
 from lampest.studies.bench.problems import first_estimate, frame_data, solver_of
-from lampest.studies.bench.settings import BenchFile, read_bench
+from lampest.studies.bench.settings import BenchFile
+from lampest.studies.study import read_settings
 from tests.studies.speed import least, simulated
 
 MOST_FRAMES = 60
@@ -143,7 +144,7 @@ def parts(side: int) -> None:
 
 def both_ways(side: int) -> None:
     """Print how long frames of the bench's recordings take by Newton's classes and by machine code, in turn."""
-    bench = replace(read_bench(Path("configs/bench.yaml")), frames=6)
+    bench = replace(read_settings(BenchFile)(Path("configs/bench.yaml")), frames=6)
     load_machine_code(side**2 > DENSE_UNKNOWNS)
     for recording, name in ((recording, name) for recording in range(3) for name in bench.estimators):
         spent, ends = by_turns(bench, bench.recording((side, side), recording), name)

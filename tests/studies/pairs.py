@@ -12,7 +12,8 @@ from lampest.solvers.search import best_solution, solved_from
 from lampest.solvers.solution import Solution
 from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.problems import frame_data, solver_of
-from lampest.studies.bench.settings import read_bench
+from lampest.studies.bench.settings import BenchFile
+from lampest.studies.study import read_settings
 
 METHODS = ("LSR-dCR", "LSR-gdCR")
 
@@ -23,7 +24,7 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=64)
     parser.add_argument("--every-start", action="store_true")
     told = parser.parse_args()
-    bench = read_bench(Path("configs/bench.yaml"))
+    bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
     for number in range(bench.recordings):
         recording = bench.recording((told.side, told.side), number)
         for method in METHODS:

@@ -27,9 +27,10 @@ from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.studies.paper.as_published import METHODS, Weights, left_by_solver
 from lampest.studies.paper.published import published_numbers
+from lampest.studies.paper.side import Weights
 from lampest.studies.paper.sides import WEIGHTS
+from tests.oracles.as_published import METHODS, left_by_solver
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {

@@ -58,6 +58,6 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace, lampes
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
-    ended = lampest("starts", disk.run(text, "starts.yaml"), "--random", "2")
+    ended = lampest("study", "starts", disk.run(text, "starts.yaml"), "--random", "2")
     assert (ended.code, ended.err) == (0, "")
     assert "one" in ended.out and "pair" in ended.out

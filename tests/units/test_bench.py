@@ -13,21 +13,22 @@ from lampest.cost.terms import Misfit
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
+from lampest.runs.terms import Terms
 from lampest.solvers.solution import Settings
 from lampest.solvers.starts import evaluated
-from lampest.studies.bench.budget import BenchPart
-from lampest.studies.bench.files import page
-from lampest.studies.bench.mats import Mats, solved_mats
+from lampest.studies.bench.mats import solved_mats
 from lampest.studies.bench.problems import frame_data, resting_cells
-from lampest.studies.bench.report import bench_remarks
+from lampest.studies.bench.report import bench_remarks, page
 from lampest.studies.bench.rows import bench_rows, growth
-from lampest.studies.bench.run import Bench, run_bench
-from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits, SquaredMethod, Terms, read_bench
-from lampest.studies.bench.timing import Timing
-from lampest.studies.bench.trf import Trf, _Point
+from lampest.studies.bench.run import Bench, BenchPart, Timing, run_bench
+from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits, Mats
+from lampest.studies.methods import SquaredMethod
+from lampest.studies.study import read_settings
+from tests.oracles.published_solvers import Trf, _Point
 from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
+read_bench = read_settings(BenchFile)
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -55,7 +56,7 @@ def timing(side: int, wall: np.ndarray, method: str = "LSM", solver: str = "redu
     one = np.ones(frames)
     status = ("optimum verified",) * frames
     return Timing(
-        (side, side), method, solver, number, False, 1e-6, wall, wall, one, 0 * one, one.astype(int), one > 0, status
+        wall, wall, one, 0 * one, one.astype(int), one > 0, status, (side, side), method, solver, number, False, 1e-6
     )
 
 

@@ -12,7 +12,11 @@ from typer.main import get_command
 from lampest.cli import app, screen
 
 Command = Callable[..., SimpleNamespace]
-COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
+GROUPS = ("show", "study")
+TOP = get_command(app).commands  # type: ignore[attr-defined]
+COMMANDS = {name: command for name, command in TOP.items() if not command.hidden and name not in GROUPS}
+COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP[group].commands.items()}
+OLD = ("bench", "tradeoff", "extremes", "audit", "paper", "tune", "starts", "ports", "repair", "terms", "schema")
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 
 
@@ -28,10 +32,23 @@ def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["run", "tune", "starts", "simulate", "bench", "tradeoff", "extremes", "audit", "live"]
+    "name",
+    ["run", "simulate", "live"]
+    + [f"study {word}" for word in ("bench", "tradeoff", "extremes", "audit", "weights", "starts")],
 )
 def test_what_reads_a_configuration_overrides_it(name: str) -> None:
     assert any("--set" in parameter.opts for parameter in COMMANDS[name].params)
+
+
+def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
+    assert {name for name, command in TOP.items() if command.hidden} == set(OLD)
+    for old, new in (("terms", "show terms"), ("schema", "show schema")):
+        ended, again = lampest(old), lampest(*new.split())
+        assert (ended.code, ended.out) == (0, again.out) and again.err == ""
+        assert ended.err == f"lampest: {old} is now: lampest {new}; the old word answers for one release more\n"
+    for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
+        ended = lampest(old, "nowhere.x")
+        assert ended.code == 2 and f"lampest {new}" in ended.err and "nowhere.x: no such file" in ended.err.lower()
 
 
 def test_version_and_mistyped_commands(lampest: Command) -> None:

@@ -22,15 +22,15 @@ from lampest.solvers.newton.reach import within_reach
 from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings, Status
 from lampest.solvers.starts import evaluated
-from lampest.studies.extremes.audit import exact_residual
-from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
+from lampest.studies.extremes.judges import convex_estimate, correct_digits, exact_residual, fifty_digits
 from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
 from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
-from lampest.studies.extremes.scenes import CASES, AtlasSample, recording_of
-from lampest.studies.extremes.settings import AtlasFile, Grid, read_atlas
+from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
+from lampest.studies.study import read_settings
 
 ROOT = Path(__file__).parents[2]
 Command = Callable[..., SimpleNamespace]
+read_atlas = read_settings(AtlasFile)
 TINY = """\
 schema: 1
 grid: {sizes: [3], decades: [1, 4], noise: [0, 1]}

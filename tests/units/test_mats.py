@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.mat_solvers import PUBLISHED, MatAnswer
-from lampest.studies.bench.mats import LEAST_S, MOST_S, Mats, MatSolve, solved_mats
+from lampest.studies.bench.mats import LEAST_S, MOST_S, MatAnswer, MatSolve, solved_mats
+from lampest.studies.bench.settings import Mats
+from tests.oracles.published_solvers import PUBLISHED
 
 SIDES = (6, 16)
 FINE = {"fixed_point": 1e-5, "krylov_fine": 1e-8, "least_squares": 1e-6}
@@ -72,7 +73,7 @@ def test_newton_krylov_knows_no_bounds(solves: list[MatSolve]) -> None:
 
 def test_a_fixed_point_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     fixed_point: Callable[[np.ndarray], MatAnswer] = PUBLISHED["fixed_point"]
-    monkeypatch.setattr("lampest.studies.bench.mat_solvers.MOST_STEPS", 3)
+    monkeypatch.setattr("tests.oracles.published_solvers.MOST_STEPS", 3)
     answer = fixed_point(two_point(np.full((4, 4), LEAST_S)))
     assert (answer.converged, answer.iterations) == (False, 3)
 

@@ -13,7 +13,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_table_one_is_the_same_in_the_shipped_run() -> None:
-    """The run's file says it for `lampest compare`, the data file for `lampest paper`."""
+    """The run's file says it for `lampest compare`, the data file for `lampest study paper`."""
     beside = read_run(CONFIGS / "table1.yaml").published
     for row in published_numbers().errors.rows:
         figures = getattr(beside[row.method], row.steps)

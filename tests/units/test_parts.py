@@ -312,8 +312,8 @@ def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, mon
     "command",
     [
         ("live", "--recording", "long.h5", "--estimator", "LSM"),
-        ("tune", "run.yaml"),
-        ("starts", "run.yaml"),
+        ("study", "weights", "run.yaml"),
+        ("study", "starts", "run.yaml"),
         ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
     ],
 )

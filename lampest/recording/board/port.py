@@ -64,7 +64,7 @@ def only_port() -> str:
     if len(likely) == 1:
         return likely[0]
     reason = "several ports look like an Arduino: " + ", ".join(likely) if likely else "no port looks like an Arduino"
-    raise InputError(f"{reason}; name one (`lampest ports` lists them)")
+    raise InputError(f"{reason}; name one (`lampest record --list` lists them)")
 
 
 class Board:

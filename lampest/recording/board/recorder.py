@@ -119,7 +119,7 @@ class Recorder:
                 finished(begun.path)
                 self._say(f"recorded {begun.frames} frames: {begun.path}" + (f"; {trouble}" if trouble else ""), False)
             except InputError as error:
-                self._say(f"{error}; lampest repair makes a clean file of it", False)
+                self._say(f"{error}; lampest check --repair makes a clean file of it", False)
 
         thread = Thread(target=finish, name="lampest-recorder")
         thread.start()

@@ -1,9 +1,9 @@
 """Random mats of as many readings as cells, solved without bounds or penalties by our solver and by published ones."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -14,39 +14,24 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.runs.terms import FORBID
-from lampest.solvers.solution import Settings, Solver
-from lampest.studies.bench.mat_solvers import PUBLISHED, MatAnswer
-from lampest.studies.bench.timing import clocked, inverse_time, timed, undisturbed
-from lampest.studies.bench.trf import Trf
+from lampest.solvers.solution import Settings
+from lampest.studies.bench.problems import other_solver, timed
+from lampest.studies.bench.settings import Mats
+from lampest.studies.study import published_code
+from lampest.studies.timing import clocked, inverse_time, undisturbed
 
 LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
 OURS = ("reduced", "scipy_exact")
-LARGEST_MAT, MOST_DRAWS = 64, 1000
 
 
-@dataclass(frozen=True)
-class Mats:
-    """Cells whose conductances are uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard normal.
+@dataclass(frozen=True, eq=False)
+class MatAnswer:
+    """conductance : (rows, columns) siemens. evaluations : how often a network was solved. converged : so it says."""
 
-    sides : of square mats. draws : mats of each side and noise. noise_percent : 0 as in the published test.
-    Source: J. A. Medrano-Sánchez et al., IEEE Sensors J., 2019, doi 10.1109/JSEN.2019.2918592, and his programs.
-
-    Raises ValueError where a number is out of range.
-    """
-
-    __pydantic_config__: ClassVar[Any] = FORBID
-    sides: tuple[int, ...] = (16,)
-    draws: int = 5
-    noise_percent: tuple[float, ...] = (0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        if not all(2 <= side <= LARGEST_MAT for side in self.sides):
-            raise ValueError(f"a mat's side must lie between 2 and {LARGEST_MAT}")
-        if not all(0 <= noise <= 10 for noise in self.noise_percent):
-            raise ValueError("noise_percent must lie between 0 and 10")
-        if not 1 <= self.draws <= MOST_DRAWS:
-            raise ValueError(f"draws must lie between 1 and {MOST_DRAWS}")
+    conductance: Array
+    iterations: int
+    evaluations: int
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -93,12 +78,13 @@ def network_readings(conductance: Array) -> Array:
 
 def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple[Any, ...]]:
     inverse_s = inverse_time(np.linalg.inv(np.eye(sum(measured.shape) - 1) + 0.1))
-    for name in (*OURS, *PUBLISHED):
+    published: dict[str, Callable[[Array], MatAnswer]] = published_code("published_solvers").PUBLISHED
+    for name in (*OURS, *published):
         if name in OURS:
             answer, wall, cpu = _ours(name, measured, settings)
         else:
-            answer, wall, cpu = clocked(partial(PUBLISHED[name], measured))
-        seconds = float(undisturbed(np.array(wall), np.array(cpu)))
+            answer, wall, cpu = clocked(partial(published[name], measured))
+        seconds = wall if undisturbed(np.array(wall), np.array(cpu)) else cpu
         counted = None if name in OURS else answer.evaluations
         yield name, seconds, inverse_s, answer.iterations, counted, answer.converged, *_errors(answer, truth, measured)
 
@@ -108,11 +94,10 @@ def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, fl
     estimator = Estimator((Misfit(),), "reduced", settings, Bounds("none", "none"))
     scene = Scene(Panel(*measured.shape))
     data = estimator.data(Readings.of(scene, measured).alone(), Background(scene))
-    solver: Solver = estimator.problem(scene, 1, 1.0)
-    if name != "reduced":
-        solver = Trf(estimator.cost(scene, 1), settings, "exact")
+    reduced = name == "reduced"
+    solver = estimator.problem(scene, 1, 1.0) if reduced else other_solver(name, estimator.cost(scene, 1), settings)
     solver.prepare()
-    solve = timed(solver, data, None)
+    solve = timed(name, solver, data, None)
     solution = solve.solution
     return MatAnswer(1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved), solve.wall, solve.cpu
 
@@ -123,3 +108,55 @@ def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, fl
     reading = 100 * np.abs(network_readings(answer.conductance) / measured - 1)
     cells = 100 * np.abs(answer.conductance / truth - 1)
     return float(reading.max()), float(np.median(cells)), float(cells.max()), int(np.sum(answer.conductance < 0))
+
+
+@dataclass(frozen=True)
+class MatRow:
+    """One solver on all mats of a side with the same noise; see `MatSolve`.
+
+    ms : median. inverses : ms in dense inverses of the mat's lines. reading_error : worst. cell_error : median of the
+    mats' medians. worst_cell_error, negative : of all mats; errors in percent.
+    """
+
+    side: int
+    noise_percent: float
+    solver: str
+    ms: float
+    inverses: float
+    iterations: float
+    evaluations: float | None
+    reading_error: float
+    cell_error: float
+    worst_cell_error: float
+    negative: int
+    converged: int
+    count: int
+
+
+def mat_rows(solves: Sequence[MatSolve]) -> list[MatRow]:
+    """By side, noise and solver."""
+    keys = dict.fromkeys((solve.side, solve.noise_percent, solve.solver) for solve in solves)
+    return [_mat_row([one for one in solves if (one.side, one.noise_percent, one.solver) == key]) for key in keys]
+
+
+def _mat_row(solves: Sequence[MatSolve]) -> MatRow:
+    first = solves[0]
+
+    def median(value: Callable[[MatSolve], float]) -> float:
+        return float(np.median([value(solve) for solve in solves]))
+
+    return MatRow(
+        first.side,
+        first.noise_percent,
+        first.solver,
+        ms=1e3 * median(lambda solve: solve.seconds),
+        inverses=median(lambda solve: solve.seconds / solve.inverse_s),
+        iterations=median(lambda solve: solve.iterations),
+        evaluations=None if first.evaluations is None else median(lambda solve: float(solve.evaluations or 0)),
+        reading_error=max(solve.reading_error for solve in solves),
+        cell_error=median(lambda solve: solve.cell_error),
+        worst_cell_error=max(solve.worst_cell_error for solve in solves),
+        negative=sum(solve.negative for solve in solves),
+        converged=sum(solve.converged for solve in solves),
+        count=len(solves),
+    )

@@ -1,7 +1,8 @@
-"""What every solver is given: the data of a frame, where a sequence begins, and the solvers themselves."""
+"""What every solver is given: data, solvers by name, one solve of a frame. All calls of the solvers stand here."""
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,25 +18,67 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.search import best_solution
-from lampest.solvers.solution import Settings, Solver
-from lampest.studies.bench.lbfgsb import Lbfgsb
+from lampest.solvers.solution import Settings, Solution, Solver, check
+from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.settings import BenchFile
-from lampest.studies.bench.trf import Trf
+from lampest.studies.study import published_code
+from lampest.studies.timing import clocked
 
-# Ours by the formulation that stands for them; others by what builds them.
-FORMULATIONS: dict[str, MethodName] = {"reduced": "reduced", "nodal": "nodal"}
-YARDSTICKS: dict[str, Callable[[Cost, Settings], Solver]] = {
-    "scipy_exact": partial(Trf, jacobian="exact"),
-    "scipy_difference": partial(Trf, jacobian="2-point"),
-    "scipy_lbfgsb": Lbfgsb,
-}
+OURS: dict[str, MethodName] = {"reduced": "reduced", "nodal": "nodal"}
+
+
+@dataclass(frozen=True, eq=False)
+class TimedSolve:
+    """One solve: its outcome, and what the cost is where it ended; s."""
+
+    solution: Solution
+    objective: float
+    wall: float
+    cpu: float
+
+
+def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
+    """A solver by its name for such data, built before anything is timed; kept for the frames to come."""
+    frames, *shape = data.measured.shape
+    scene = Scene(Panel(*shape))
+    if name in OURS:
+        solver = bench.estimator(method, OURS[name]).problem(scene, frames, 1.0, data.partial)
+    else:
+        solver = other_solver(name, bench.estimator(method).cost(scene, frames, data.partial), bench.solver)
+    solver.prepare()
+    return solver
+
+
+@lru_cache(maxsize=8)
+def other_solver(name: str, cost: Cost, settings: Settings) -> Solver:
+    """One of scipy's."""
+    solver: Solver = published_code("published_solvers").SOLVERS[name](cost, settings)
+    return solver
+
+
+def timed(name: str, solver: Solver, data: Data, previous: Array | None) -> TimedSolve:
+    """Solve as a sequence does; scipy's from the cheapest of the same starts, checked as ours are."""
+    if name in OURS:
+        solution, wall, cpu = clocked(lambda: best_solution(solver, data, previous))
+        return TimedSolve(solution, solution.objective, wall, cpu)
+
+    def judged() -> tuple[Solution, Array]:
+        plain = all(term.reads_measurement for term in solver.cost.terms)
+        starts = [data.uniform_start]
+        starts += [convex(data, previous)] if previous is None or plain else []
+        starts += [] if previous is None else [previous]
+        start = min((evaluated(solver.cost, data, start) for start in starts), key=lambda point: point.objective)
+        outcome = solver.solve(data, start)
+        return check(start, outcome), outcome.cell_resistance
+
+    (solution, cells), wall, cpu = clocked(judged)
+    return TimedSolve(solution, evaluated(solver.cost, data, cells).objective, wall, cpu)
 
 
 def first_estimate(bench: BenchFile, recording: Recording, method: str) -> Array | None:
     """The cells (rows, columns) ohm that the first frame goes on from; None where it is a cold start."""
-    relative = bench.estimator(method, "reduced").relative
     joint = max(recording.scene.panel.shape) <= bench.limits.joint
-    return resting_cells(bench, recording, method) if relative and not joint else None
+    return resting_cells(bench, recording, method) if bench.estimator(method).relative and not joint else None
 
 
 def frame_data(
@@ -45,8 +88,7 @@ def frame_data(
 
     A relative method without a previous frame takes the baseline in.
     """
-    estimator = bench.estimator(method, "reduced")
-    readings = recording.readings()
+    estimator, readings = bench.estimator(method), recording.readings()
     resting, measured = resting_readings(recording, readings), readings[recording.measured_frames()[frame]]
     if previous is not None or not estimator.relative:
         background = Background(recording.scene, previous=previous if estimator.relative else None)
@@ -57,33 +99,27 @@ def frame_data(
 def resting_cells(bench: BenchFile, recording: Recording, method: str) -> Array:
     """The baseline's cells (rows, columns) ohm by the terms that need no previous frame, else a uniform panel's."""
     terms = tuple(term for term in bench.estimators[method].parts if not term.needs_previous) or (Misfit(),)
-    estimator = Estimator(terms, "reduced", bench.solver)
-    scene = recording.scene
+    estimator, scene = Estimator(terms, "reduced", bench.solver), recording.scene
     data = estimator.data(resting_readings(recording, recording.readings()).alone(), Background(scene))
     solution = best_solution(estimator.problem(scene, 1, 1.0, data.partial), data, None)
     cells: Array = solution.cell_resistance[0] if solution.solved else data.uniform_start[0]
     return cells
 
 
-def solver_of(bench: BenchFile, method: str, name: str, data: Data) -> Solver:
-    """A solver by its name for such data, built before anything is timed; kept for the frames to come."""
-    frames, *shape = data.measured.shape
-    scene = Scene(Panel(*shape))
-    if name in FORMULATIONS:
-        solver = bench.estimator(method, FORMULATIONS[name]).problem(scene, frames, 1.0, data.partial)
-    else:
-        solver = _yardstick(name, bench.estimator(method, "reduced").cost(scene, frames, data.partial), bench.solver)
-    solver.prepare()
-    return solver
-
-
-@lru_cache(maxsize=8)
-def _yardstick(name: str, cost: Cost, settings: Settings) -> Solver:
-    return YARDSTICKS[name](cost, settings)
-
-
-def tied(recording: Recording) -> Array:
+def grounded_laplacian(recording: Recording) -> Array:
     """The Laplacian of size M + N − 1 of a network like the recording's."""
     circuit = recording.scene.circuit
     cells = circuit.uniform_start(recording.readings().value[0])
     return (laplacian(1 / cells) + np.diag(circuit.ties(cells)))[1:, 1:]
+
+
+def solve_two_frames(task: tuple[BenchFile, tuple[int, int], str, str]) -> None:
+    """A first frame and the next, for the memory that they take. Beyond its limit no pair is solved jointly."""
+    bench, shape, method, name = task
+    recording = bench.recording(shape)
+    previous = first_estimate(bench, recording, method)
+    for frame in range(2):
+        data = frame_data(bench, recording, method, frame, previous)()
+        solver = solver_of(bench, method, name, data)
+        solution = timed(name, solver, data, None if previous is None else previous[None]).solution
+        previous = solution.cell_resistance[-1] if solution.solved else previous

@@ -1,14 +1,20 @@
-"""A benchmark as tables for the screen and for pages, and what stands beside them."""
+"""A benchmark as tables for the screen and for pages, its remarks, and its files."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lampest.files import hdf5
+from lampest.files.whole import write_whole
 from lampest.report.compare import Table
-from lampest.studies.bench.rows import ALL, GROWTH_FROM, BenchRow, bench_rows, growth
-from lampest.studies.bench.run import Bench
+from lampest.studies.bench.mats import MatRow, mat_rows
+from lampest.studies.bench.rows import ALL, GROWTH_FROM, BenchRow, Growth, bench_rows, growth
+from lampest.studies.bench.run import Bench, run_bench
 from lampest.studies.bench.settings import BenchFile, BenchLimits
+from lampest.studies.study import Reported, Study, read_settings, samples_file, write_columns, write_rows
 
 SHORT = {
     "reduced": "reduced",
@@ -18,14 +24,7 @@ SHORT = {
     "scipy_lbfgsb": "L-BFGS-B",
 }
 NO_GAP = 1e-12  # less is rounding
-RATIO: tuple[str, Callable[[BenchRow], str]] = (
-    "ratio",
-    lambda row: "" if row.ratio is None or row.solver == "reduced" else short(row.ratio),
-)
-QUARTILES: tuple[str, Callable[[BenchRow], str]] = (
-    "quartiles",
-    lambda row: f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else "",
-)
+Cells = Callable[[BenchRow], str]
 
 
 def overview_table(bench: Bench) -> Table:
@@ -61,23 +60,28 @@ def times_table(bench: Bench) -> Table:
 def solvers_table(bench: Bench) -> Table:
     """All methods together: panel by panel, solver by solver."""
     rows = [row for row in bench_rows(bench) if row.method == ALL]
-    return _table([("solver", lambda row: SHORT[row.solver])], rows, RATIO)
+
+    def ratio(row: BenchRow) -> str:
+        return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
+
+    return _table(rows, ("solver", lambda row: SHORT[row.solver]), ("ratio", ratio))
 
 
 def methods_table(bench: Bench) -> Table:
     """The reduced solver: panel by panel, method by method."""
     rows = [row for row in bench_rows(bench) if row.method != ALL and row.solver == "reduced"]
-    return _table([("method", lambda row: row.method)], rows, QUARTILES)
+
+    def quartiles(row: BenchRow) -> str:
+        return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
+
+    return _table(rows, ("method", lambda row: row.method), ("quartiles", quartiles))
 
 
-def _table(
-    named: list[tuple[str, Callable[[BenchRow], str]]],
-    rows: Sequence[BenchRow],
-    special: tuple[str, Callable[[BenchRow], str]],
-) -> Table:
-    columns: list[tuple[str, Callable[[BenchRow], str]]] = [
+def _table(rows: Sequence[BenchRow], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
+    """Columns in which some row has anything."""
+    columns: list[tuple[str, Cells]] = [
         ("panel", _panel),
-        *named,
+        named,
         ("frames", lambda row: row.frames),
         ("ms", lambda row: short(row.ms)),
         special,
@@ -115,6 +119,31 @@ def growth_table(bench: Bench) -> Table:
     return Table(("solver", "method", "frames", "exponent of the side", "panels"), cells)
 
 
+def mats_table(bench: Bench) -> Table:
+    """Published solvers on random mats."""
+    headers = ("mat", "noise", "solver", "ms", "networks", "misfit %", "cell %", "worst %", "g < 0", "ended")
+    cells = tuple(
+        (
+            f"{row.side} × {row.side}",
+            f"{row.noise_percent:g} %",
+            row.solver,
+            short(row.ms),
+            "" if row.evaluations is None else short(row.evaluations),
+            _percent(row.reading_error),
+            _percent(row.cell_error),
+            _percent(row.worst_cell_error),
+            str(row.negative),
+            f"{row.converged}/{row.count}",
+        )
+        for row in mat_rows(bench.mats)
+    )
+    return Table(headers, cells)
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else "none"
+
+
 def short(value: float) -> str:
     """Two digits or more, thousands with their commas."""
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}" if value >= 10 else f"{value:.2g}"
@@ -143,3 +172,102 @@ def _left_out(bench: Bench, settings: BenchFile) -> Iterator[str]:
         found.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
     for (what, named), panels in found.items():
         yield f"left out, would not end within {settings.budget_s:g} s: {what}: {named} at {', '.join(panels)}"
+
+
+def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
+    """Titled tables for the screen, those without any row left out."""
+    titled = (
+        ("solvers: all methods together", solvers_table(bench)),
+        ("methods: the reduced solver", methods_table(bench)),
+        ("growth: time ∝ side^exponent", growth_table(bench)),
+        ("mats: published solvers, no bounds, no penalties", mats_table(bench)),
+    )
+    yield from ((title, table) for title, table in titled if table.cells)
+
+
+def page(bench: Bench, settings: BenchFile) -> str:
+    """The same as Markdown, after two tables that say less and before the remarks: sections, named before a colon."""
+    titled = (
+        ("overview: all methods together; other solvers as multiples of the reduced one", overview_table(bench)),
+        ("times: the reduced solver, ms, first / later frames", times_table(bench)),
+        *tables(bench),
+    )
+    sections = [f"## {title}\n\n{markdown(table)}" for title, table in titled]
+    remarks = "".join(f"- {line}\n" for line in bench_remarks(bench, settings))
+    return "\n".join((*sections, f"## remarks: what held it up, what was left out\n\n{remarks}"))
+
+
+def markdown(table: Table) -> str:
+    """A table as GitHub's Markdown."""
+    lines = (table.headers, tuple("---" for _ in table.headers), *table.cells)
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+SAMPLES = {
+    "wall": "wall time of the solve",
+    "cpu": "processor time of the solve",
+    "objective": "value of the cost function",
+    "gap": "objective against the best of all solvers, relative; NaN: it was alone",
+}
+MATS = (
+    ("solver", "1", "name of the solver"),
+    ("side", "1", "rows and columns"),
+    ("noise_percent", "percent", "standard deviation of a reading's noise"),
+    ("draw", "1", "number of the mat"),
+    ("seconds", "s", "time of the solve"),
+    ("iterations", "1", "iterations of the solver"),
+    ("converged", "1", "1: by its own word it is solved"),
+    ("reading_error", "percent", "largest error of a reading"),
+    ("cell_error", "percent", "median error of the conductances"),
+    ("worst_cell_error", "percent", "largest error of a conductance"),
+    ("negative", "1", "conductances below zero"),
+)
+
+
+def _write_samples(path: Path, bench: Bench) -> Path:
+    """/entry/<rows>x<columns>/<method>/<solver>/recording_<k>: times, objectives, gaps; /entry/mats/<field>."""
+    with samples_file(path, "bench/2") as entry:
+        for (shape, *about), megabytes in bench.memory_mb.items():
+            hdf5.set_attributes(_group(entry, shape, bench, *about), peak_memory_mb=megabytes)
+        for one in growth(bench):
+            error = np.nan if one.standard_error is None else one.standard_error
+            name = f"growth_{one.method}_{one.solver}_{one.frames}"
+            hdf5.set_attributes(entry, **{name: one.exponent, f"{name}_error": error})
+        for timing in bench.timings:
+            group = _group(entry, timing.shape, bench, timing.method, timing.solver)
+            group = group.create_group(f"recording_{timing.recording}")
+            timing.write(group, SAMPLES, "frame in sequence, 0: cold start", pair=int(timing.pair))
+        if bench.mats:
+            mats = entry.create_group("mats")
+            hdf5.set_attributes(mats, NX_class="NXcollection")
+            write_columns(mats, bench.mats, MATS)
+    return path
+
+
+def _group(entry: Any, shape: tuple[int, int], bench: Bench, method: str, solver: str) -> Any:
+    group = entry.require_group(f"{shape[0]}x{shape[1]}")
+    hdf5.set_attributes(group, NX_class="NXsubentry", inverse_s=bench.inverse_s(shape))
+    for name in (method, solver):
+        group = group.require_group(name)
+        hdf5.set_attributes(group, NX_class="NXcollection")
+    return group
+
+
+def report_bench(bench: Bench, settings: BenchFile, folder: Path) -> Reported:
+    """Write what was measured.
+
+    bench.csv : a row for every panel, method, solver and kind of frame. growth.csv : exponents. mats.csv : published
+    solvers, where they ran. bench.md : tables and remarks for a page. bench.h5 : every sample.
+    """
+    files = [
+        write_rows(folder / "bench.csv", BenchRow, bench_rows(bench)),
+        write_rows(folder / "growth.csv", Growth, growth(bench)),
+    ]
+    if bench.mats:
+        files.append(write_rows(folder / "mats.csv", MatRow, mat_rows(bench.mats)))
+    write_whole(folder / "bench.md", page(bench, settings))
+    files += [folder / "bench.md", _write_samples(folder / "bench.h5", bench)]
+    return Reported(list(tables(bench)), files, bench_remarks(bench, settings))
+
+
+STUDY: Study[BenchFile, Bench] = Study("methods", "bench.yaml", read_settings(BenchFile), run_bench, report_bench)

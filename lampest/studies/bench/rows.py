@@ -7,12 +7,11 @@ from typing import Literal
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.studies.bench.run import Bench
-from lampest.studies.bench.timing import Timing
+from lampest.studies.bench.run import Bench, Timing
 
 ALL = "all"
 GROWTH_FROM = 32
-Frames = Literal["first", "pair", "later"]
+Kind = Literal["first", "pair", "later"]  # of frames
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class BenchRow:
     columns: int
     method: str
     solver: str
-    frames: Frames
+    frames: Kind
     ms: float
     ms_quartile_1: float
     ms_quartile_3: float
@@ -62,7 +61,7 @@ class Growth:
 
     method: str
     solver: str
-    frames: Frames
+    frames: Kind
     exponent: float
     standard_error: float | None
     panels: int
@@ -138,7 +137,7 @@ def growth(bench: Bench) -> list[Growth]:
     rows = [row for row in bench_rows(bench) if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     found: list[Growth] = []
     for solver in dict.fromkeys(row.solver for row in rows):
-        times: dict[tuple[str, Frames], dict[int, float]] = {}
+        times: dict[tuple[str, Kind], dict[int, float]] = {}
         for row in rows:
             if row.solver == solver:
                 times.setdefault((row.method, row.frames), {})[row.rows + row.columns] = float(np.log(row.ms))
@@ -150,7 +149,7 @@ def growth(bench: Bench) -> list[Growth]:
     return found
 
 
-def _grown(method: str, solver: str, frames: Frames, times: dict[int, float]) -> Iterator[Growth]:
+def _grown(method: str, solver: str, frames: Kind, times: dict[int, float]) -> Iterator[Growth]:
     """times : logarithms by M + N."""
     if len(times) < 2:
         return

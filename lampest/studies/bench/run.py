@@ -1,21 +1,103 @@
-"""The measurement: panel by panel and method by method, for as long as there is time."""
+"""The measurement: every frame solved by every solver in turn, panel by panel, for as long as there is time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from time import perf_counter
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lampest.studies.bench.budget import BenchPart, Budget, LeftOut, memory_expected_s
+from lampest.panel.panel import Array
+from lampest.recording.recording import Recording
+from lampest.solvers.solution import STRICT, Solution
 from lampest.studies.bench.mats import MatSolve, solved_mats
-from lampest.studies.bench.memory import peak_memory
-from lampest.studies.bench.sequence import timings_of
+from lampest.studies.bench.problems import (
+    TimedSolve,
+    first_estimate,
+    frame_data,
+    grounded_laplacian,
+    resting_cells,
+    solve_two_frames,
+    solver_of,
+    timed,
+)
 from lampest.studies.bench.settings import BenchFile
-from lampest.studies.bench.timing import Timing
+from lampest.studies.methods import Shape
+from lampest.studies.timing import TimedFrames, inverse_time, peak_memory, undisturbed
 
-Step = Callable[[int, int, str], None]
-Peaks = dict[tuple[tuple[int, int], str, str], float]
+LONG_S = 1.0  # solves of a frame that take so long together are not repeated: disturbances are small beside them
+STARTED_S = 3.0  # what a fresh process takes to begin
+GROWTH = 3  # time ∝ (M + N)³, by which a panel's is guessed from the next smaller one's
+
+
+@dataclass(frozen=True, eq=False)
+class Timing(TimedFrames):
+    """One solver with one method on one recording of a panel; the first frame is a cold start and not repeated.
+
+    recording : its number. inverse_s : seconds of a dense inverse of the panel's lines at that time.
+    pair : whether the first frame was solved jointly with the baseline.
+    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²) against the best that any solver found for the same data; NaN where there
+    was no other. The last part is the cost of missing every reading by 0.003 %: less is nothing.
+    """
+
+    shape: Shape
+    method: str
+    solver: str
+    recording: int
+    pair: bool
+    inverse_s: float
+
+    def times(self) -> Array:
+        """(frames) s: median of a frame's wall times; the processor's where something else has held it up."""
+        return np.asarray(np.nanmedian(np.where(undisturbed(self.wall, self.cpu), self.wall, self.cpu), axis=1))
+
+    def clean(self) -> float:
+        """The share of solves that nothing held up."""
+        return float(np.mean(undisturbed(self.wall, self.cpu)[np.isfinite(self.wall)]))
+
+    def verified(self) -> NDArray[np.bool_]:
+        """(frames) whether the optimum was verified."""
+        return np.array([status in {strict.value for strict in STRICT} for status in self.status])
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A method on a panel for which there was no time; what of it."""
+
+    shape: Shape
+    method: str
+    what: str
+
+
+@dataclass(frozen=True)
+class BenchPart:
+    """A method on one recording of a panel."""
+
+    recording: int
+    shape: Shape
+    method: str
+
+    def __str__(self) -> str:
+        return f"{self.shape[0]} × {self.shape[1]} {self.method}, recording {self.recording + 1}"
+
+    def left_out(self, what: str = "") -> LeftOut:
+        """That this, or something of it, was left out."""
+        return LeftOut(self.shape, self.method, f"recording {self.recording + 1}{what}")
+
+    def expected_s(self, bench: BenchFile, done: Sequence[Timing]) -> float:
+        """As on another recording of the panel; else as on the largest one that is smaller, growing as (M + N)³."""
+        solvers, lines = bench.solvers(self.shape), sum(self.shape)
+        alike = [one for one in done if one.method == self.method and one.solver in solvers and sum(one.shape) <= lines]
+        if not alike:
+            return 0.0
+        nearest = max(sum(one.shape) for one in alike)
+        spent = {
+            (one.shape, one.recording, one.solver): np.nansum(one.wall) for one in alike if sum(one.shape) == nearest
+        }
+        recordings = len({(shape, recording) for shape, recording, _ in spent})
+        return float(sum(spent.values())) / recordings * (lines / nearest) ** GROWTH
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,59 +108,111 @@ class Bench:
     """
 
     timings: tuple[Timing, ...]
-    memory_mb: Peaks
+    memory_mb: dict[tuple[Shape, str, str], float]
     left_out: tuple[LeftOut, ...] = ()
     mats: tuple[MatSolve, ...] = ()
 
-    def inverse_s(self, shape: tuple[int, int]) -> float:
+    def inverse_s(self, shape: Shape) -> float:
         """Seconds of one dense inverse of a panel's lines."""
         return float(np.median([timing.inverse_s for timing in self.timings if timing.shape == shape]))
 
 
-def run_bench(bench: BenchFile, on_step: Step = lambda done, total, what: None) -> Bench:
-    """Measure everything, as far as the budget goes; on_step is told how many of how many parts are done, and what is
-    next.
+def run_bench(bench: BenchFile, on_step: Callable[[int, int, str], None] = lambda done, total, what: None) -> Bench:
+    """Measure everything, as far as the budget goes; on_step is called with how many of how many parts are done, and
+    what is next.
 
-    Panel by panel, each on all recordings, with the memory it takes on the first: there is no time for other recordings
-    of the last panels, if for anything.
+    All panels' first recordings come first, smallest panels before larger ones, with the memory that they take:
+    there is no time for other recordings, if for anything.
     """
-    budget = Budget(bench.budget_s, perf_counter())
-    shapes, methods = bench.shapes, bench.estimators
-    parts = [BenchPart(number, s, name) for s in shapes for number in range(bench.recordings) for name in methods]
+    end = perf_counter() + bench.budget_s
+    parts = [
+        BenchPart(number, shape, name)
+        for number in range(bench.recordings)
+        for shape in bench.shapes
+        for name in bench.estimators
+    ]
     mats: tuple[MatSolve, ...] = ()
     if bench.mats is not None:
         on_step(0, len(parts), "random mats")
         mats = tuple(solved_mats(bench.mats, bench.seed, bench.solver))
     timings: list[Timing] = []
-    peaks: Peaks = {}
+    peaks: dict[tuple[Shape, str, str], float] = {}
     missed: list[LeftOut] = []
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
         on_step(number, len(parts), str(part))
-        if part.expected_s(bench, timings) > budget.left_s():
+        if part.expected_s(bench, timings) > end - perf_counter():
             missed.append(part.left_out())
             continue
-        measured = list(timings_of(bench, simulated(part.shape, part.recording), part, budget))
-        timings += measured
-        if len(measured[0].wall) <= bench.frames:
-            missed.append(part.left_out(f" after {len(measured[0].wall)} of {bench.frames + 1} frames"))
-        found, unknown = _peaks(bench, measured, budget)
-        peaks |= found
-        missed += unknown
+        found = list(_timings(bench, simulated(part.shape, part.recording), part, end))
+        timings += found
+        if len(found[0].wall) <= bench.frames:
+            missed.append(part.left_out(f" after {len(found[0].wall)} of {bench.frames + 1} frames"))
+        if part.recording or part.shape not in {(side, side) for side in bench.memory}:
+            continue
+        for one in found:
+            about = one.shape, one.method, one.solver
+            if STARTED_S + float(np.sum(one.times()[:2])) > end - perf_counter():
+                missed.append(LeftOut(one.shape, one.method, f"memory of {one.solver}"))
+            else:
+                peaks[about] = peak_memory(solve_two_frames, (bench, *about))
     return Bench(tuple(timings), peaks, tuple(missed), mats)
 
 
-def _peaks(bench: BenchFile, timings: Sequence[Timing], budget: Budget) -> tuple[Peaks, list[LeftOut]]:
-    """The peaks of first recordings of panels for which they are asked, and those for which there is no time."""
-    peaks: Peaks = {}
-    unknown: list[LeftOut] = []
-    for timing in timings:
-        rows, columns = timing.shape
-        if timing.recording or rows != columns or rows not in bench.memory:
-            continue
-        if memory_expected_s(timing) > budget.left_s():
-            unknown.append(LeftOut(timing.shape, timing.method, f"memory of {timing.solver}"))
-        else:
-            about = timing.shape, timing.method, timing.solver
-            peaks[about] = peak_memory(bench, *about)
-    return peaks, unknown
+def _timings(bench: BenchFile, recording: Recording, part: BenchPart, end: float) -> Iterator[Timing]:
+    """The timings of all solvers; later frames are left out once there is less time than the last one took."""
+    names, method = bench.solvers(part.shape), part.method
+    relative, matrix = bench.estimator(method).relative, grounded_laplacian(recording)
+    best = begun = first_estimate(bench, recording, method)
+    frames: list[list[list[TimedSolve]]] = []  # by frame, by turn, by solver
+    inverses: list[float] = []
+    sizes: list[float] = []
+    for number in range(bench.frames + 1):
+        if frames and sum(solve.wall for turn in frames[-1] for solve in turn) > end - perf_counter():
+            break
+        fresh = frame_data(bench, recording, method, number, best)
+        solvers = {name: solver_of(bench, method, name, fresh()) for name in names}
+        previous = None if best is None else best[None]
+        turns: list[list[TimedSolve]] = []
+        while len(turns) < (bench.repeats if number else 1):
+            turns.append([timed(name, solver, fresh(), previous) for name, solver in solvers.items()])
+            inverses.append(inverse_time(matrix))
+            if sum(solve.wall for solve in turns[-1]) > LONG_S:
+                break
+        frames.append(turns)
+        sizes.append(float(np.sum(fresh().measured ** 2)))
+        solved: list[Solution] = [solve.solution for turn in turns for solve in turn if solve.solution.solved]
+        if solved:
+            best = min(solved, key=lambda solution: solution.objective).cell_resistance[-1]
+        elif best is None and relative:
+            best = resting_cells(bench, recording, method)
+    gaps = _gaps(frames, np.array(sizes))
+    about: dict[str, Any] = {"shape": part.shape, "method": method, "recording": part.recording}
+    about |= {"pair": relative and begun is None, "inverse_s": float(np.median(inverses))}
+    for column, name in enumerate(names):
+        own = [[turn[column] for turn in turns] for turns in frames]
+        yield _timing(own, gap=gaps[:, column], solver=name, **about)
+
+
+def _gaps(frames: list[list[list[TimedSolve]]], sizes: Array) -> Array:
+    """(φ − φ_best)/(φ_best + nothing), (frames, solvers); NaN where a solver is alone, infinite where it left none."""
+    reached = np.array([[solve.objective for solve in turns[0]] for turns in frames])
+    if reached.shape[1] == 1:
+        return np.full(reached.shape, np.nan)
+    reached = np.nan_to_num(reached, nan=np.inf)
+    least = reached.min(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        gaps = (reached - least) / (least + 1e-9 * sizes[:, None])
+    return np.where(np.isnan(gaps), np.inf, gaps)
+
+
+def _timing(frames: list[list[TimedSolve]], **about: Any) -> Timing:
+    """frames : of one solver, every repeat of each."""
+    wall, cpu = np.full((2, len(frames), max(map(len, frames))), np.nan)
+    for frame, solves in enumerate(frames):
+        wall[frame, : len(solves)] = [solve.wall for solve in solves]
+        cpu[frame, : len(solves)] = [solve.cpu for solve in solves]
+    first = [solves[0] for solves in frames]
+    objective = np.array([solve.objective for solve in first])
+    ends = TimedFrames.ends([solve.solution for solve in first])
+    return Timing(wall=wall, cpu=cpu, objective=objective, **ends, **about)

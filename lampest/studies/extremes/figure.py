@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
-from lampest.studies.extremes.report import grouped, random_cells, structured
-from lampest.studies.extremes.run import Solve
-from lampest.studies.extremes.scenes import CASES
+from lampest.report.plots.style import RAISED, SMALL_POINT, TEXT_POINT, new_figure, save
+from lampest.studies.extremes.run import Solve, grouped
+from lampest.studies.extremes.scenes import CASES, GRID
 
 COLOURS = colormaps["YlGnBu"].resampled(256)
 ALARM = "#D55E00"
@@ -35,14 +33,14 @@ def extremes_figure(found: Sequence[Solve]) -> Figure:
     A hatched cell holds the number of solves without a verified optimum; an orange number where any of them gives
     no reason or a wrong estimate. White: not tried.
     """
-    grid, cases = random_cells(found), structured(found)
+    grid = [solve for solve in found if solve.sample.case == GRID]
+    cases = [solve for solve in found if solve.sample.case != GRID]
     methods = list(dict.fromkeys(solve.method for solve in found if solve.method))
     panels = list(grouped(grid, _panel))
     noises = sorted({solve.sample.noise for solve in grid})
     names = list(grouped(cases, _case))
     high = [len(panels) * (len(noises) * CELL_INCH + 0.32), len(names) * CELL_INCH + 0.2]
-    figure = Figure(figsize=(WIDTH_INCH, sum(high) + 1.3), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(sum(high) + 1.3)
     halves: Any = figure.subfigures(2, 1, height_ratios=[max(part, 0.1) for part in high], hspace=0.02)
     above, below = halves
     if grid:
@@ -50,16 +48,14 @@ def extremes_figure(found: Sequence[Solve]) -> Figure:
     if cases:
         _draw_cases(below, cases, methods, names)
     last = below if cases else above
-    bar = last.colorbar(_colours(), ax=last.axes, location="bottom", aspect=60, shrink=0.6, pad=0.01)
+    bar = last.colorbar(
+        ScalarMappable(Normalize(0, 100), COLOURS), ax=last.axes, location="bottom", aspect=60, shrink=0.6, pad=0.01
+    )
     bar.set_label(
         "share of solves with a verified optimum [%]; hatched: how many without; white: not tried", fontsize=TEXT_POINT
     )
     bar.ax.tick_params(labelsize=SMALL_POINT)
     return figure
-
-
-def _colours() -> ScalarMappable:
-    return ScalarMappable(Normalize(0, 100), COLOURS)
 
 
 def _panel(solve: Solve) -> tuple[int, int, str]:
@@ -110,10 +106,7 @@ def _draw_cases(figure: Any, cases: Sequence[Solve], methods: list[str], names: 
 
 
 def _title(case: str, decades: float) -> str:
-    return (
-        f"{case}, 10{str(int(decades)).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))}" * (CASES[case].contrasted)
-        or case
-    )
+    return f"{case}, 10{str(int(decades)).translate(RAISED)}" if CASES[case].contrasted else case
 
 
 def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:

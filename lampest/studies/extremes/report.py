@@ -1,20 +1,19 @@
 """The atlas' figures: by cell of the atlas as CSV, every solve as HDF5, and the promise in sentences."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lampest.files import hdf5
 from lampest.report.compare import Table
 from lampest.solvers.solution import VERIFIED
-from lampest.studies.extremes.run import REFUSED, Solve
-from lampest.studies.extremes.scenes import CASES
-from lampest.studies.extremes.settings import GRID
-from lampest.studies.study import samples_file, write_rows
+from lampest.studies.extremes.figure import plot_extremes
+from lampest.studies.extremes.run import REFUSED, Solve, grouped, run_atlas
+from lampest.studies.extremes.scenes import CASES, AtlasFile
+from lampest.studies.study import Reported, Study, read_settings, write_rows, write_sequence
 
 MILD_DECADES, MILD_NOISE = 6.0, 0.01
 NAN = float("nan")
@@ -68,14 +67,6 @@ def place(solve: Solve) -> tuple[Any, ...]:
 def atlas_rows(solves: Sequence[Solve]) -> list[AtlasRow]:
     """All cells of the atlas, in its order."""
     return [AtlasRow(*cell, **_figures(own)) for cell, own in grouped(solves, place).items()]
-
-
-def grouped(solves: Iterable[Solve], key: Callable[[Solve], Any]) -> dict[Any, list[Solve]]:
-    """Solves by what the key says of them, in the order in which that first appears."""
-    found: dict[Any, list[Solve]] = {}
-    for solve in solves:
-        found.setdefault(key(solve), []).append(solve)
-    return found
 
 
 def _figures(own: Sequence[Solve]) -> dict[str, Any]:
@@ -179,56 +170,42 @@ def _kind(status: str) -> str:
     return status.split(":")[0] + ": the input" if status.startswith(REFUSED) else status
 
 
-def write_atlas(folder: Path, solves: Sequence[Solve]) -> tuple[Path, Path]:
-    """Write extremes.csv, a row for every cell of the atlas, and extremes.h5 with every solve; returns their paths.
+COLUMNS = (
+    ("case", "1", "name of the scene", "sample.case"),
+    ("rows", "1", "row lines", "sample.rows"),
+    ("columns", "1", "column lines", "sample.columns"),
+    ("decades", "1", "decades between the least and the largest cell", "sample.decades"),
+    ("noise", "1", "relative standard deviation of a reading", "sample.noise"),
+    ("seed", "1", "seed of cells and noise", "sample.seed"),
+    ("method", "1", "method"),
+    ("formulation", "1", "formulation"),
+    ("part", "1", "baseline, frame, or the pair of both"),
+    ("verified", "1", "1: an estimate that nothing speaks against"),
+    ("solved", "1", "1: there is an estimate"),
+    ("doubtful", "1", "1: an estimate that the audit does not confirm"),
+    ("status", "1", "how the solve ended"),
+    ("iterations", "1", "iterations of the solver"),
+    ("kkt_residual", "1", "KKT residual of the accepted estimate", "residual"),
+    ("audited_residual", "1", "the same by differences of the exact forward map", "audited"),
+    ("excess", "1", "cost of the estimate over that of the truth, scaled"),
+    ("forward_digits", "1", "LRE of the forward map, 50 digits"),
+    ("model_digits", "1", "LRE of the estimate's two-point resistance"),
+    ("estimate_digits", "1", "LRE against the convex solution"),
+)
 
-    Raises InputError where the folder cannot be written.
-    """
-    table, samples = folder / "extremes.csv", folder / "extremes.h5"
-    write_rows(table, AtlasRow, atlas_rows(solves))
-    _write_samples(samples, solves)
-    return table, samples
 
-
-def _write_samples(path: Path, solves: Sequence[Solve]) -> None:
-    """/entry/solves: one entry for each solve, in the order of the atlas."""
-    columns: tuple[tuple[str, str, str, Callable[[Solve], Any]], ...] = (
-        ("case", "1", "name of the scene", lambda solve: solve.sample.case.translate(PLAIN)),
-        ("rows", "1", "row lines", lambda solve: solve.sample.rows),
-        ("columns", "1", "column lines", lambda solve: solve.sample.columns),
-        ("decades", "1", "decades between the least and the largest cell", lambda solve: solve.sample.decades),
-        ("noise", "1", "relative standard deviation of a reading", lambda solve: solve.sample.noise),
-        ("seed", "1", "seed of cells and noise", lambda solve: solve.sample.seed),
-        ("method", "1", "method", lambda solve: solve.method),
-        ("formulation", "1", "formulation", lambda solve: solve.formulation),
-        ("part", "1", "baseline, frame, or the pair of both", lambda solve: solve.part),
-        ("verified", "1", "1: an estimate that nothing speaks against", lambda solve: int(solve.verified)),
-        ("solved", "1", "1: there is an estimate", lambda solve: int(solve.solved)),
-        ("doubtful", "1", "1: an estimate that the audit does not confirm", lambda solve: int(solve.doubtful)),
-        ("status", "1", "how the solve ended", lambda solve: solve.status),
-        ("iterations", "1", "iterations of the solver", lambda solve: solve.iterations),
-        ("kkt_residual", "1", "KKT residual of the accepted estimate", lambda solve: solve.residual),
-        ("audited_residual", "1", "the same by differences of the exact forward map", lambda solve: solve.audited),
-        ("excess", "1", "cost of the estimate over that of the truth, scaled", lambda solve: solve.excess),
-        ("forward_digits", "1", "LRE of the forward map, 50 digits", lambda solve: solve.forward_digits),
-        ("model_digits", "1", "LRE of the estimate's two-point resistance", lambda solve: solve.model_digits),
-        ("estimate_digits", "1", "LRE against the convex solution", lambda solve: solve.estimate_digits),
+def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> Reported:
+    """Write extremes.csv, a row for every cell of the atlas, extremes.h5 with every solve, and the figure."""
+    path, axis = folder / "extremes.h5", ("solve", "solve, in the order of the atlas")
+    plain = [replace(one, sample=replace(one.sample, case=one.sample.case.translate(PLAIN))) for one in found]
+    files = (
+        write_rows(folder / "extremes.csv", AtlasRow, atlas_rows(found)),
+        write_sequence(path, "extremes/1", "solves", "verified", axis, plain, COLUMNS, verified_below=VERIFIED),
+        plot_extremes(found, folder / "extremes.png"),
     )
-    with samples_file(path, "extremes/1", default="solves", verified_below=VERIFIED) as entry:
-        group = entry.create_group("solves")
-        hdf5.set_attributes(group, NX_class="NXdata", signal="verified", axes=["solve"])
-        hdf5.write_scale(group, "solve", np.arange(len(solves)), "1", "solve, in the order of the atlas")
-        for name, units, long_name, value in columns:
-            values = [value(solve) for solve in solves]
-            text = isinstance(values[0], str)
-            hdf5.write_dataset(group, name, hdf5.ascii_array(values) if text else values, units, long_name, ("solve",))
+    return Reported([("", atlas_table(found))], files, atlas_remarks(found))
 
 
-def random_cells(solves: Sequence[Solve]) -> list[Solve]:
-    """The solves of random panels."""
-    return [solve for solve in solves if solve.sample.case == GRID]
-
-
-def structured(solves: Sequence[Solve]) -> list[Solve]:
-    """The solves of all other cases."""
-    return [solve for solve in solves if solve.sample.case != GRID]
+STUDY: Study[AtlasFile, Sequence[Solve]] = Study(
+    "scenes", "extremes.yaml", read_settings(AtlasFile), run_atlas, report_atlas
+)

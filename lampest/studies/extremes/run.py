@@ -1,12 +1,12 @@
 """The measurement: every scene by every method, and of each solve what it says and what is true of it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lampest.cost.problem import Data
-from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
 from lampest.estimate.step import Step
@@ -16,12 +16,17 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.starmesh import exact_two_point_resistance
 from lampest.recording.recording import Recording
-from lampest.runs.executors import local
 from lampest.solvers.solution import VERIFIED
-from lampest.studies.extremes.audit import exact_cost, exact_residual, exact_scale
-from lampest.studies.extremes.digits import convex_estimate, correct_digits, fifty_digits
-from lampest.studies.extremes.scenes import AtlasSample, Made, recording_of
-from lampest.studies.extremes.settings import AtlasFile, AtlasTask
+from lampest.studies.extremes.judges import (
+    convex_estimate,
+    correct_digits,
+    exact_cost,
+    exact_residual,
+    exact_scale,
+    fifty_digits,
+)
+from lampest.studies.extremes.scenes import AtlasFile, AtlasSample, AtlasTask, Made, recording_of
+from lampest.studies.study import OnStep, of_tasks
 
 NAN = float("nan")
 CRASHED, REFUSED = "crashed: ", "refused: "
@@ -74,21 +79,25 @@ class Solve:
         return self.status.startswith(CRASHED)
 
 
-def run_atlas(atlas: AtlasFile, on_step: Callable[[int, int], None] = lambda done, total: None) -> tuple[Solve, ...]:
-    """Measure everything, in the order of the atlas. on_step is told how many of how many scenes are done.
+def grouped(solves: Iterable[Solve], key: Callable[[Solve], Any]) -> dict[Any, list[Solve]]:
+    """Solves by what the key says of them, in the order in which that first appears."""
+    found: dict[Any, list[Solve]] = {}
+    for solve in solves:
+        found.setdefault(key(solve), []).append(solve)
+    return found
+
+
+def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:
+    """Measure everything, in the order of the atlas. on_step is called with how many of how many scenes are done.
 
     Raises InputError where mpmath is not installed.
     """
     fifty_digits(np.ones((1, 1)))
-    tasks = atlas.tasks
-    executor = atlas.executor or local(None, len(tasks))
-    executor.ready()
-    found: dict[AtlasSample, tuple[Solve, ...]] = {}
-    for task, result in executor.results(solves_of, tasks):
-        lost = not isinstance(result, tuple)
-        found[task.sample] = (_lost(task.sample, "", "", "", result),) if lost else result
-        on_step(len(found), len(tasks))
-    return tuple(solve for task in tasks for solve in found[task.sample])
+
+    def lost(task: AtlasTask, error: object) -> Solve:
+        return _failed(task.sample, "", "", "", f"{CRASHED}{type(error).__name__}: {error}")
+
+    return of_tasks(solves_of, atlas.tasks, atlas.executor, lost, on_step)
 
 
 def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
@@ -106,42 +115,33 @@ def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
             try:
                 solves += _solves(task, name, estimator, recording, scene)
             except InputError as error:
-                solves.append(_refused(sample, name, formulation, "frame", error))
+                solves.append(_failed(sample, name, formulation, "frame", f"{REFUSED}{error}"))
             except Exception as error:  # whatever it is, the atlas shows it
-                solves.append(_lost(sample, name, formulation, "frame", error))
+                solves.append(_failed(sample, name, formulation, "frame", f"{CRASHED}{type(error).__name__}: {error}"))
     return tuple(replace(solve, forward_digits=min(forward)) for solve in solves)
 
 
-def _refused(sample: AtlasSample, method: str, formulation: str, part: str, error: Exception) -> Solve:
-    return Solve(sample, method, formulation, part, False, f"{REFUSED}{error}", 0)
-
-
-def _lost(sample: AtlasSample, method: str, formulation: str, part: str, error: object) -> Solve:
-    return Solve(sample, method, formulation, part, False, f"{CRASHED}{type(error).__name__}: {error}", 0)
+def _failed(sample: AtlasSample, method: str, formulation: str, part: str, status: str) -> Solve:
+    return Solve(sample, method, formulation, part, False, status, 0)
 
 
 def _solves(task: AtlasTask, method: str, estimator: Estimator, recording: Recording, scene: Made) -> Iterator[Solve]:
     """The baseline and the frame, or the pair of both; where the scene is a scaled one, against the original."""
     originals: Sequence[_Part | None] = (None, None)
     if scene.scale != 1:
-        originals = list(_parts(estimator, _divided(recording, scene.scale)))
+        sigma = None if recording.sigma is None else recording.sigma / scene.scale
+        original = replace(recording, recorded=recording.recorded / scene.scale, sigma=sigma)
+        originals = list(_parts(estimator, original))
         # Of all residuals only relative changes do not grow with the unit.
-        estimator = replace(estimator, terms=tuple(_unitless(term, scene.scale) for term in estimator.terms))
-    for part, original in zip(_parts(estimator, recording), originals, strict=False):
+        squared = [scene.scale**2 if term.needs_previous else 1.0 for term in estimator.terms]
+        weights = zip(estimator.terms, squared, strict=True)
+        estimator = estimator.with_weights(float(term.weight) * factor for term, factor in weights)
+    for part, before in zip(_parts(estimator, recording), originals, strict=False):
         solve = _judged(task, method, estimator, part, scene, recording)
-        if original is not None and solve.solved and original.step.solution.solved:
-            alike = scene.scale * original.step.solution.cell_resistance
+        if before is not None and solve.solved and before.step.solution.solved:
+            alike = scene.scale * before.step.solution.cell_resistance
             solve = replace(solve, estimate_digits=correct_digits(part.step.solution.cell_resistance, alike))
         yield solve
-
-
-def _divided(recording: Recording, scale: float) -> Recording:
-    sigma = None if recording.sigma is None else recording.sigma / scale
-    return replace(recording, recorded=recording.recorded / scale, sigma=sigma)
-
-
-def _unitless(term: Term, scale: float) -> Term:
-    return replace(term, weight=float(term.weight) * scale**2) if term.needs_previous else term
 
 
 @dataclass(frozen=True, eq=False)

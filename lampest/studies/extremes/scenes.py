@@ -1,22 +1,26 @@
-"""What the atlas measures: panels at the edge of what a sensor, a fault or a file can bring about."""
+"""What the atlas measures, and its YAML file: panels at the edge of what a sensor, a fault or a file can do."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from lampest.estimate.methods import MethodName
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
+from lampest.runs.executors import AnyExecutor
+from lampest.runs.terms import FORBID
+from lampest.solvers.solution import Settings
+from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
 
-USUAL_OHM = 3000.0
-OPEN, SHORT = 1e9, 1e-9
+GRID = "log-uniform"
+USUAL_OHM = 3000.0  # of a cell, before a case changes it
+OPEN, SHORT = 1e9, 1e-9  # factors of a cell that is broken and not known to be
 LEAST_NOISE = 1e-9  # σ of readings that are exact, relative
-CHANGED, CHANGE = 0.2, 0.5
-READOUT = TwoPointReadout(readings=1)
-SERIES_OHM = 140.0
 Generator = np.random.Generator
 
 
@@ -71,14 +75,17 @@ class Extreme:
     make: Callable[[Array, AtlasSample, Generator], Made]
     single_fault: bool = False
     contrasted: bool = False
-    shapes: tuple[tuple[int, int], ...] = ()
+    shapes: tuple[Shape, ...] = ()
+
+
+Where = Callable[[AtlasSample], Any]
 
 
 def made(sample: AtlasSample) -> Made:
     """The scene's cells; the same for every noise."""
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
-    cells = np.stack([usual, np.where(rng.random(sample.shape) < CHANGED, CHANGE, 1.0) * usual])
+    cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
     return CASES[sample.case].make(cells, sample, rng)
 
 
@@ -97,7 +104,9 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
     sigma: Array | None = max(sample.noise, LEAST_NOISE) * total
     if scene.readout is not None:
         total, sigma = _converted(scene.readout, total, rng), None
-    total, sigma = _filled(total, sigma)
+    usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
+    total = np.where(usable, total, USUAL_OHM)
+    sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
     place = Scene(Panel(*sample.shape), scene.readout, scene.series_ohm, scene.faults)
     role = np.array([0, 1], dtype=np.uint8)
     return Recording(place, total, np.arange(2.0), role, sigma, name=sample.case), scene
@@ -110,28 +119,13 @@ def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
     return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 
 
-def _filled(total: Array, sigma: Array | None) -> tuple[Array, Array | None]:
-    """Readings that say nothing hold any finite number."""
-    usable = np.isfinite(total) & (total > 0)
-    filled = np.where(usable, total, USUAL_OHM)
-    return filled, None if sigma is None else np.where(usable, sigma, USUAL_OHM)
-
-
-def _changed(where: Callable[[AtlasSample], object], factor: float) -> Callable[[Array, AtlasSample, Generator], Made]:
-    """The cells with some of them times a factor."""
+def _times(factor: float, where: Where, faults: Callable[[AtlasSample], Faults] | None = None) -> Extreme:
+    """Some of the cells times a factor; faults : what the scene says of them, or None."""
 
     def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-        cells = cells.copy()
-        for frame in cells:
-            frame[where(sample)] *= factor
-        return Made(cells)
-
-    return make
-
-
-def _known(factor: float, faults: Callable[[AtlasSample], Faults], where: Callable[[AtlasSample], object]) -> Extreme:
-    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-        return replace(_changed(where, factor)(cells, sample, rng), faults=faults(sample))
+        broken = np.zeros(sample.shape, dtype=bool)
+        broken[where(sample)] = True
+        return Made(np.where(broken, factor * cells, cells), faults and faults(sample))
 
     return Extreme(make, single_fault=True)
 
@@ -148,24 +142,24 @@ def _column(sample: AtlasSample) -> tuple[slice, int]:
     return slice(None), sample.columns // 3
 
 
-def _log_uniform(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    return Made(_spread(cells, 10 ** rng.uniform(-sample.decades / 2, sample.decades / 2, sample.shape), sample))
+def _contrasted(pattern: Callable[[Array, Array, AtlasSample, Generator], Array]) -> Extreme:
+    """Cells times 10^pattern(row, column), the same in both frames, around the usual resistance."""
+
+    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
+        row, column = np.indices(sample.shape, dtype=float)
+        factor = 10.0 ** pattern(row, column, sample, rng)
+        return Made(cells * factor / 10 ** (np.ptp(np.log10(factor)) / 2 if factor.min() == 1 else 0))
+
+    return Extreme(make, contrasted=True)
 
 
-def _clusters(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    """Two blocks of good conductors that only bad ones connect."""
-    first = np.add.outer(np.arange(sample.rows) < sample.rows // 2, np.arange(sample.columns) < sample.columns // 2)
-    return Made(_spread(cells, np.where(first == 1, 10.0**sample.decades, 1.0), sample))
+def _two_clusters(row: Array, column: Array, sample: AtlasSample, rng: Generator) -> Array:
+    """One block of good conductors beside three of bad ones."""
+    return sample.decades * ((row < sample.rows // 2) | (column < sample.columns // 2))
 
 
-def _checkerboard(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    odd = np.add.outer(np.arange(sample.rows), np.arange(sample.columns)) % 2
-    return Made(_spread(cells, 10.0 ** (sample.decades * odd), sample))
-
-
-def _spread(cells: Array, factor: Array, sample: AtlasSample) -> Array:
-    """The cells times a factor that is the same in both frames, around the usual resistance."""
-    return cells * factor / 10 ** (np.ptp(np.log10(factor)) / 2 if factor.min() == 1 else 0)
+def _log_uniform(row: Array, column: Array, sample: AtlasSample, rng: Generator) -> Array:
+    return rng.uniform(-sample.decades / 2, sample.decades / 2, sample.shape)
 
 
 def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
@@ -173,8 +167,8 @@ def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> M
     return Made(cells / USUAL_OHM * rng.permutation(levels).reshape(sample.shape))
 
 
-def _usual(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    return Made(cells)
+def _usual(shape: Shape) -> Extreme:
+    return Extreme(lambda cells, sample, rng: Made(cells), shapes=(shape,))
 
 
 def _weighted(weight: float) -> Extreme:
@@ -186,34 +180,34 @@ def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     cells = cells.copy()
     cells[:, _row(sample)] *= 1e6
     cells[:, 0, 0] *= 1e-6
-    return Made(cells, readout=READOUT)
+    return Made(cells, readout=TwoPointReadout(readings=1))
 
 
 def _at_series(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     """One cell that is nothing beside the resistance in series with it."""
     cells = cells.copy()
     cells[(slice(None), *_cell(sample))] = 1e-3
-    return Made(cells, series_ohm=SERIES_OHM)
+    return Made(cells, series_ohm=140.0)
 
 
 CASES: dict[str, Extreme] = {
-    "log-uniform": Extreme(_log_uniform, contrasted=True),
-    "two clusters": Extreme(_clusters, contrasted=True),
-    "checkerboard": Extreme(_checkerboard, contrasted=True),
-    "open cell": Extreme(_changed(_cell, OPEN), single_fault=True),
-    "open row": Extreme(_changed(_row, OPEN), single_fault=True),
-    "open column": Extreme(_changed(_column, OPEN), single_fault=True),
-    "shorted cell": Extreme(_changed(_cell, SHORT), single_fault=True),
-    "shorted row": Extreme(_changed(_row, SHORT), single_fault=True),
-    "open cell, known": _known(np.inf, lambda sample: Faults(open=(_cell(sample),)), _cell),
-    "dead row, known": _known(np.inf, lambda sample: Faults(dead_rows=(_row(sample),)), _row),
-    "dead column, known": _known(np.inf, lambda sample: Faults(dead_columns=(sample.columns // 3,)), _column),
-    "shorted cell, known": _known(0.0, lambda sample: Faults(shorted=(_cell(sample),)), _cell),
+    GRID: _contrasted(_log_uniform),
+    "two clusters": _contrasted(_two_clusters),
+    "checkerboard": _contrasted(lambda row, column, sample, rng: sample.decades * ((row + column) % 2)),
+    "open cell": _times(OPEN, _cell),
+    "open row": _times(OPEN, _row),
+    "open column": _times(OPEN, _column),
+    "shorted cell": _times(SHORT, _cell),
+    "shorted row": _times(SHORT, _row),
+    "open cell, known": _times(np.inf, _cell, lambda sample: Faults(open=(_cell(sample),))),
+    "dead row, known": _times(np.inf, _row, lambda sample: Faults(dead_rows=(_row(sample),))),
+    "dead column, known": _times(np.inf, _column, lambda sample: Faults(dead_columns=(sample.columns // 3,))),
+    "shorted cell, known": _times(0.0, _cell, lambda sample: Faults(shorted=(_cell(sample),))),
     "1 mΩ to 1 GΩ": Extreme(_milliohm_to_gigaohm),
-    "1 × 1": Extreme(_usual, shapes=((1, 1),)),
-    "1 × N": Extreme(_usual, shapes=((1, 9),)),
-    "M × 1": Extreme(_usual, shapes=((9, 1),)),
-    "2 × 64": Extreme(_usual, shapes=((2, 64),)),
+    "1 × 1": _usual((1, 1)),
+    "1 × N": _usual((1, 9)),
+    "M × 1": _usual((9, 1)),
+    "2 × 64": _usual((2, 64)),
     "identical frames": Extreme(lambda cells, sample, rng: Made(np.stack([cells[0]] * 2), still=True)),
     "weight 0": _weighted(0.0),
     "weight 1e-12": _weighted(1e-12),
@@ -222,3 +216,106 @@ CASES: dict[str, Extreme] = {
     "at the series resistance": Extreme(_at_series, single_fault=True),
     "all times 10⁶": Extreme(lambda cells, sample, rng: Made(1e6 * cells, scale=1e6)),
 }
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Panels of random cells, uniform in the logarithm: every size with every number of decades, noise and seed.
+
+    Parameters
+    ----------
+    sizes : sides of square panels, or [rows, columns]. decades : between the least and the largest cell.
+    noise : relative standard deviation of a reading, percent. seeds : how many panels of each kind.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    sizes: Sizes
+    decades: tuple[float, ...] = (1, 2, 3, 4, 5, 6, 7, 8, 9)
+    noise: tuple[float, ...] = (0, 0.1, 1, 10)
+    seeds: int = 1
+
+    def __post_init__(self) -> None:
+        if not all(1 <= side <= 64 for shape in self.shapes for side in shape):
+            raise ValueError("a panel's side must lie between 1 and 64")
+        if not all(0 <= decades <= 15 for decades in self.decades):
+            raise ValueError("decades must lie between 0 and 15")
+        if not all(0 <= noise <= 100 for noise in self.noise):
+            raise ValueError("noise must lie between 0 and 100 percent")
+        if not 0 <= self.seeds <= 1000:
+            raise ValueError("seeds must lie between 0 and 1000")
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """(rows, columns) of every panel."""
+        return shapes_of(self.sizes)
+
+
+@dataclass(frozen=True)
+class AtlasFile:
+    """What is tried.
+
+    Parameters
+    ----------
+    grid : panels of random cells. structured : sizes, contrasts and noise of all other cases.
+    nodal : the part of both that the nodal formulation solves too: sizes, decades and noise.
+    estimators : methods by name; the paper's five by default.
+    solver : tolerance and iterations. audit_cells : the largest panel on which the optimality of every estimate is
+    tested a second time, by differences of the exact forward map.
+    executor : where the scenes are solved; all cores by default.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    grid: Grid
+    structured: Grid
+    nodal: Grid = Grid(())
+    estimators: dict[str, SquaredMethod] = field(default_factory=lambda: paper_methods(SquaredMethod))
+    solver: Settings = Settings()
+    audit_cells: int = 64
+    executor: AnyExecutor | None = None
+
+    def __post_init__(self) -> None:
+        if not self.estimators:
+            raise ValueError("estimators must hold at least one")
+        if not self.tasks:
+            raise ValueError("grid and structured hold no scene")
+
+    @property
+    def tasks(self) -> tuple["AtlasTask", ...]:
+        """Every scene with the formulations that solve it, in the order of the atlas."""
+        samples = (
+            *_samples(self.grid, (GRID,)),
+            *_samples(self.structured, tuple(name for name in CASES if name != GRID)),
+        )
+        return tuple(AtlasTask(sample, self, self._formulations(sample)) for sample in samples)
+
+    def _formulations(self, sample: AtlasSample) -> tuple[MethodName, ...]:
+        part = self.nodal
+        own = CASES[sample.case].shapes
+        chosen = (sample.shape in part.shapes or (bool(own) and sample.rows * sample.columns < 100)) and (
+            100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0) and sample.seed < part.seeds
+        )
+        return ("reduced", "nodal") if chosen else ("reduced",)
+
+
+@dataclass(frozen=True)
+class AtlasTask:
+    """One scene, and the formulations in which every method solves it."""
+
+    sample: AtlasSample
+    atlas: AtlasFile
+    formulations: tuple[MethodName, ...]
+
+
+def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[AtlasSample]:
+    for name in names:
+        case = CASES[name]
+        for shape in (case.shapes or grid.shapes) if grid.sizes else ():
+            for decades in grid.decades if case.contrasted else (0.0,):
+                for noise in grid.noise:
+                    for seed in range(grid.seeds):
+                        yield AtlasSample(name, *shape, decades, noise / 100, seed)

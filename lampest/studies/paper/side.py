@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
@@ -16,7 +17,6 @@ from lampest.report.compare import Steps, compare, spread
 from lampest.report.plots.contours import percent_change
 from lampest.report.plots.plot import furthest
 from lampest.runs.results import Results
-from lampest.studies.paper.as_published import LeftBySolver
 
 MEASURED = "measured"
 EVALUATION_S = 16.45 / 10_100  # table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative
@@ -47,6 +47,43 @@ class StepsSeen(NamedTuple):
     error: float
     error_sd: float
     time: float
+
+
+@dataclass(frozen=True)
+class Weights:
+    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the start over R_m."""
+
+    absolute: float = 1e-3
+    relative: float = 10.0
+    start: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LeftBySolver:
+    """What one method leaves of a recording.
+
+    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm. evaluations : (frames) solves
+    of the forward problem that MATLAB would have needed, derivatives included. why : (frames) what ended it.
+    joint : whether the first frame was solved together with the baseline.
+    """
+
+    baseline: Array
+    cells: Array
+    model: Array
+    measured: Array
+    evaluations: NDArray[np.int64]
+    why: tuple[str, ...]
+    joint: bool
+
+    @property
+    def change(self) -> Array:
+        """100·(r/r₀ − 1), (frames, rows, columns) percent."""
+        return np.asarray(100 * (self.cells / self.baseline - 1))
+
+    @property
+    def data_error(self) -> Array:
+        """100·|f(r) − R_m|/R_m, (frames, rows, columns) percent."""
+        return np.asarray(100 * np.abs(self.model - self.measured) / self.measured)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
 from lampest.runs.results import Results, read_results
-from lampest.studies.paper.as_published import METHODS, LeftBySolver, Weights, left_by_solver
 from lampest.studies.paper.published import Published
-from lampest.studies.paper.side import LoadSeen, OptimalSide, Side, SolverSide, unloaded
+from lampest.studies.paper.side import LeftBySolver, LoadSeen, OptimalSide, Side, SolverSide, Weights, unloaded
+from lampest.studies.study import published_code
 
 FASTEST = "formulation=reduced"  # finds the optima that a file's formulation finds, sooner
 CLEAN = (
@@ -65,7 +65,7 @@ def _of_panel(
     results = _solved(configs / "paper_run.yaml", told, folder / "panel", jobs, on_case)
     optima = OptimalSide("paper's panel", "panel", PANEL, mouths, loads, True, results)
     solve: Callable[[str, Recording], LeftBySolver] = partial(_left, WEIGHTS)
-    methods, method = tuple(METHODS), published.mouths.method
+    methods, method = tuple(published_code("as_published").METHODS), published.mouths.method
     return optima, SolverSide("its solver", "solver", SOLVER, mouths, loads, True, solve, methods, method)
 
 
@@ -94,4 +94,6 @@ def _solved(
 
 def _left(weights: Weights, method: str, recording: Recording) -> LeftBySolver:
     frames = recording.recorded[recording.measured_frames()]
-    return left_by_solver(method, recording.scene.panel, unloaded(recording), frames, weights)
+    panel, resting = recording.scene.panel, unloaded(recording)
+    left: LeftBySolver = published_code("as_published").left_by_solver(method, panel, resting, frames, weights)
+    return left

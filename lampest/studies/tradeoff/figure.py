@@ -6,16 +6,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
-from lampest.studies.tradeoff.report import TradeoffRow, first_method, front, method_rows
-from lampest.studies.tradeoff.run import Tradeoff
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
+from lampest.studies.tradeoff.rows import TradeoffRow, front
 
 FLOOR = 1e-12
-ROW_INCH = 2.2
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 MARKERS = "osD^vPX"
 SPOTS = ((0, 9), (0, -9), (7, 0), (-7, 0), (7, 7), (-7, 7), (7, -7), (-7, -7), (0, 16), (0, -16), (14, 11), (-14, 11))
@@ -24,24 +21,22 @@ Placed = list[tuple[str, tuple[float, float]]]
 Box = tuple[float, float, float, float]
 
 
-def plot_tradeoff(found: Tradeoff, path: str | Path) -> Path:
-    """Draw the figure into a .png or .pdf file; returns its path. Raises InputError where it cannot be written."""
-    save(tradeoff_figure(found), path)
-    return Path(path)
+def plot_tradeoff(whole: Sequence[TradeoffRow], single: Sequence[TradeoffRow], path: Path) -> Path:
+    """Draw the figure into a .png or .pdf file. Raises InputError where it cannot be written."""
+    save(tradeoff_figure(whole, single), path)
+    return path
 
 
-def tradeoff_figure(found: Tradeoff) -> Figure:
+def tradeoff_figure(whole: Sequence[TradeoffRow], single: Sequence[TradeoffRow]) -> Figure:
     """A row of panels for every size: time against the changed cells' error, and against the gap.
 
-    All recordings of that size together. The labelled points are the first method's rungs, the line through some of
-    them is their Pareto front, and small signs are the other methods' rungs. Gaps below 1e-12 are drawn there, on a
-    line that says so.
+    whole : the first method's rows, single : those of all methods; all recordings of a size together. The labelled
+    points are the first method's rungs, the line through some of them is their Pareto front, and small signs are the
+    other methods' rungs. Gaps below 1e-12 are drawn there, on a line that says so.
     """
-    whole, single = first_method(found), method_rows(found)
     shapes = list(dict.fromkeys((row.rows, row.columns) for row in whole))
     methods = list(dict.fromkeys(row.method for row in single))
-    figure = Figure(figsize=(WIDTH_INCH, ROW_INCH * len(shapes) + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(2.2 * len(shapes) + 0.6)
     grid = figure.subplots(len(shapes), 2, squeeze=False, sharex="row")
     labelled = []
     for number, (shape, pair) in enumerate(zip(shapes, grid, strict=True)):

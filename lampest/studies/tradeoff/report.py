@@ -1,157 +1,27 @@
-"""A trade-off's figures: by rung over everything on a panel, and one by one; as a table, as CSV and as HDF5."""
+"""A trade-off's table and files."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from lampest.files import hdf5
-from lampest.panel.panel import Array
 from lampest.report.compare import Table
-from lampest.studies.study import samples_file, write_rows
-from lampest.studies.tradeoff.run import Measured, Tradeoff
-
-ALL = "all"
-REACHED = 1e-6
-FRAME = ("frame",)
-SAMPLES = ("frame", "repeat")
-
-
-@dataclass(frozen=True)
-class TradeoffRow:
-    """One rung on panels of one size; `all` where methods, recordings, scenes or noise are taken together.
-
-    Parameters
-    ----------
-    rows, columns, recording, scene, noise, method, formulation : what was measured.
-    first_ms : median time until the first estimate, baseline included. frame_ms : median of the frames after it.
-    cell_error, changed_error : median over the frames of a frame's median error in percent, of all cells and of those
-        that have changed; None without a truth.
-    gap, worst_gap : median and largest `Measured.gap`; a failed frame's is infinite.
-    reached : share of the frames whose gap is at most 1e-6.
-    frames, failed : number of frames; those without an estimate.
-    memory_mb : peak of a fresh process, libraries included; None where it was not measured.
-    """
-
-    rows: int
-    columns: int
-    recording: str
-    scene: str
-    noise: str
-    method: str
-    formulation: str
-    first_ms: float
-    frame_ms: float
-    cell_error: float | None
-    changed_error: float | None
-    gap: float
-    worst_gap: float
-    reached: float
-    frames: int
-    failed: int
-    memory_mb: float | None
-
-
-def detailed_rows(found: Tradeoff) -> list[TradeoffRow]:
-    """One row for each rung with each method on each recording."""
-    return [_row(found, [one]) for one in found.measured]
-
-
-def summary_rows(found: Tradeoff) -> list[TradeoffRow]:
-    """By panel size and rung, all methods and recordings together."""
-    return list(_grouped(found, found.measured))
-
-
-def method_rows(found: Tradeoff) -> list[TradeoffRow]:
-    """By panel size, method and rung, all recordings together."""
-    methods = dict.fromkeys(one.method for one in found.measured)
-    return [row for method in methods for row in _grouped(found, [o for o in found.measured if o.method == method])]
-
-
-def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[TradeoffRow]:
-    for shape in dict.fromkeys(one.shape for one in chosen):
-        here = [one for one in chosen if one.shape == shape]
-        for formulation in dict.fromkeys(one.formulation for one in here):
-            yield _row(found, [one for one in here if one.formulation == formulation])
-
-
-def _row(found: Tradeoff, parts: Sequence[Measured]) -> TradeoffRow:
-    gap = np.nan_to_num(np.concatenate([part.gap for part in parts]), nan=np.inf)
-    solved = np.concatenate([part.solved for part in parts])
-    shape, formulation = parts[0].shape, parts[0].formulation
-    return TradeoffRow(
-        *shape,
-        _one(part.subject.recording.name for part in parts),
-        _one(part.subject.scene for part in parts),
-        _one(part.subject.noise for part in parts),
-        _one(part.method for part in parts),
-        formulation,
-        first_ms=1e3 * float(np.median([part.baseline_s + part.times()[0] for part in parts])),
-        frame_ms=1e3 * float(np.median(np.concatenate([part.times()[1:] for part in parts]))),
-        cell_error=_median([part.cell_error for part in parts]),
-        changed_error=_median([part.changed_error for part in parts]),
-        gap=float(np.median(gap)),
-        worst_gap=float(np.max(gap)),
-        reached=float(np.mean(gap <= REACHED)),
-        frames=len(gap),
-        failed=int(np.sum(~solved)),
-        memory_mb=found.memory_mb.get((shape, formulation)),
-    )
-
-
-def _one(names: Iterable[str]) -> str:
-    different = list(dict.fromkeys(names))
-    return different[0] if len(different) == 1 else ALL
-
-
-def _median(parts: Sequence[Array]) -> float | None:
-    values = np.concatenate(parts)
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if len(values) else None
-
-
-def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points that no other beats in both coordinates, smaller being better, by the first one."""
-    order = sorted(range(len(points)), key=lambda index: points[index])
-    best, kept = float("inf"), []
-    for index in order:
-        if points[index][1] < best:
-            best = points[index][1]
-            kept.append(index)
-    return kept
-
-
-def on_front(rows: Sequence[TradeoffRow]) -> list[str]:
-    """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
-    kept = set(front([(row.frame_ms, row.gap) for row in rows]))
-    measured = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
-    return [rows[index].formulation for index in sorted(kept | set(front(measured)))]
-
-
-def first_method(found: Tradeoff) -> list[TradeoffRow]:
-    """The rows of the file's first method, by panel size and rung, all recordings together."""
-    name = found.measured[0].method
-    return [row for row in method_rows(found) if row.method == name]
+from lampest.studies.study import Reported, Study, samples_file, write_columns, write_rows
+from lampest.studies.tradeoff.figure import plot_tradeoff
+from lampest.studies.tradeoff.rows import (
+    TradeoffRow,
+    detailed_rows,
+    first_method,
+    method_rows,
+    on_front,
+    summary_rows,
+)
+from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
+from lampest.studies.tradeoff.settings import Plan, read_plan
 
 
 def tradeoff_table(found: Tradeoff) -> Table:
     """The first method's rows as short texts."""
-    headers = (
-        "panel",
-        "method",
-        "formulation",
-        "first [ms]",
-        "frame [ms]",
-        "cell error [%]",
-        "of changed cells [%]",
-        "gap median / worst",
-        "reached [%]",
-        "failed",
-        "memory [MB]",
-        "front",
-    )
+    about = ("panel", "method", "formulation", "first [ms]", "frame [ms]", "cell error [%]", "of changed cells [%]")
+    headers = (*about, "gap median / worst", "reached [%]", "failed", "memory [MB]", "front")
     rows = first_method(found)
     cells = []
     for row in rows:
@@ -179,18 +49,19 @@ def _text(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def write_tradeoff(folder: Path, found: Tradeoff) -> tuple[Path, Path]:
-    """Write tradeoff.csv, summary first and then every row, and tradeoff.h5 with every sample; returns their paths.
+SAMPLES = {
+    "wall": "wall time of the estimate",
+    "cpu": "processor time from the frame before to this one",
+    "objective": "cost with the reference's previous frame",
+    "gap": "objective above the best of all rungs, against it and the noise",
+}
+ERRORS = (
+    ("cell_error", "percent", "median error of the cells against the truth"),
+    ("changed_error", "percent", "median error of the cells that have changed"),
+)
 
-    Raises InputError where the folder cannot be written.
-    """
-    table, samples = folder / "tradeoff.csv", folder / "tradeoff.h5"
-    write_rows(table, TradeoffRow, (*summary_rows(found), *method_rows(found), *detailed_rows(found)))
-    _write_samples(samples, found)
-    return table, samples
 
-
-def _write_samples(path: Path, found: Tradeoff) -> None:
+def _write_samples(path: Path, found: Tradeoff) -> Path:
     """/entry/<recording>/<method>/<formulation>: times, errors, objectives and gaps of every frame; and memory."""
     with samples_file(path, "tradeoff/1") as entry:
         for one in found.measured:
@@ -201,28 +72,24 @@ def _write_samples(path: Path, found: Tradeoff) -> None:
             method = recording.require_group(one.method)
             hdf5.set_attributes(method, NX_class="NXcollection")
             group = method.create_group(one.formulation.replace(" ", "_"))
-            _write_measured(group, one)
+            about = {"formulation": one.formulation, "baseline_s": one.baseline_s}
+            one.write(group, SAMPLES, "frame in sequence", **about)
+            write_columns(group, one, ERRORS, ("frame",))
             memory = found.memory_mb.get((one.shape, one.formulation))
             if memory is not None:
                 hdf5.set_attributes(group, peak_memory_mb=memory)
+    return path
 
 
-def _write_measured(group: Any, one: Measured) -> None:
-    hdf5.set_attributes(group, NX_class="NXdata", signal="wall_time", axes=list(SAMPLES), formulation=one.formulation)
-    hdf5.set_attributes(group, baseline_s=one.baseline_s)
-    frames, repeats = one.wall.shape
-    hdf5.write_scale(group, "frame", np.arange(frames), "1", "frame in sequence")
-    hdf5.write_scale(group, "repeat", np.arange(repeats), "1", "turn of the alternation")
-    columns: Sequence[tuple[str, Any, str, str, tuple[str, ...]]] = (
-        ("wall_time", one.wall, "s", "wall time of the estimate", SAMPLES),
-        ("cpu_time", one.cpu, "s", "processor time from the frame before to this one", SAMPLES),
-        ("cell_error", one.cell_error, "percent", "median error of the cells against the truth", FRAME),
-        ("changed_error", one.changed_error, "percent", "median error of the cells that have changed", FRAME),
-        ("objective", one.objective, "1", "cost with the reference's previous frame", FRAME),
-        ("gap", one.gap, "1", "objective above the best of all rungs, against it and the noise", FRAME),
-        ("iterations", one.iterations, "1", "iterations of the solver", FRAME),
-        ("solved", one.solved.astype(np.uint8), "1", "1: solved, 0: failed", FRAME),
-        ("status", hdf5.ascii_array(one.status), "1", "how the solve ended", FRAME),
+def report_tradeoff(found: Tradeoff, plan: Plan, folder: Path) -> Reported:
+    """Write tradeoff.csv, summary first and then every row, tradeoff.h5 with every sample, and the figure."""
+    rows = (*summary_rows(found), *method_rows(found), *detailed_rows(found))
+    files = (
+        write_rows(folder / "tradeoff.csv", TradeoffRow, rows),
+        _write_samples(folder / "tradeoff.h5", found),
+        plot_tradeoff(first_method(found), method_rows(found), folder / "tradeoff.png"),
     )
-    for name, values, units, long_name, scales in columns:
-        hdf5.write_dataset(group, name, values, units, long_name, scales)
+    return Reported([("", tradeoff_table(found))], files)
+
+
+STUDY: Study[Plan, Tradeoff] = Study("measurements", "tradeoff.yaml", read_plan, run_tradeoff, report_tradeoff)

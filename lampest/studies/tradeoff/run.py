@@ -6,12 +6,12 @@ against the best that any rung found for it. A joint first pair is judged by its
 baseline, which it minimises, too.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
@@ -21,65 +21,59 @@ from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import relative_error
-from lampest.runs.executors import Processes
-from lampest.studies.bench.memory import peak_mb
+from lampest.studies.methods import Shape
+from lampest.studies.study import OnStep
+from lampest.studies.timing import TimedFrames, peak_memory
 from lampest.studies.tradeoff.settings import REFERENCE, Plan, TradeoffFile, TradeoffSubject, first_frames
 
-CHANGED = 0.05
-MEMORY_FRAMES = 2
+CHANGED = 0.05  # a cell has changed that has left its unloaded resistance by more
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(TimedFrames):
     """One rung with one method on one recording.
 
     Parameters
     ----------
+    wall, cpu : of the solve, and of the processor from one frame to the next; the first frame of relative methods may
+        hold the baseline as well.
+    objective : as the module says. gap : (φ − φ_best)/(φ_best + what missing every reading by its noise costs): a gap
+        far below 1 cannot be seen in the readings.
     subject, method, formulation : what was measured.
-    shape : (rows, columns).
-    wall, cpu : (frames, repeats) s, of the solve, and of the processor from one frame to the next; the first frame of
-        relative methods may hold the baseline as well.
     baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
     cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
         the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
-    objective : (frames) as the module says. gap : (frames) (φ − φ_best)/(φ_best + what missing every reading by its
-        noise costs): a gap far below 1 cannot be seen in the readings.
-    iterations, solved, status : (frames).
     """
 
     subject: TradeoffSubject
     method: str
     formulation: str
-    shape: tuple[int, int]
-    wall: Array
-    cpu: Array
     baseline_s: float
     cell_error: Array
     changed_error: Array
-    objective: Array
-    gap: Array
-    iterations: NDArray[np.int64]
-    solved: NDArray[np.bool_]
-    status: tuple[str, ...]
+
+    @property
+    def shape(self) -> Shape:
+        """(rows, columns)."""
+        return self.subject.shape
 
     def times(self) -> Array:
         """(frames) s: the least of the repeats; the processor's time where something else has held the solve up."""
         return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class _TradeoffRun:
+class _Pass(NamedTuple):
     """One passage through a recording; cpu : (frames) s."""
 
     found: Estimates
     cpu: Array
 
-    @classmethod
-    def of(cls, recording: Recording, estimator: Estimator) -> "_TradeoffRun":
-        """Solve the frames in sequence."""
-        clock = [process_time()]
-        found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
-        return cls(found, np.diff(clock))
+
+def _passage(recording: Recording, estimator: Estimator) -> _Pass:
+    """Solve the frames in sequence."""
+    clock = [process_time()]
+    found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
+    return _Pass(found, np.diff(clock))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,26 +81,22 @@ class Tradeoff:
     """measured : of every rung. memory_mb : by (shape, formulation): peak of a fresh process, libraries included."""
 
     measured: tuple[Measured, ...]
-    memory_mb: dict[tuple[tuple[int, int], str], float]
+    memory_mb: dict[tuple[Shape, str], float]
 
 
-def run_tradeoff(plan: Plan, on_step: Callable[[int, int], None] = lambda done, total: None) -> Tradeoff:
-    """Measure everything. on_step is told how many of how many parts are done."""
+def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> Tradeoff:
+    """Measure everything. on_step is called with how many of how many parts are done."""
     settings = plan.settings
     fresh = list(_memory_tasks(plan))
     chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
-    total = len(chosen) + len(fresh)
     measured: list[Measured] = []
-    done = 0
-    for subject, method in chosen:
+    for done, (subject, method) in enumerate(chosen, 1):
         measured += _measure(settings, subject, method)
-        done += 1
-        on_step(done, total)
+        on_step(done, len(chosen) + len(fresh))
     memory = {}
-    for shape, name, task in fresh:
-        memory[shape, name] = _in_fresh_process(task)
-        done += 1
-        on_step(done, total)
+    for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
+        memory[shape, name] = peak_memory(_solve, task)
+        on_step(done, len(chosen) + len(fresh))
     return Tradeoff(tuple(measured), memory)
 
 
@@ -114,13 +104,13 @@ def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> I
     """All rungs with one method on one recording."""
     recording = subject.recording
     rungs = settings.rungs(subject.shape)
-    runs: dict[str, list[_TradeoffRun]] = {name: [] for name in rungs}
+    runs: dict[str, list[_Pass]] = {name: [] for name in rungs}
     begin = perf_counter()
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_TradeoffRun.of(recording, settings.estimator(method, formulation)))
+            runs[name].append(_passage(recording, settings.estimator(method, formulation)))
     objective, noise = _judged({name: run[0].found for name, run in runs.items()})
     least = np.nanmin(np.stack(list(objective.values())), axis=0)
     for name, run in runs.items():
@@ -129,26 +119,22 @@ def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> I
 
 
 def _measured(
-    subject: TradeoffSubject, method: str, name: str, runs: list[_TradeoffRun], objective: Array, gap: Array
+    subject: TradeoffSubject, method: str, name: str, runs: list[_Pass], objective: Array, gap: Array
 ) -> Measured:
     first = runs[0].found
     cell, changed = errors(first)
-    solutions = [step.solution for step in first.steps]
     return Measured(
-        subject,
-        method,
-        name,
-        subject.shape,
-        np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
-        np.stack([run.cpu for run in runs], axis=1),
-        0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
-        cell,
-        changed,
-        objective,
-        gap,
-        np.array([solution.iterations for solution in solutions], dtype=np.int64),
-        np.array([solution.solved for solution in solutions]),
-        tuple(solution.status.value for solution in solutions),
+        subject=subject,
+        method=method,
+        formulation=name,
+        wall=np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
+        cpu=np.stack([run.cpu for run in runs], axis=1),
+        baseline_s=0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
+        cell_error=cell,
+        changed_error=changed,
+        objective=objective,
+        gap=gap,
+        **TimedFrames.ends([step.solution for step in first.steps]),
     )
 
 
@@ -203,34 +189,16 @@ def _noise_cost(cost: Cost, data: Data) -> float:
 Task = tuple[Estimator, Recording]
 
 
-def _memory_tasks(plan: Plan) -> Iterator[tuple[tuple[int, int], str, Task]]:
-    """Every rung on every size of panel, with the first of its recordings."""
+def _memory_tasks(plan: Plan) -> Iterator[tuple[Shape, str, Task]]:
+    """Every rung on every size of panel, with two frames of the first of its recordings."""
     settings = plan.settings
-    if settings.memory is None:
-        return
-    seen = set()
-    for subject in plan.subjects:
-        shape = subject.shape
-        if shape in seen:
-            continue
-        seen.add(shape)
-        short = first_frames(subject.recording, MEMORY_FRAMES)
+    first = {subject.shape: subject for subject in reversed(plan.subjects)} if settings.memory is not None else {}
+    for shape in dict.fromkeys(subject.shape for subject in plan.subjects if subject.shape in first):
+        short = first_frames(first[shape].recording, 2)
         for name, formulation in settings.rungs(shape).items():
-            yield shape, name, (settings.estimator(settings.memory, formulation), short)
+            yield shape, name, (settings.estimator(str(settings.memory), formulation), short)
 
 
-def _in_fresh_process(task: Task) -> float:
-    """Peak memory, megabytes; NaN where the process died.
-
-    The process's largest resident size, not what Python has allocated: the compiled costs and IPOPT's factors lie
-    outside what tracemalloc sees.
-    """
-    ((_, megabytes),) = Processes(1).results(_solving, [task])
-    return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
-
-
-def _solving(task: Task) -> float:
-    """Solve a recording here; the peak of this process in megabytes."""
+def _solve(task: Task) -> None:
     estimator, recording = task
     reconstruct(recording, estimator)
-    return peak_mb()

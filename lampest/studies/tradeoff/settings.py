@@ -7,13 +7,11 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from lampest.cost.terms import Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
 from lampest.estimate.methods.truncated import TruncatedMethod
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
-from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -22,10 +20,18 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
-from lampest.runs.terms import FORBID, Terms, terms_of
+from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.scenes import BREATHING
-from lampest.studies.bench.settings import LARGEST_SIDE, PAPER
+from lampest.studies.methods import (
+    BREATHING,
+    LARGEST_SIDE,
+    BoundedMethod,
+    Shape,
+    Sizes,
+    lamprey_mouth,
+    paper_methods,
+    shapes_of,
+)
 
 REFERENCE = "reduced"
 LADDER: tuple[MethodName | AnyMethod, ...] = (
@@ -40,30 +46,6 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
     "nodal",
     "per_pixel",
 )
-LEAST_SIDE = 8
-
-
-@dataclass(frozen=True)
-class TradeoffMethod:
-    """The terms and bounds of one method. Raises ValueError without a term."""
-
-    __pydantic_config__: ClassVar[Any] = FORBID
-    terms: Terms  # type: ignore[valid-type]
-    bounds: Bounds = Bounds()
-
-    def __post_init__(self) -> None:
-        if not self.parts:
-            raise ValueError("a method needs at least one term")
-
-    @property
-    def parts(self) -> tuple[Term, ...]:
-        """The terms, in order."""
-        return terms_of(self.terms)
-
-
-def tradeoff_methods() -> dict[str, TradeoffMethod]:
-    """The five methods of the paper with its weights."""
-    return {name: TradeoffMethod(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -83,7 +65,7 @@ class TradeoffLimits:
     per_pixel: int = 10
     joint: int = 16
 
-    def allow(self, formulation: Method, shape: tuple[int, int]) -> bool:
+    def allow(self, formulation: Method, shape: Shape) -> bool:
         """Whether a rung runs on a panel."""
         return max(shape) <= getattr(self, formulation.kind, LARGEST_SIDE)
 
@@ -102,7 +84,7 @@ class Simulated:
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID
-    sizes: tuple[int | tuple[int, int], ...]
+    sizes: Sizes
     noise: dict[str, TwoPointReadout] = field(default_factory=lambda: {"10bit": TwoPointReadout()})
     scenes: dict[str, Unmodelled] = field(default_factory=lambda: {"clean": Unmodelled()})
     diameter_mm: float = 35.0
@@ -111,8 +93,8 @@ class Simulated:
     def __post_init__(self) -> None:
         if not self.sizes or not self.noise or not self.scenes:
             raise ValueError("sizes, noise and scenes must hold at least one")
-        if not all(LEAST_SIDE <= side <= LARGEST_SIDE for shape in self.shapes for side in shape):
-            raise ValueError(f"a panel's side must lie between {LEAST_SIDE} and {LARGEST_SIDE}")
+        if not all(8 <= side <= LARGEST_SIDE for shape in self.shapes for side in shape):
+            raise ValueError(f"a panel's side must lie between 8 and {LARGEST_SIDE}")
         if len(set(self.shapes)) < len(self.shapes):
             raise ValueError("sizes names a panel twice")
         for name in (*self.noise, *self.scenes):
@@ -123,9 +105,9 @@ class Simulated:
             raise ValueError("seed must lie between 0 and 2^64")
 
     @property
-    def shapes(self) -> tuple[tuple[int, int], ...]:
+    def shapes(self) -> tuple[Shape, ...]:
         """(rows, columns) of every panel."""
-        return tuple((size, size) if isinstance(size, int) else size for size in self.sizes)
+        return shapes_of(self.sizes)
 
     def subjects(self, frames: int) -> Iterator["TradeoffSubject"]:
         """Every combination, in order of size; frames measured frames after three unloaded ones."""
@@ -135,23 +117,12 @@ class Simulated:
                     recording = self._recording(shape, readout, unmodelled, frames)
                     yield TradeoffSubject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
 
-    def _recording(
-        self, shape: tuple[int, int], readout: TwoPointReadout, unmodelled: Unmodelled, frames: int
-    ) -> Recording:
+    def _recording(self, shape: Shape, readout: TwoPointReadout, unmodelled: Unmodelled, frames: int) -> Recording:
         rows, columns = shape
-        disc = OralDisc(
-            kind="oral_disc",
-            centre_mm=(10 * (columns // 2) - 6, 10 * (rows // 2) - 4),
-            diameter_mm=self.diameter_mm,
-            rim_width_mm=self.diameter_mm * 6 / 35,
-            pressure_kpa=-12,
-            rim_kpa=90,
-            tilt=0.25,
-            tilt_direction_deg=60,
-        )
+        mouth = lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
         scene = Scene(Panel(rows, columns), readout, 140)
         simulation = Simulation(
-            1, self.seed, scene, frames=frames, loads=(disc,), course=BREATHING, unmodelled=unmodelled
+            1, self.seed, scene, frames=frames, loads=(mouth,), course=BREATHING, unmodelled=unmodelled
         )
         return simulate(simulation, f"{rows}x{columns}")
 
@@ -165,7 +136,7 @@ class TradeoffSubject:
     noise: str
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """(rows, columns)."""
         return self.recording.scene.panel.shape
 
@@ -192,7 +163,7 @@ class TradeoffFile:
     schema: Literal[1]
     recordings: list[str] = field(default_factory=list)
     simulated: Simulated | None = None
-    estimators: dict[str, TradeoffMethod] = field(default_factory=tradeoff_methods)
+    estimators: dict[str, BoundedMethod] = field(default_factory=lambda: paper_methods(BoundedMethod))
     formulations: tuple[MethodName | AnyMethod, ...] = LADDER
     frames: int = 5
     repeats: int = 3
@@ -225,11 +196,11 @@ class TradeoffFile:
         """The formulations; words as what they stand for."""
         return tuple(named_method(formulation) for formulation in self.formulations)
 
-    def rungs(self, shape: tuple[int, int]) -> dict[str, Method]:
+    def rungs(self, shape: Shape) -> dict[str, Method]:
         """The rungs that are measured on a panel, by label."""
         return {label(formulation): formulation for formulation in self.ladder if self.limits.allow(formulation, shape)}
 
-    def methods(self, shape: tuple[int, int]) -> tuple[str, ...]:
+    def methods(self, shape: Shape) -> tuple[str, ...]:
         """The methods that are measured on a panel."""
         small = max(shape) <= self.limits.joint
         chosen = self.estimators.items()
@@ -283,12 +254,13 @@ def first_frames(recording: Recording, count: int) -> Recording:
     def cut(values: Any) -> Any:
         return None if values is None else values[chosen]
 
+    each_frame = recording.sigma is not None and recording.sigma.ndim == 3
     return Recording(
         scene=recording.scene,
         recorded=recording.recorded[chosen],
         time=recording.time[chosen],
         role=recording.role[chosen],
-        sigma=recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else cut(recording.sigma),
+        sigma=cut(recording.sigma) if each_frame else recording.sigma,
         truth_cell_resistance=cut(recording.truth_cell_resistance),
         name=recording.name,
     )

@@ -1,4 +1,4 @@
-"""The command `lampest tune`: what is written, what is left out, what is refused."""
+"""The command `lampest study weights`: what is written, what is left out, what is refused."""
 
 import csv
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def test_command_writes_table_curves_and_figures(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace], disk: SimpleNamespace
 ) -> None:
     out = tmp_path / "out"
-    done = lampest("tune", disk.run(TUNE, "tune.yaml"), "--out", out)
+    done = lampest("study", "weights", disk.run(TUNE, "tune.yaml"), "--out", out)
     assert done.code == 0, done.err
     assert "best" in done.out and "Morozov" in done.out
     assert "small/both left out: it has 2 penalty terms, not one" in done.err
@@ -66,7 +66,7 @@ def test_without_noise_and_truth_there_is_press_alone(
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
     text = TUNE.split("  d:")[0] + "bounds: {upper: none}\n"
-    done = lampest("tune", disk.run(text, "tune.yaml"), "--out", tmp_path / "out")
+    done = lampest("study", "weights", disk.run(text, "tune.yaml"), "--out", tmp_path / "out")
     assert done.code == 0, done.err
     found = {row["rule"]: row for row in rows(tmp_path / "out")}
     assert set(found) == {"press", "Morozov", "L-curve"}
@@ -80,7 +80,7 @@ def test_rule_that_needs_the_noise_is_refused_without_it(
 ) -> None:
     disk.recording(tmp_path / "small.h5", scene=UNKNOWN)
     text = TUNE.split("  d:")[0] + "bounds: {upper: none}\nauto_weight: {rule: evidence}\n"
-    done = lampest("tune", disk.run(text, "tune.yaml"), "--out", tmp_path / "out")
+    done = lampest("study", "weights", disk.run(text, "tune.yaml"), "--out", tmp_path / "out")
     assert done.code == 2
     assert "auto_weight.rule: evidence needs the noise" in done.err
     assert not (tmp_path / "out").exists()
@@ -91,7 +91,7 @@ def test_settings_override_the_file(
 ) -> None:
     text = TUNE.split("  d:")[0]
     setting = "estimators.g.terms.gradient.weight=0.002"
-    done = lampest("tune", disk.run(text, "tune.yaml"), "--out", tmp_path / "out", "--set", setting)
+    done = lampest("study", "weights", disk.run(text, "tune.yaml"), "--out", tmp_path / "out", "--set", setting)
     assert done.code == 0, done.err
     (given,) = (row for row in rows(tmp_path / "out") if row["rule"] == "given")
     assert float(given["weight"]) == 0.002
@@ -111,7 +111,7 @@ def test_faults_are_one_sentence(
 ) -> None:
     text = TUNE.split("  d:")[0]
     assert old in text
-    done = lampest("tune", disk.run(text.replace(old, new), "tune.yaml"), "--out", tmp_path / "out")
+    done = lampest("study", "weights", disk.run(text.replace(old, new), "tune.yaml"), "--out", tmp_path / "out")
     assert done.code == 2
     assert words in done.err
     assert len(done.err.strip().splitlines()) == 1

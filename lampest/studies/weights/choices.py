@@ -12,10 +12,10 @@ import numpy as np
 from lampest.estimate.weights import rule_in_use
 from lampest.posterior.spectrum import Rule
 from lampest.solvers.starts import convex
-from lampest.studies.tune.curves import CurvePoint, Curves, trace
-from lampest.studies.tune.subject import TuneSubject
+from lampest.studies.weights.curves import CurvePoint, Curves, trace
+from lampest.studies.weights.subject import WeightSubject
 
-STANDING = 0.05  # of the fastest way along the L-curve; slower, it stands and its bends mean nothing
+STANDING = 0.05  # of the greatest speed along the L-curve; slower, its curvature means nothing
 
 
 @dataclass(frozen=True)
@@ -39,21 +39,17 @@ class Choice:
 class Tuned:
     """One case: its curves and every rule's choice on them."""
 
-    subject: TuneSubject
+    subject: WeightSubject
     curves: Curves
     choices: tuple[Choice, ...]
 
 
-def tune(subject: TuneSubject) -> Tuned:
+@np.errstate(all="ignore")
+def tune(subject: WeightSubject) -> Tuned:
     """Every rule's choice for a subject, and the true curves round them.
 
     Raises InputError where the estimator's rule needs the noise and it is unknown.
     """
-    with np.errstate(all="ignore"):
-        return _tuned(subject)
-
-
-def _tuned(subject: TuneSubject) -> Tuned:
     first = convex(subject.data, None)
     rules = [rule for rule in get_args(Rule) if subject.noisy or rule == "press"]
     tried = {rule: subject.search.tried(subject.penalty, rule, first) for rule in rules}
@@ -96,13 +92,13 @@ def morozov(curves: Curves) -> float | None:
 
 
 def l_curve(points: tuple[CurvePoint, ...]) -> float | None:
-    """λ where log η over log ρ bends most, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where it bends nowhere."""
+    """λ of the greatest curvature of log η over log ρ, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where κ ≤ 0."""
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
     right, rise = np.gradient(across, weight), np.gradient(up, weight)
     speed = np.hypot(right, rise)
     moving = speed > STANDING * speed.max()
-    bend = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
-    bend = np.where(moving, bend / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
-    return float(points[1 + int(np.argmax(bend))].weight) if bend.max() > 0 else None
+    curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
+    curvature = np.where(moving, curvature / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
+    return float(points[1 + int(np.argmax(curvature))].weight) if curvature.max() > 0 else None

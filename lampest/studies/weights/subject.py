@@ -1,4 +1,4 @@
-"""What is tuned: the one penalty of an estimator, on the frame of a recording from which its weight is chosen."""
+"""The one penalty of an estimator, on the frame of a recording from which its weight is chosen."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,16 +9,20 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import deciding_data, deciding_frame, resting_readings
 from lampest.estimate.weights import WeightSearch
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.posterior.track import MOST_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
+from lampest.solvers.search import best_solution
+from lampest.solvers.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
-class TuneSubject:
+class WeightSubject:
     """One case.
 
     recording, name : of the recording and of the estimator. frame : index into the recording. noisy : whether σ is
@@ -29,6 +33,7 @@ class TuneSubject:
     recording: str
     name: str
     estimator: Estimator
+    scene: Scene
     frame: int
     noisy: bool
     cost: Cost
@@ -36,7 +41,7 @@ class TuneSubject:
     truth: Array | None
 
     @classmethod
-    def of(cls, case: Case, recording: Recording) -> "TuneSubject | None":
+    def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """The recording's strongest frame; with the baseline where terms compare it with that. None without a frame of
         which enough was read.
         """
@@ -51,7 +56,9 @@ class TuneSubject:
             truth = np.log(recording.truth_cell_resistance[frame])
             truth.flat[[] if scene.faults is None else list(scene.faults.numbers(scene.panel))] = np.nan
         cost = case.estimator.cost(scene, len(data.measured), data.partial)
-        return cls(case.recording, case.name, case.estimator, frame, readings.sigma is not None, cost, data, truth)
+        return cls(
+            case.recording, case.name, case.estimator, scene, frame, readings.sigma is not None, cost, data, truth
+        )
 
     @cached_property
     def penalty(self) -> int:
@@ -74,6 +81,11 @@ class TuneSubject:
         return self.search.weighted(
             [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
         )
+
+    def solution(self, weight: float, start: Array | None) -> Solution:
+        """The estimate for a weight, begun from one near it (frames, rows, columns) ohm, or from all starts."""
+        solver = named_method("reduced").solver(self.with_weight(weight), self.scene, self.estimator.solver, 1.0)
+        return best_solution(solver, self.data, start)
 
     @property
     def count(self) -> int:

@@ -1,9 +1,12 @@
-"""MATLAB's `lsqnonlin` in kind: trust-region-reflective within bounds, and it stops where MATLAB's defaults do.
+"""The five methods as the paper writes and solves them: equations (11) to (24), left where `lsqnonlin` stops.
 
-The paper's solver. What it leaves is not always a minimum: where plain least squares has none, its answer is where it
-stopped. So this stands here, beside the paper's numbers, and is no way to estimate. Written from the published
-algorithm (Coleman and Li, SIAM J. Optim. 6, 1996; Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1999) and the
-documented defaults: subspace of two dimensions, tolerances 10⁻⁶, 100 evaluations for each unknown, derivatives by
+Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by itself; for
+relative ones together with the first frame, from where on every solution is the next one's reference.
+
+`lsqnonlin` is MATLAB's in kind: trust-region-reflective within bounds, and it stops where MATLAB's defaults do. What it
+leaves is not always a minimum: where plain least squares has none, its answer is where it stopped. Written from the
+published algorithm (Coleman and Li, SIAM J. Optim. 6, 1996; Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1999) and
+the documented defaults: subspace of two dimensions, tolerances 10⁻⁶, 100 evaluations for each unknown, derivatives by
 forward differences, which cost as many evaluations as there are unknowns. Derivatives are exact here; they are charged.
 """
 
@@ -13,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.studies.paper.side import LeftBySolver, Weights
 
 TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
 RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length
@@ -145,3 +150,116 @@ def _to_sphere(origin: Array, direction: Array, radius: float) -> float:
     square, mixed = float(direction @ direction), float(origin @ direction)
     inside = max(mixed**2 - square * (float(origin @ origin) - radius**2), 0.0)
     return (inside**0.5 - mixed) / square if square > 0 else 0.0
+
+
+METHODS: dict[str, tuple[str, bool]] = {  # name → what is penalised, and whether relatively to the frame before
+    "LSM": ("", False),
+    "LSR-CR": ("value", False),
+    "LSR-dCR": ("value", True),
+    "LSR-gCR": ("gradient", False),
+    "LSR-gdCR": ("gradient", True),
+}
+
+
+def left_by_solver(method: str, panel: Panel, resting: Array, measured: Array, weights: Weights) -> LeftBySolver:
+    """Every frame in order; resting : (rows, columns), measured : (frames, rows, columns) ohm as recorded."""
+    penalised, relative = METHODS[method]
+    problem = _Problem(panel, _operator(penalised, panel), weights)
+    frames = list(measured)
+    if relative:
+        baseline, first = problem.joint(resting, frames[0])
+        ended = [first]
+        for frame in frames[1:]:
+            ended.append(problem.following(frame, ended[-1].point))
+    else:
+        baseline = problem.alone(resting).point
+        ended = [problem.alone(frame) for frame in frames]
+    cells = np.stack([one.point.reshape(panel.shape) for one in ended])
+    model = np.stack([_network(one.point, frame).reading() for one, frame in zip(ended, frames, strict=True)])
+    counts = np.array([one.evaluations for one in ended])
+    why = tuple(one.why for one in ended)
+    return LeftBySolver(baseline.reshape(panel.shape), cells, model, measured, counts, why, relative)
+
+
+def _operator(penalised: str, panel: Panel) -> Array | None:
+    """What the penalty takes of a vector of cells."""
+    if penalised == "gradient":
+        down = np.kron(panel.row_gradient(), np.eye(panel.columns))
+        return np.vstack([down, np.kron(np.eye(panel.rows), panel.column_gradient())])
+    return np.eye(panel.cells) if penalised else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Costs and where their minimisation stopped; operator : (penalties, cells), None without a penalty."""
+
+    panel: Panel
+    operator: Array | None
+    weights: Weights
+
+    def alone(self, measured: Array) -> Stopped:
+        """(11), (13), (19)."""
+        factor = np.sqrt(self.weights.absolute)
+        rows = np.zeros((0, self.panel.cells)) if self.operator is None else factor * self.operator
+
+        def residual(cells: Array) -> Array:
+            return np.concatenate([_misfit(cells, measured), rows @ cells])
+
+        def jacobian(cells: Array) -> Array:
+            return np.vstack([_slopes(cells, measured), rows])
+
+        return self._minimised(residual, jacobian, measured.ravel())
+
+    def following(self, measured: Array, before: Array) -> Stopped:
+        """(17), (23): relative to the solution before, which is also where it starts."""
+        rows = self._relative_rows()
+
+        def residual(cells: Array) -> Array:
+            return np.concatenate([_misfit(cells, measured), rows @ (cells / before - 1)])
+
+        def jacobian(cells: Array) -> Array:
+            return np.vstack([_slopes(cells, measured), rows / before])
+
+        return lsqnonlin(residual, jacobian, np.maximum(before, measured.ravel()), measured.ravel())
+
+    def joint(self, resting: Array, measured: Array) -> tuple[Array, Stopped]:
+        """(15), (21): the baseline, and the first frame with what both needed."""
+        rows, count = self._relative_rows(), self.panel.cells
+        none = np.zeros((count, count))
+
+        def residual(both: Array) -> Array:
+            rest, cells = both[:count], both[count:]
+            return np.concatenate([_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)])
+
+        def jacobian(both: Array) -> Array:
+            rest, cells = both[:count], both[count:]
+            return np.block(
+                [
+                    [_slopes(rest, resting), none],
+                    [none, _slopes(cells, measured)],
+                    [-rows * (cells / rest**2), rows / rest],
+                ]
+            )
+
+        ended = self._minimised(residual, jacobian, np.concatenate([resting.ravel(), measured.ravel()]))
+        return ended.point[:count], Stopped(ended.point[count:], 2 * ended.evaluations, ended.why)
+
+    def _minimised(self, residual: Function, jacobian: Function, lower: Array) -> Stopped:
+        return lsqnonlin(residual, jacobian, self.weights.start * lower, lower)
+
+    def _relative_rows(self) -> Array:
+        assert self.operator is not None
+        return np.asarray(100 * np.sqrt(self.weights.relative) * self.operator)
+
+
+def _network(cells: Array, measured: Array) -> FloatingNetwork:
+    return FloatingNetwork.solve(1 / cells.reshape(measured.shape), grounding(measured))
+
+
+def _misfit(cells: Array, measured: Array) -> Array:
+    return np.asarray((_network(cells, measured).reading() - measured).ravel())
+
+
+def _slopes(cells: Array, measured: Array) -> Array:
+    """∂f/∂r, (readings, cells)."""
+    return np.asarray(_network(cells, measured).sensitivity() / cells)

@@ -8,18 +8,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.panel.panel import Array
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, WIDTH_INCH, save
-from lampest.studies.tune.choices import Choice, Tuned
-from lampest.studies.tune.run import Study
-from lampest.studies.tune.subject import squared
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
+from lampest.studies.weights.choices import Choice, Tuned
+from lampest.studies.weights.subject import squared
 
-HEIGHT_INCH, MARGIN = 7.4, 1.6
 LOOKS: dict[str, dict[str, Any]] = {
     "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},
     "evidence": {"color": "#D55E00", "ls": (0, (5, 1.5)), "marker": "s"},
@@ -32,13 +29,13 @@ LOOKS: dict[str, dict[str, Any]] = {
 NAMES = {"press": "PRESS", "given": "given in the file", "best": "best in hindsight"}
 
 
-def plot_study(study: Study, folder: Path) -> list[Path]:
+def plot_weights(tuned: Sequence[Tuned], folder: Path) -> list[Path]:
     """Draw every case into tune_<recording>_<estimator>.png in a folder; returns the files.
 
     Raises InputError where they cannot be written.
     """
     files = []
-    for one in study.tuned:
+    for one in tuned:
         name = re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}.png")
         save(tune_figure(one), folder / name)
         files.append(folder / name)
@@ -50,8 +47,7 @@ def tune_figure(one: Tuned) -> Figure:
 
     Evidence, risk and PRESS stand above their least values; what has no known noise or truth says so.
     """
-    figure = Figure(figsize=(WIDTH_INCH, HEIGHT_INCH), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(7.4)
     panels = figure.subplots(3, 2)
     for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcdef", strict=True):
         axes.tick_params(labelsize=SMALL_POINT, which="both")
@@ -71,7 +67,7 @@ def _over_weight(axes: Axes, one: Tuned, label: str) -> None:
     """The axis of λ with every choice, and what stands over it."""
     axes.set_xscale("log")
     weights = one.curves.values("weight")
-    axes.set_xlim(weights[0] / MARGIN, weights[-1] * MARGIN)
+    axes.set_xlim(weights[0] / 1.6, weights[-1] * 1.6)
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel(f"weight λ of {one.subject.kind} [{_shown(one.subject.weight_unit)}]", fontsize=TEXT_POINT)

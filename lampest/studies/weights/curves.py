@@ -11,12 +11,11 @@ from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution
 from lampest.solvers.starts import BROKEN, evaluated
-from lampest.studies.tune.subject import TuneSubject
+from lampest.studies.weights.subject import WeightSubject
 
-POINTS, FARTHEST, ROUNDS, FLAT = 33, 1e4, 2, 1e-12
+POINTS = 33  # of the even grid
+FARTHEST = 1e4  # it reaches at most so many times beyond what the rules choose
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +47,9 @@ class CurvePoint:
     cells: Array | None = None
 
 
-def solve_at(subject: TuneSubject, weight: float, start: Array | None) -> CurvePoint:
+def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> CurvePoint:
     """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
-    found = best_solution(Newton(subject.with_weight(weight), subject.estimator.solver), subject.data, start)
+    found = subject.solution(weight, start)
     if found.at is None or found.dual is None:
         return CurvePoint(weight)
     model = LinearModel(found.at, found.dual)
@@ -60,7 +59,7 @@ def solve_at(subject: TuneSubject, weight: float, start: Array | None) -> CurveP
         spectrum = Spectrum.of(model)
         press = spectrum.press(weight)
         if subject.noisy:
-            evidence = spectrum.evidence(weight) + held(model)
+            evidence = spectrum.evidence(weight) + bound_evidence(model)
             risk = spectrum.risk(weight) if 2 * len(model.free) >= found.cell_resistance.size else np.nan
     return CurvePoint(
         weight,
@@ -77,14 +76,14 @@ def solve_at(subject: TuneSubject, weight: float, start: Array | None) -> CurveP
     )
 
 
-def error(subject: TuneSubject, cells: Array) -> float:
+def error(subject: WeightSubject, cells: Array) -> float:
     """√ mean (log r̂ − log r)² over the measured frame of (frames, rows, columns) ohm; NaN without a truth."""
     if subject.truth is None:
         return float("nan")
     return float(np.sqrt(np.nanmean((np.log(cells[-1]) - subject.truth) ** 2)))
 
 
-def held(model: LinearModel) -> float:
+def bound_evidence(model: LinearModel) -> float:
     """Σ −2·log ∫₀^∞ exp(−(g t + a t²)/2) dt + log 2π over cells at a bound, one by one, t the way from it.
 
     g and a : slope and curvature of cost/s². What a Gaussian over the other cells leaves out, so that evidences can be
@@ -93,10 +92,10 @@ def held(model: LinearModel) -> float:
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
     penalties = model.penalty_jacobian[:, bound].power(2)
-    bend = (weighted.sum(axis=0) + penalties.T @ model.penalty_curvature) / model.scale
+    curvature = (weighted.sum(axis=0) + penalties.T @ model.penalty_curvature) / model.scale
     slope = np.abs(model.gradient[bound]) / model.scale
-    bend = np.maximum(bend, FLAT * slope**2)
-    width = np.sqrt(np.pi / (2 * bend)) * erfcx(slope / np.sqrt(8 * bend))
+    curvature = np.maximum(curvature, 1e-12 * slope**2)  # flat, the exponential of the slope is left
+    width = np.sqrt(np.pi / (2 * curvature)) * erfcx(slope / np.sqrt(8 * curvature))
     return float(np.sum(np.log(2 * np.pi) - 2 * np.log(width)))
 
 
@@ -104,7 +103,7 @@ def held(model: LinearModel) -> float:
 class Curves:
     """points : in the order of their weights. even : the weights of the grid that is even in log λ."""
 
-    subject: TuneSubject
+    subject: WeightSubject
     points: tuple[CurvePoint, ...]
     even: tuple[float, ...]
 
@@ -137,7 +136,7 @@ class Curves:
     def finer(self) -> "Curves":
         """With points round the least true error, half as far apart in log λ, and again."""
         curves = self
-        for _ in range(ROUNDS):
+        for _ in range(2):
             best = curves.best()
             if best is None:
                 break
@@ -148,7 +147,7 @@ class Curves:
         return curves
 
 
-def trace(subject: TuneSubject, marks: list[float], first: Array) -> Curves:
+def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
     """Curves over the weights that matter, at most four decades beyond the marks, solved from the first mark outwards.
 
     first : an estimate to start from (frames, rows, columns) ohm.
@@ -164,7 +163,7 @@ def trace(subject: TuneSubject, marks: list[float], first: Array) -> Curves:
     return Curves(subject, tuple(points[weight] for weight in weights), tuple(weights))
 
 
-def grid(subject: TuneSubject, marks: list[float], at: Array) -> list[float]:
+def grid(subject: WeightSubject, marks: list[float], at: Array) -> list[float]:
     """Even in log λ: over all weights that make a difference, where they are within four decades of the marks."""
     low, high = min(marks) / FARTHEST, max(marks) * FARTHEST
     with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter

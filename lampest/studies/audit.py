@@ -1,0 +1,373 @@
+"""Where error bars cover the truth: effects that no scene states, on fresh recordings, by estimator."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import AnyMethod, MethodName
+from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
+from lampest.report.compare import Table
+from lampest.runs.executors import AnyExecutor
+from lampest.runs.terms import FORBID
+from lampest.studies.methods import StudyMethod
+from lampest.studies.study import OnStep, Reported, Study, of_tasks, read_settings, write_rows, write_sequence
+
+LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
+LOADED_KPA = 0.5  # a cell counts as loaded from here on: below, a film's answer is smaller than its creep
+NAN = float("nan")
+
+
+def usual_effects() -> dict[str, Unmodelled]:
+    """What electronics, films and animals do that no scene states, each at two strengths; first of all nothing."""
+    return {
+        "as told": Unmodelled(),
+        "noise 2": Unmodelled(noise_factor=2),
+        "ripple 0.5 LSB": Unmodelled(supply_ripple_lsb=0.5),
+        "ripple 2 LSB": Unmodelled(supply_ripple_lsb=2),
+        "outliers 1e-4": Unmodelled(outlier_probability=1e-4),
+        "outliers 1e-3": Unmodelled(outlier_probability=1e-3),
+        "outliers 1e-2": Unmodelled(outlier_probability=1e-2),
+        "gain 0.2 %": Unmodelled(gain_spread=0.002),
+        "gain 0.5 %": Unmodelled(gain_spread=0.005),
+        "moves 5 mm/s": Unmodelled(load_speed_mm_s=5),
+        "moves 30 mm/s": Unmodelled(load_speed_mm_s=30),
+        "series 5 ohm": Unmodelled(series_resistance_ohm=5),
+        "series 20 ohm": Unmodelled(series_resistance_ohm=20),
+        "INL 2 LSB": Unmodelled(inl_lsb=2),
+        "wire 0.5 ohm": Unmodelled(wire_ohm_per_cell=0.5),
+        "static 1 %": Unmodelled(reading_error=0.01),
+        "static 10 %": Unmodelled(reading_error=0.1),
+        "film bent": Unmodelled(response_loss=0.2),
+        "film uneven": Unmodelled(response_spread=0.2),
+    }
+
+
+@dataclass(frozen=True)
+class AuditFile:
+    """What is audited.
+
+    Parameters
+    ----------
+    simulation : as in a simulation's file; the seeds are `seed` and those that follow it. Loads are put up to half a
+        pitch beside their places, drawn for every seed.
+    seeds : how many recordings of each effect.
+    estimators : methods by name. formulation : of all of them.
+    effects : name → what is unmodelled, on top of nothing; the usual ones by default.
+    executor : where the recordings are solved; all cores by default.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = FORBID
+    schema: Literal[1]
+    simulation: Simulation
+    estimators: dict[str, StudyMethod]
+    seeds: int = 20
+    formulation: MethodName | AnyMethod = "reduced"
+    effects: dict[str, Unmodelled] = field(default_factory=usual_effects)
+    executor: AnyExecutor | None = None
+
+    def __post_init__(self) -> None:
+        if not self.estimators or not self.effects:
+            raise ValueError("estimators and effects must hold at least one")
+        if not 1 <= self.seeds <= 10_000:
+            raise ValueError("seeds must lie between 1 and 10000")
+        if self.simulation.baseline_frames < 2:
+            raise ValueError("simulation.baseline_frames must be at least 2: repeats tell the scatter")
+        for effect in self.effects.values():
+            replace(self.simulation, unmodelled=effect)
+
+
+@dataclass(frozen=True)
+class AuditTask:
+    """One recording that all estimators are given."""
+
+    audit: AuditFile
+    effect: str
+    seed: int
+
+    def recording(self) -> Recording:
+        """Simulated anew. Raises ValueError where the effect leaves no readings."""
+        stated, place = self.audit.simulation, random_stream(self.seed, "audit")
+        reach = stated.scene.panel.pitch_mm / 2
+        loads = []
+        for load in stated.loads:
+            along, down = place.uniform(-reach, reach, 2)
+            loads.append(replace(load, centre_mm=(load.centre_mm[0] + float(along), load.centre_mm[1] + float(down))))
+        effect = self.audit.effects[self.effect]
+        simulation = replace(stated, seed=self.seed, loads=tuple(loads), unmodelled=effect)
+        return simulate(simulation, f"{self.effect}_{self.seed}")
+
+
+@dataclass(frozen=True)
+class Audited:
+    """One recording with one estimator; `COLUMNS` say what each field is.
+
+    cells, change, pressure : how many have an interval, and of how many (`_held`) the truth lies in it.
+    """
+
+    effect: str
+    seed: int
+    estimator: str
+    failed: str = ""
+    cells: int = 0
+    cells_held: int = 0
+    change: int = 0
+    change_held: int = 0
+    pressure: int = 0
+    pressure_held: int = 0
+    chi_square: float = NAN
+    width: float = NAN
+    told: str = ""
+
+
+COLUMNS = (
+    ("effect", "1", "what the estimator is not told"),
+    ("seed", "1", "seed of the recording"),
+    ("estimator", "1", "name of the estimator"),
+    ("failed", "1", "why there is nothing to count, or empty"),
+    ("cells", "1", "intervals of cells"),
+    ("cells_held", "1", "intervals of cells that hold the truth"),
+    ("change", "1", "intervals of changes"),
+    ("change_held", "1", "intervals of changes that hold the truth"),
+    ("pressure", "1", "intervals of the pressure of loaded cells"),
+    ("pressure_held", "1", "intervals of pressure that hold the truth"),
+    ("chi_square", "1", "chi square of unloaded repeats per degree of freedom"),
+    ("width", "1", "median standard deviation of the logarithm of a cell"),
+    ("told", "1", "sentence that the results carry, or empty"),
+)
+
+
+def run_audit(audit: AuditFile, on_step: OnStep) -> tuple[Audited, ...]:
+    """Measure everything, in the order of effects and seeds."""
+    seeds = range(audit.simulation.seed, audit.simulation.seed + audit.seeds)
+    tasks = [AuditTask(audit, effect, seed) for effect in audit.effects for seed in seeds]
+
+    def lost(task: AuditTask, error: object) -> Audited:
+        return Audited(task.effect, task.seed, "", " ".join(str(error).split()))
+
+    return of_tasks(audited, tasks, audit.executor, lost, on_step)
+
+
+def audited(task: AuditTask) -> tuple[Audited, ...]:
+    """All estimators on one recording."""
+    audit = task.audit
+    try:
+        recording = task.recording()
+    except (InputError, ValueError) as error:
+        return tuple(Audited(task.effect, task.seed, name, str(error)) for name in audit.estimators)
+    counted = []
+    for name, method in audit.estimators.items():
+        try:
+            estimator = Estimator(method.parts, audit.formulation, error_bars=True)
+            counted.append(_counted(task, name, recording, reconstruct(recording, estimator)))
+        except InputError as error:
+            counted.append(Audited(task.effect, task.seed, name, str(error)))
+    return tuple(counted)
+
+
+def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates) -> Audited:
+    truth, pressure = recording.truth_cell_resistance, recording.truth_pressure
+    assert truth is not None and pressure is not None
+    resting = np.exp(np.log(truth[recording.role == UNLOADED]).mean(axis=0))
+    change = 100 * (truth[found.frame] / resting - 1)
+    load = pressure[found.frame] - pressure[0]
+    cells = covered_truths(found.cell_resistance_lower, truth[found.frame], found.cell_resistance_upper)
+    changes = covered_truths(found.relative_change_lower, change, found.relative_change_upper)
+    pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > LOADED_KPA)
+    errors = found.cell_resistance_errors
+    width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
+    failed = "" if cells[0] else "no error bars"
+    check = found.model_check
+    sentences = (found.noise.sentence, "" if check.mark in ("", "yes") else check.sentence)
+    said, scatter = "; ".join(part for part in sentences if part), repeats_chi_square(recording)
+    return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, said)
+
+
+def covered_truths(
+    lower: Array | None, truth: Array, upper: Array | None, counted: NDArray[np.bool_] | None = None
+) -> tuple[int, int]:
+    """(how many of the counted have an interval, how many of those cover the truth)."""
+    if lower is None or upper is None:
+        return 0, 0
+    there = ~np.isnan(lower) & ~np.isnan(upper)
+    there &= True if counted is None else counted
+    return int(there.sum()), int((there & (lower <= truth) & (truth <= upper)).sum())
+
+
+def repeats_chi_square(recording: Recording) -> float:
+    """χ² of the unloaded frames about their mean, per degree of freedom, with the scene's noise."""
+    resting = Readings.of(recording.scene, recording.recorded, recording.sigma)[recording.role == UNLOADED]
+    if resting.sigma is None:
+        return NAN
+    plain = resting.plain.all(axis=0)
+    about = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain]
+    return float((about**2).sum() / ((len(about) - 1) * max(int(plain.sum()), 1)))
+
+
+@dataclass(frozen=True)
+class AuditRow:
+    """One effect with one estimator, all seeds together.
+
+    Parameters
+    ----------
+    recordings, failed : how many, and of how many there is nothing to count.
+    cells, change, pressure : percent of intervals that cover the truth; cells_sd, change_sd : their standard deviation
+        over repetitions of the audit, from that over recordings.
+    silent_cells, silent_change, silent_pressure : the same percentage, of recordings whose results carry no sentence;
+    NaN where all do.
+    chi_square : of the unloaded repeats per degree of freedom, median. width : standard deviation of log r, median.
+    told : recordings whose results carry a sentence. verdict : 'held', 'told', 'wide', 'short' or 'LIES'.
+    sentence : the most frequent one.
+    """
+
+    effect: str
+    estimator: str
+    recordings: int
+    failed: int
+    cells: float
+    cells_sd: float
+    change: float
+    change_sd: float
+    pressure: float
+    silent_cells: float
+    silent_change: float
+    silent_pressure: float
+    chi_square: float
+    width: float
+    told: int
+    verdict: str
+    sentence: str
+
+
+def audit_rows(found: Sequence[Audited]) -> list[AuditRow]:
+    """Effects in their order, the estimators of each together."""
+    groups: dict[tuple[str, str], list[Audited]] = {}
+    for one in found:
+        groups.setdefault((one.effect, one.estimator), []).append(one)
+    return [_row(effect, estimator, own) for (effect, estimator), own in groups.items()]
+
+
+def _row(effect: str, estimator: str, own: Sequence[Audited]) -> AuditRow:
+    good = [one for one in own if not one.failed]
+    silent = [one for one in good if not one.told]
+    silent_shares = _share(silent, "cells"), _share(silent, "change"), _share(silent, "pressure")
+    said = Counter(_without_digits(one.told) for one in good if one.told)
+    usual = [sentence for sentence, _ in said.most_common(1)]
+    return AuditRow(
+        effect,
+        estimator,
+        len(own),
+        len(own) - len(good),
+        _share(good, "cells"),
+        _spread(good, "cells"),
+        _share(good, "change"),
+        _spread(good, "change"),
+        _share(good, "pressure"),
+        *silent_shares,
+        float(np.median([one.chi_square for one in good])) if good else NAN,
+        float(np.median([one.width for one in good])) if good else NAN,
+        len(good) - len(silent),
+        _verdict(silent_shares),
+        next((one.told for one in good if [_without_digits(one.told)] == usual), ""),
+    )
+
+
+def _share(own: Sequence[Audited], what: str) -> float:
+    """Percent of all intervals that cover the truth; NaN where there is none."""
+    counted = sum(getattr(one, what) for one in own)
+    return 100 * sum(getattr(one, f"{what}_held") for one in own) / counted if counted else NAN
+
+
+def _spread(own: Sequence[Audited], what: str) -> float:
+    """Standard error of that percentage, from the recordings', percent; NaN of fewer than two."""
+    shares = [100 * getattr(one, f"{what}_held") / getattr(one, what) for one in own if getattr(one, what)]
+    return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else NAN
+
+
+def _verdict(shares: tuple[float, float, float]) -> str:
+    """Whether recordings without a sentence keep the promise: 90 to 98 percent, and never below 80.
+
+    Intervals of pressure may be wider: beyond what the response states they reach as far as it goes.
+    """
+    known = [share for share in shares if not np.isnan(share)]
+    if not known:
+        return "told"
+    if min(known) < LEAST:
+        return "LIES" if min(known) < NEVER_BELOW else "short"
+    return "wide" if np.fmax(*shares[:2]) > MOST else "held"
+
+
+def _without_digits(sentence: str) -> str:
+    return "".join(letter for letter in sentence if not letter.isdigit())
+
+
+def _table(rows: Sequence[AuditRow]) -> Table:
+    """Percent of 95 % intervals that cover the truth, effect by effect."""
+    headers = ("effect", "estimator", "cells [%]", "change [%]", "press. [%]", "chi2", "told", "verdict")
+    cells = (
+        (
+            row.effect,
+            row.estimator,
+            _percent(row.cells, row.cells_sd),
+            _percent(row.change, row.change_sd),
+            _percent(row.pressure),
+            "" if np.isnan(row.chi_square) else f"{row.chi_square:.3g}",
+            f"{row.told}/{row.recordings - row.failed}",
+            row.verdict,
+        )
+        for row in rows
+    )
+    return Table(headers, tuple(cells))
+
+
+def _percent(share: float, spread: float = NAN) -> str:
+    if np.isnan(share):
+        return ""
+    return f"{share:.1f}" if np.isnan(spread) else f"{share:.1f} ± {spread:.1f}"
+
+
+def _remarks(rows: Sequence[AuditRow], found: Sequence[Audited]) -> list[str]:
+    """What the columns mean, where the promise is broken, and the sentences that results carry."""
+    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "LIES")]
+    kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
+    lines = [
+        "cells, change, press.: how many 95 % intervals hold the truth, ± their standard deviation over recordings;",
+        "press. of loaded cells. chi2: of unloaded repeats per reading. told: results that carry a sentence.",
+        f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (held; more is wide), never below "
+        f"{NEVER_BELOW:g} % (LIES).",
+        kept + (f"; not: {', '.join(broken)}" if broken else ""),
+    ]
+    said = {row.effect: row.sentence for row in rows if row.sentence}
+    lines += [f"{effect}: {sentence}" for effect, sentence in said.items()]
+    failures = Counter(f"{one.effect} × {one.estimator}: {one.failed}" for one in found if one.failed)
+    return lines + [f"{count} × {failure}" for failure, count in failures.items()]
+
+
+def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) -> Reported:
+    """Write audit.csv, a row for every effect and estimator, and audit.h5 with every recording."""
+    rows = audit_rows(found)
+    axis = ("case", "recording with an estimator, in order")
+    files = (
+        write_rows(folder / "audit.csv", AuditRow, rows),
+        write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
+    )
+    return Reported([("", _table(rows))], files, _remarks(rows, found))
+
+
+STUDY: Study[AuditFile, Sequence[Audited]] = Study(
+    "recordings", "audit.yaml", read_settings(AuditFile), run_audit, report_audit
+)

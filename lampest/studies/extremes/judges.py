@@ -1,0 +1,144 @@
+"""Judges of an estimate that share no code with the solvers: 50 digits, another way to it, another test of it."""
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+from lampest.panel.readouts.two_point.starmesh import exact_two_point_resistance
+
+MOST_DIGITS = 15.0  # of double precision
+MOST_STEPS, FINE = 500, 1e-13  # of the convex estimate: steps, and the relative error of a reading
+
+
+def correct_digits(found: Array, certified: Array) -> float:
+    """LRE = −log10(|found − certified|/|certified|), the least of all entries, between 0 and 15.
+
+    Entries that are infinite or zero in both are right; NaN where anything is no number. Source: NIST StRD.
+    """
+    if np.any(np.isnan(found)) or np.any(np.isnan(certified)):
+        return float("nan")
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        error = np.where(found == certified, 0.0, np.abs(found / certified - 1))
+        worst = float(np.max(np.where(np.isnan(error), np.inf, error), initial=0.0))
+        return float(np.clip(-np.log10(worst), 0.0, MOST_DIGITS))
+
+
+def fifty_digits(cells: Array) -> Array:
+    """R = f(r) of (rows, columns) ohm in 50 digits; cells positive, infinite ones open, zeros shorts.
+
+    Lines that nothing connects have R = inf. Raises InputError where mpmath is not installed.
+    """
+    try:
+        import mpmath
+    except ModuleNotFoundError as error:
+        raise InputError("the atlas needs mpmath: pip install 'lampest[extremes]'") from error
+    rows, columns = cells.shape
+    one, other = np.nonzero(np.isfinite(cells))
+    graph = coo_array((np.ones(len(one)), (one, rows + other)), shape=(rows + columns,) * 2)
+    _, part = connected_components(graph, directed=False)
+    resistance = np.full(cells.shape, np.inf)
+    with mpmath.workdps(50):
+        for lines in (np.flatnonzero(part == label) for label in np.unique(part)):
+            inverse = _grounded_inverse(mpmath, cells, lines.tolist())
+            for j, row in enumerate(lines[lines < rows]):
+                for k, column in enumerate(lines[lines >= rows], np.sum(lines < rows)):
+                    resistance[row, column - rows] = float(inverse[j, j] + inverse[k, k] - 2 * inverse[j, k])
+    resistance[cells == 0] = 0.0
+    return resistance
+
+
+def _grounded_inverse(mpmath: Any, cells: Array, lines: list[int]) -> Any:
+    """(L without its first line)⁻¹ of connected lines, with zeros for that line; a short stands for 10⁻²⁵ ohm."""
+    rows = len(cells)
+    matrix, inverse = mpmath.zeros(len(lines)), mpmath.zeros(len(lines))
+    for j, row in enumerate(lines):
+        for k, column in enumerate(lines):
+            if row < rows <= column and np.isfinite(cells[row, column - rows]):
+                ohm = float(cells[row, column - rows])
+                conductance = 1 / mpmath.mpf(ohm) if ohm else mpmath.mpf(10) ** 25
+                matrix[j, j] += conductance
+                matrix[k, k] += conductance
+                matrix[j, k] -= conductance
+                matrix[k, j] -= conductance
+    if len(lines) > 1:
+        inverse[1:, 1:] = mpmath.inverse(matrix[1:, 1:])
+    return inverse
+
+
+def convex_estimate(measured: Array) -> Array | None:
+    """r = 1/g*, g* = argmin ⟨R_m, g⟩ − log det C(g): the cells (rows, columns) that reproduce readings exactly.
+
+    None where readings cannot be reproduced by positive cells, or double precision does not get there. Damped Newton on
+    a self-concordant function, so no line search; shares no code with the solvers.
+    Source: Nesterov & Nemirovskii, Interior-Point Polynomial Algorithms in Convex Programming, 1994.
+    """
+    rows, columns = measured.shape
+    incidence = np.zeros((rows + columns, rows * columns))
+    for cell, (row, column) in enumerate(np.ndindex(rows, columns)):
+        incidence[row, cell], incidence[rows + column, cell] = 1.0, -1.0
+    incidence = incidence[1:]
+    scale = float(np.exp(np.mean(np.log(measured))))
+    goal = measured.ravel() / scale
+    conductance = (rows + columns - 1) / (rows * columns) / goal
+    for _ in range(MOST_STEPS):
+        try:
+            drop = incidence.T @ cho_solve(cho_factor((incidence * conductance) @ incidence.T), incidence)
+            slope = goal - np.diag(drop)
+            size = 1 / np.diag(drop)  # makes the diagonal of the scaled Hessian one
+            step = -size * cho_solve(cho_factor(drop**2 * size[:, None] * size), size * slope)
+        except LinAlgError:
+            return None
+        decrement = float(np.sqrt(max(-slope @ step, 0.0)))
+        if np.max(np.abs(slope / goal)) < FINE or decrement < FINE:
+            break
+        conductance = conductance + step / (1 + decrement if decrement > 0.25 else 1)
+    if np.any(conductance <= 0) or np.max(np.abs(slope / goal)) > 1e3 * FINE:
+        return None
+    return np.asarray(scale / conductance).reshape(rows, columns)
+
+
+def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:
+    """φ(r) with f(r) by elimination that never subtracts; cells (frames, rows, columns) ohm."""
+    two_point = exact_two_point_resistance(cells) if two_point is None else two_point
+    at = Evaluation(cost, data, cells, two_point, ())
+    return at.objective
+
+
+def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
+    """The size against which a cost or a gradient is small: φ at f(r) = 0 per cell + φ(r)."""
+    blank = exact_cost(cost, data, cells, np.zeros_like(cells))
+    return (blank / cells.size + exact_cost(cost, data, cells)) or 1.0
+
+
+def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
+    """max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`, with ∂R/∂u by central differences in u = log r.
+
+    Of the package's derivatives only those of the terms themselves are used; only
+    for costs without an absolute loss. What the last bits of u make of the terms' part is taken off: under a
+    penalty of 10¹² no u in double precision is nearer to an optimum than that.
+    """
+    step, readings = 1e-4, exact_two_point_resistance(cells)
+    direct, through = Evaluation(cost, data, cells, readings, ()).partials(np.zeros(0))
+    slope = direct * cells
+    odd = np.indices(cells.shape).sum(axis=0) % 2 == 1
+    beside = cells * np.exp(np.where(odd, 1, -1) * np.spacing(np.abs(np.log(cells))))
+    blur = np.abs(Evaluation(cost, data, beside, readings, ()).partials(np.zeros(0))[0] * beside - slope)
+    for frame, row, column in np.ndindex(cells.shape):
+        sides = []
+        for factor in (np.exp(step), np.exp(-step)):
+            moved = cells[frame].copy()
+            moved[row, column] *= factor
+            sides.append(exact_two_point_resistance(moved))
+        slope[frame, row, column] += np.sum(through[frame] * (sides[0] - sides[1])) / (2 * step)
+    slope = np.sign(slope) * np.maximum(np.abs(slope) - blur, 0.0)
+    position = np.log(cells)
+    return float(
+        np.max(np.abs(position - np.clip(position - slope / exact_scale(cost, data, cells), *data.log_bounds)))
+    )

@@ -1,0 +1,239 @@
+"""Solvers of others, with which `lampest study bench` compares: scipy's on the same problem, published ones for mats.
+
+Mats: conductances g with G(g) = G_m, as many readings as cells, no bounds, no penalties. G = 1/R are the conductances
+that are read between every row and every column. Equations and settings are those of J. A. Medrano-Sánchez et al., IEEE
+Sensors J., 2019, doi 10.1109/JSEN.2019.2918592, and of the programs that C. Medrano published with them. They tolerate
+6 µS in every G, of cells between 20 µS and 20 mS; `krylov_fine` and `fixed_point` go to 10⁻¹² S instead, so that
+accuracy and time can be seen apart.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import count
+from typing import Literal
+
+import casadi
+import numpy as np
+from scipy import sparse
+from scipy.optimize import NoConvergence, least_squares, minimize, newton_krylov
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.compiled import Compiled
+from lampest.panel.panel import Array
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.solvers.solution import Outcome, Settings, Solver, Status
+from lampest.studies.bench.mats import MatAnswer
+
+STALLED = 1e-14  # scipy's own tests of a step and of a gain shall not end a solve before the gradient does
+# Iterations of L-BFGS-B for each one that a method with second derivatives may take: one is an evaluation, no matrix.
+CHEAPER = 10
+BETA, MOST_STEPS, LEAST_S = 0.1, 1000, 1e-18  # the published test's step, iterations, and what replaces g < 0, siemens
+FINE_S = 1e-12  # the published test's tolerance of the fixed point
+COARSE_S = 6e-6  # what newton_krylov tolerates where it is told nothing
+STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
+
+
+@dataclass(frozen=True)
+class Trf:
+    """½ Σ f² = φ/s over u = log r within the bounds, f = √(2·weight/s)·residual, s = the start's `cost_scale`.
+
+    Stops where the scaled gradient falls below the settings' tolerance, as the reduced solver does, or where neither
+    cost nor point moves any more. jacobian : 'exact', from closed forms, or '2-point', scipy's own finite differences.
+    """
+
+    cost: Cost
+    settings: Settings
+    jacobian: Literal["exact", "2-point"]
+
+    def prepare(self) -> None:
+        """Compile residuals and their derivatives."""
+        _ = self._derivative.pattern
+
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise from `start`. Never raises for a failed solve."""
+        point = _Point(self, data, np.sqrt(2 / start.cost_scale))
+        lower, upper = (bound.ravel() for bound in data.log_bounds)
+        try:
+            found = least_squares(
+                point.residuals,
+                np.clip(np.log(start.cell_resistance).ravel(), lower, upper),
+                point.jacobian if self.jacobian == "exact" else "2-point",
+                (lower, upper),
+                ftol=STALLED,
+                xtol=STALLED,
+                gtol=self.settings.tolerance,
+                max_nfev=self.settings.max_iterations,
+            )
+        except (ValueError, np.linalg.LinAlgError):
+            return Outcome(start.cell_resistance, np.zeros(0), Status.BREAKDOWN, 0)
+        status = Status.OPTIMUM if found.status > 0 else Status.ITERATIONS
+        return Outcome(np.exp(found.x).reshape(data.measured.shape), np.zeros(0), status, int(found.njev))
+
+    @cached_property
+    def _stacked(self) -> casadi.SX:
+        pairs = self.cost.residuals(self.cost.symbols)
+        return casadi.SX(casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs)))
+
+    @cached_property
+    def _residual(self) -> Compiled:
+        return self.cost.symbols.compiled("residual", casadi.densify(self._stacked))
+
+    @cached_property
+    def _derivative(self) -> Compiled:
+        symbols = self.cost.symbols
+        return symbols.compiled("derivative", casadi.jacobian(self._stacked, symbols.unknown))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Residuals and Jacobian for scipy; `scale` multiplies both."""
+
+    solver: Trf
+    data: Data
+    scale: float
+
+    def _at(self, position: Array) -> Evaluation:
+        cells = np.exp(position).reshape(self.data.measured.shape)
+        return Evaluation.at(self.solver.cost, self.data, cells)
+
+    def residuals(self, position: Array) -> Array:
+        """f(u)."""
+        return self.scale * self._at(position).of_terms(self.solver._residual)
+
+    def jacobian(self, position: Array) -> Array:
+        """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂y·∂y/∂u, dense."""
+        at = self._at(position)
+        cells, function = at.cell_resistance, self.solver._derivative
+        size, count = cells[0].size, cells.size
+        shape = (self.solver._residual.function.nnz_out(0), 2 * count)
+        partial = sparse.csc_array((self.scale * at.of_terms(function), function.pattern), shape=shape)
+        blocks = [
+            partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
+            for frame, network in enumerate(at.networks)
+        ]
+        matrix: Array = np.hstack(blocks) + (partial[:, :count] @ sparse.diags_array(cells.ravel())).toarray()
+        return matrix
+
+
+@dataclass(frozen=True)
+class Lbfgsb:
+    """φ/s over u = log r within the bounds, s = the start's `cost_scale`, with the closed-form gradient.
+
+    Stops where the projected gradient falls below the settings' tolerance, as the reduced solver does, or where the
+    cost does not fall any more, or after ten times the settings' iterations.
+    """
+
+    cost: Cost
+    settings: Settings
+
+    def prepare(self) -> None:
+        """Compile the cost."""
+        _ = self.cost.functions
+
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise from `start`. Never raises for a failed solve."""
+        shape, scale, nothing = data.measured.shape, start.cost_scale, np.zeros(0)
+
+        def value(position: Array) -> tuple[float, Array]:
+            at = Evaluation.at(self.cost, data, np.exp(position).reshape(shape))
+            return at.objective / scale, at.log_gradient(nothing).ravel() / scale
+
+        most = CHEAPER * self.settings.max_iterations
+        lower, upper = (bound.ravel() for bound in data.log_bounds)
+        try:
+            reached = minimize(
+                value,
+                np.clip(start.position.ravel(), lower, upper),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=np.column_stack((lower, upper)),
+                options={"ftol": STALLED, "gtol": self.settings.tolerance, "maxiter": most, "maxfun": 2 * most},
+            )
+        except (ValueError, np.linalg.LinAlgError):
+            return Outcome(start.cell_resistance, nothing, Status.BREAKDOWN, 0)
+        status = Status.OPTIMUM if reached.success else Status.ITERATIONS
+        return Outcome(np.exp(reached.x).reshape(shape), nothing, status, int(reached.nit))
+
+
+class CountedNetwork:
+    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm; counts how often it is asked."""
+
+    def __init__(self, measured: Array) -> None:
+        self.wanted = 1 / measured
+        self._tie = grounding(measured)
+        self._calls = count()
+
+    def __call__(self, conductance: Array) -> Array:
+        """(rows, columns) siemens."""
+        next(self._calls)
+        return 1 / FloatingNetwork.solve(conductance, self._tie).reading()
+
+    def misfit(self, conductance: Array) -> Array:
+        """G(g) − G_m."""
+        return self(conductance.reshape(self.wanted.shape)) - self.wanted
+
+    def evaluations(self) -> int:
+        """So often until now."""
+        return next(self._calls)
+
+
+def fixed_point(measured: Array) -> MatAnswer:
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1, until |G(g) − G_m| < 10⁻¹² S or 1,000 times."""
+    network = CountedNetwork(measured)
+    conductance = network.wanted
+    for step in range(MOST_STEPS):
+        misfit = network.misfit(conductance)
+        if np.abs(misfit).max() < FINE_S:
+            return MatAnswer(conductance, step, network.evaluations(), True)
+        moved = conductance - BETA * misfit
+        conductance = np.where(moved < 0, LEAST_S, moved)
+    return MatAnswer(conductance, MOST_STEPS, network.evaluations(), False)
+
+
+def newton_krylov_coarse(measured: Array) -> MatAnswer:
+    """G(g) = G_m from g = G_m by scipy's Newton–Krylov, to 6 µS as published."""
+    return _krylov(measured, COARSE_S)
+
+
+def newton_krylov_fine(measured: Array) -> MatAnswer:
+    """The same, to 10⁻¹² S."""
+    return _krylov(measured, FINE_S)
+
+
+def _krylov(measured: Array, tolerance: float) -> MatAnswer:
+    network, steps = CountedNetwork(measured), count()
+    try:
+        found = newton_krylov(
+            network.misfit, network.wanted, f_tol=tolerance, maxiter=MOST_STEPS, callback=lambda *_: next(steps)
+        )
+        converged = True
+    except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
+        converged, found = False, error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
+    return MatAnswer(np.reshape(found, measured.shape), next(steps), network.evaluations(), converged)
+
+
+def bounded_least_squares(measured: Array) -> MatAnswer:
+    """min Σ (G(g) − G_m)² over g ≥ 0 from g = G_m by scipy's trf with finite differences."""
+    network = CountedNetwork(measured)
+    found = least_squares(
+        lambda position: network.misfit(position).ravel(),
+        network.wanted.ravel(),
+        bounds=(0.0, np.inf),
+        xtol=STEP_TOLERANCE,
+    )
+    return MatAnswer(found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0)
+
+
+SOLVERS: dict[str, Callable[[Cost, Settings], Solver]] = {
+    "scipy_exact": partial(Trf, jacobian="exact"),
+    "scipy_difference": partial(Trf, jacobian="2-point"),
+    "scipy_lbfgsb": Lbfgsb,
+}
+PUBLISHED: dict[str, Callable[[Array], MatAnswer]] = {
+    "fixed_point": fixed_point,
+    "krylov": newton_krylov_coarse,
+    "krylov_fine": newton_krylov_fine,
+    "least_squares": bounded_least_squares,
+}
