@@ -1,5 +1,6 @@
 """What an estimator made of a recording's frames, as arrays."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -7,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
-from lampest.estimate.error_bars import ErrorBars
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check.check import ModelCheck, recording_check
-from lampest.estimate.model_check.frame_misfit import frame_misfit
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen
 from lampest.estimate.step import Step
 from lampest.loads.film import FilmKnown
@@ -18,8 +17,78 @@ from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
+from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBars:
+    """Standard deviations and 95 % intervals; NaN where a frame failed, infinite where an estimate has none.
+
+    Parameters
+    ----------
+    cell_resistance_errors, cell_resistance_lower, cell_resistance_upper : (frames, rows, columns) ohm.
+    relative_change_errors : (frames, rows, columns) percent. ratio_lower, ratio_upper : of r/r0, the same shape.
+    resolution, data_share : (frames, rows, columns) diagonal and row sums of the averaging kernel; 0 without bars.
+    """
+
+    cell_resistance_errors: Array
+    cell_resistance_lower: Array
+    cell_resistance_upper: Array
+    relative_change_errors: Array
+    ratio_lower: Array
+    ratio_upper: Array
+    resolution: Array
+    data_share: Array
+
+    @classmethod
+    def of(cls, cells: Array, baseline: Array, steps: tuple[Step, ...]) -> "ErrorBars":
+        """σ_r = r·σ(log r), and r·exp(−below) to r·exp(above).
+
+        cells : (frames, rows, columns) ohm. baseline : (rows, columns) ohm. steps : how the frames were solved.
+        """
+        ratio = cells / baseline
+
+        def frames(part: Callable[[Bars], Array | None], unbarred: float = np.inf) -> Array:
+            maps = [None if step.bars is None else part(step.bars) for step in steps]
+            stacked = np.stack([np.full(baseline.shape, unbarred) if one is None else one for one in maps])
+            stacked[np.isnan(cells)] = np.nan
+            return stacked
+
+        with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
+            return cls(
+                cells * frames(lambda bars: bars.frame.deviation),
+                cells * np.exp(-frames(lambda bars: bars.frame.below)),
+                cells * np.exp(frames(lambda bars: bars.frame.above)),
+                100 * ratio * frames(lambda bars: None if bars.change is None else bars.change.deviation),
+                ratio * np.exp(-frames(lambda bars: None if bars.change is None else bars.change.below)),
+                ratio * np.exp(frames(lambda bars: None if bars.change is None else bars.change.above)),
+                frames(lambda bars: bars.frame.resolution, 0.0),
+                frames(lambda bars: bars.frame.data_share, 0.0),
+            )
+
+
+def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array | None) -> dict[str, Array]:
+    """χ² = Σ ((model − measured)/σ)² of every frame, all (frames, rows, columns); σ is infinite where no value is.
+
+    Gives, each (frames), NaN where a frame failed: chi_square; degrees_of_freedom = readings − tr A, A the averaging
+    kernel with `resolution` on its diagonal, and tail = P(χ² ≥ chi_square), both NaN where that is unknown; worst_row
+    and worst_column, the lines that hold most of it, and their shares.
+    """
+    squares = ((model - measured) / sigma) ** 2
+    chi_square = squares.sum(axis=(1, 2))
+    readings = np.isfinite(sigma).sum(axis=(1, 2))
+    followed = np.full(len(model), np.nan) if resolution is None else resolution.sum(axis=(1, 2))
+    degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
+    found = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
+    for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
+        solved = ~np.isnan(chi_square)
+        worst = np.where(solved, np.argmax(lines, axis=1), np.nan)
+        share = lines.max(axis=1) / np.where(chi_square > 0, chi_square, 1.0)
+        found |= {f"worst_{name}": worst, f"worst_{name}_share": share}
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -78,13 +78,15 @@ class Minimum(Generic[P]):
 class LevenbergMarquardt:
     """The loop's settings.
 
-    evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop.
+    evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop; so does
+    one of less than `share` of the cost.
     damping : μ to begin with; 0: the first step is Gauss and Newton's. most_damping : μ that ends the loop.
     longest : most that a step may change an unknown by, for all or for each; longer steps are shortened as a whole.
     """
 
     evaluations: int
     settled: float
+    share: float = 0.0
     damping: float = 1e-3
     most_damping: float = 1e8
     longest: float | Array = np.inf
@@ -119,7 +121,8 @@ class LevenbergMarquardt:
                 damping = max(damping / 10, min(damping, 1e-6)) if gain > predicted / 2 else damping
             else:
                 damping = max(10 * damping, 1e-3)
-            if (predicted < self.settled and not gain >= self.settled) or damping > self.most_damping:
+            least = self.settled + self.share * here.cost
+            if (predicted < least and not gain >= least) or damping > self.most_damping:
                 break
         return Minimum(position, here, count)
 

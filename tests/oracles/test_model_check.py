@@ -13,8 +13,8 @@ from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
 from lampest.estimate.model_check.check import recording_check
-from lampest.estimate.model_check.question import standing_frames
-from lampest.estimate.model_check.wild import wild_readings
+from lampest.estimate.model_check.rivals import standing_frames
+from lampest.estimate.noise.outliers import without_outliers
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point.four_point import four_point_excess
@@ -162,7 +162,7 @@ def test_a_load_that_comes_for_one_frame_is_no_wild_reading() -> None:
     once = recording.recorded[[0, 1, 2, 3, 2]]
     role = np.array([0, 0, 0, 1, 1], dtype=np.uint8)
     brief = replace(recording, recorded=once, time=np.arange(5.0), role=role)
-    assert not wild_readings(brief.readings()).any()
+    assert not without_outliers(brief.readings(), role == 0)[0].any()
 
 
 def test_dead_lines_and_missing_readings_are_no_other_circuit() -> None:

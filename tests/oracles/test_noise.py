@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
 from lampest.estimate.noise.motion import passing, swept
-from lampest.estimate.noise.outliers import leaps
+from lampest.estimate.noise.outliers import Outliers
 from lampest.estimate.noise.scatter import scatter
 from lampest.estimate.noise.seen import noise_seen
 from lampest.estimate.sequence import reconstruct
@@ -65,11 +65,11 @@ def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
     cells = np.full((7, 8, 8), 2000.0)
     cells[3, 4, 4] = 500.0
     touched = two_point_resistance(cells)
-    assert not leaps(touched, 1e-3 * touched).leaping.any()
+    assert not Outliers.of(touched, 1e-3 * touched).outlying.any()
     hit = two_point_resistance(np.full((7, 8, 8), 2000.0))
     hit[3, 2, 6] *= 1.05
-    found = leaps(hit, 1e-3 * hit)
-    assert np.argwhere(found.leaping).tolist() == [[3, 2, 6]]
+    found = Outliers.of(hit, 1e-3 * hit)
+    assert np.argwhere(found.outlying).tolist() == [[3, 2, 6]]
     assert found.instead[3, 2, 6] == pytest.approx(hit[2, 2, 6])
 
 
@@ -83,10 +83,10 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         exact = two_point_resistance(cells)
         sigma = 5e-4 * exact
         hit = rng.random(exact.shape) < 5e-3
-        seen = leaps(exact + sigma * rng.standard_normal(exact.shape) + hit * 0.15 * exact, sigma)
-        found, missed = found + np.sum(seen.leaping & hit), missed + np.sum(hit & ~seen.leaping)
-        false += np.sum(seen.leaping & ~hit)
-        off += list((np.abs(seen.instead - exact) / np.hypot(sigma, seen.spread))[seen.leaping & hit])
+        seen = Outliers.of(exact + sigma * rng.standard_normal(exact.shape) + hit * 0.15 * exact, sigma)
+        found, missed = found + np.sum(seen.outlying & hit), missed + np.sum(hit & ~seen.outlying)
+        false += np.sum(seen.outlying & ~hit)
+        off += list((np.abs(seen.instead - exact) / np.hypot(sigma, seen.spread))[seen.outlying & hit])
     assert found >= 4 * missed and false == 0
     assert np.mean(np.array(off) < 2) > 0.9
 

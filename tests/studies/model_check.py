@@ -17,10 +17,9 @@ import numpy as np
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.estimate.model_check.check import ModelCheck, recording_check
-from lampest.estimate.model_check.explanation import Explanation
-from lampest.estimate.model_check.question import Question
-from lampest.estimate.model_check.rivals import rivals_of
-from lampest.estimate.model_check.stillness import PRICE
+from lampest.estimate.model_check.comparison import Explanation
+from lampest.estimate.model_check.joint_fit import PRICE
+from lampest.estimate.model_check.rivals import Question, rivals_of
 from lampest.recording.simulation.measure import measured
 
 SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
@@ -159,7 +158,7 @@ def evidence(exact: Recording) -> float:
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     question = Question(next(rivals_of(exact.scene, exact.recorded, exact.sigma)), unloaded, measured)
-    found = Explanation.of(question.told, question)
+    found = Explanation.of(question.told, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
     if found is None or not found.holds:

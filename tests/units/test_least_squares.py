@@ -33,7 +33,7 @@ def rosenbrock(unknowns: Array) -> SumOfSquares:
 @pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
 def test_minimum_is_that_of_scipy(damping: float) -> None:
     start = np.array([1.0, 0.5, 0.0])
-    found = LevenbergMarquardt(200, 1e-20, damping).minimum(decayed, start)
+    found = LevenbergMarquardt(200, 1e-20, damping=damping).minimum(decayed, start)
     theirs = least_squares(decay, start, ftol=1e-15, xtol=1e-15, gtol=1e-15)
     assert np.allclose(found.position, theirs.x, rtol=1e-7) and np.isclose(found.at.cost, theirs.cost, rtol=1e-10)
 
@@ -68,7 +68,7 @@ def test_unknown_that_no_residual_sees_stays() -> None:
     def model(unknowns: Array) -> SumOfSquares:
         return SumOfSquares(unknowns[:1] - 3.0, np.array([[1.0, 0.0]]), ridge=1e-9)
 
-    for loop in (LOOP, LevenbergMarquardt(9, 1e-12, 0.0)):
+    for loop in (LOOP, LevenbergMarquardt(9, 1e-12, damping=0.0)):
         assert np.allclose(loop.minimum(model, np.array([1.0, 7.0])).position, [3.0, 7.0], atol=1e-6)
 
 

@@ -6,12 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.comparison import Better, better_rival
-from lampest.estimate.model_check.explanation import LEVEL, Explanation
-from lampest.estimate.model_check.laws import broken_law
-from lampest.estimate.model_check.question import Question, nearly_gaussian, standing_frames
-from lampest.estimate.model_check.rivals import rivals_of
-from lampest.estimate.model_check.wild import said_of_wild, wild_readings
+from lampest.estimate.model_check.cells_fit import LEVEL
+from lampest.estimate.model_check.comparison import Better, Explanation, better_rival, broken_law
+from lampest.estimate.model_check.rivals import Question, nearly_gaussian, rivals_of, standing_frames
+from lampest.estimate.noise.outliers import without_outliers
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -76,10 +74,10 @@ def model_check(
         return ModelCheck(None, UNKNOWN_NOISE)
     try:
         with np.errstate(all="ignore"):
-            wild = wild_readings(readings)
+            outliers, _ = without_outliers(readings, np.isin(np.arange(len(recorded)), unloaded))
             named = np.arange(len(recorded)) if number is None else number
-            check = _checked(scene, np.where(wild, np.nan, recorded), sigma, unloaded, measured, named)
-            return replace(check, sentence=check.sentence + said_of_wild(int(wild.sum())))
+            check = _checked(scene, np.where(outliers, np.nan, recorded), sigma, unloaded, measured, named)
+            return replace(check, sentence=check.sentence + _said_of_outliers(int(outliers.sum())))
     except BROKEN:
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
@@ -92,7 +90,7 @@ def _checked(
     measured: NDArray[np.intp],
     named: NDArray[np.intp],
 ) -> ModelCheck:
-    """The check of readings whose noise is known, those that leap left out."""
+    """The check of readings whose noise is known, outliers left out."""
     readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
     others = np.setdiff1d(measured, resting)
@@ -104,7 +102,7 @@ def _checked(
         frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others)
         standing = standing_frames(used, frame, others, noise)
     question = Question(told, resting, standing, noise, named)
-    found = Explanation.of(told, question)
+    found = Explanation.of(told, question, patient=True)
     fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
     fault = fault or _below_series(scene, recorded, readings, named)
     if found is None and not fault:
@@ -169,3 +167,12 @@ def _sentence(fault: str, better: Better | None) -> str:
     if better is None:
         return EXPLAINED
     return f"{better.name} explains the readings better: {better.reason}"
+
+
+def _said_of_outliers(count: int) -> str:
+    """What a sentence on the circuit says of them; nothing where there are none."""
+    if count == 0:
+        return ""
+    return (
+        f"; {count} reading{'s' if count > 1 else ''} that leap{'s' if count == 1 else ''} for one frame alone left out"
+    )

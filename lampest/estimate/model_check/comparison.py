@@ -1,27 +1,120 @@
-"""Which other circuit explains an unloaded panel and a frame clearly better than the told one."""
+"""How well circuits explain an unloaded panel and one frame together, and which does so better than the told one."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lampest.estimate.model_check.explanation import (
-    Explanation,
-    explanation_of,
-    most_in_series,
-    with_some_in_series,
-)
-from lampest.estimate.model_check.joint_fit import JointFit, in_series
-from lampest.estimate.model_check.laws import lawful
-from lampest.estimate.model_check.question import Question
-from lampest.estimate.model_check.rivals import Rival
+from lampest.estimate.model_check.cells_fit import LEVEL, CellsFit, fitted
+from lampest.estimate.model_check.joint_fit import PRICE, JointFit, in_series, joint_fit, moved_score
+from lampest.estimate.model_check.rivals import Question, Rival, nearly_gaussian
 from lampest.files.errors import InputError
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import largest_of
+from lampest.recording.readings import Readings
 from lampest.solvers.starts import BROKEN
 
+NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
+GRID = 5  # resistances in series that are tried; what lies between is found by steps
 # −2 log probability by which another circuit must beat the told one: e^18 to one. The best of eight kinds, with any
 # resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by 15 or less.
 MARGIN = 36.0
 MOST_ASKED = 3  # rivals: those that linear theory finds best
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
+
+    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
+
+    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    """
+
+    rival: Rival
+    fits: tuple[CellsFit, ...]
+    score: float
+    moving: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, rival: Rival, question: Question, near: "Explanation | None" = None, patient: bool = False
+    ) -> "Explanation | None":
+        """Of a circuit; None where no fit is found. near : of a circuit much like it, or None.
+
+        patient : the fit is searched for from every start, and taken whatever it leaves; else a circuit is given up as
+        soon as it fails.
+        """
+        fits: list[CellsFit] = []
+        try:
+            for number, readings in enumerate(question.readings(rival)):
+                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient)
+                if fit is None or (not patient and fit.tail < LEVEL):
+                    return None
+                fits.append(fit)
+            alone = cls(rival, tuple(fits), 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+            if not alone.comparable:
+                return alone
+            score, moving = moved_score(*fits)
+        except (InputError, *BROKEN):
+            return None
+        bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
+        return replace(alone, score=score + PRICE * bounds, moving=moving)
+
+    def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
+        """Both frames explained by the network itself, as if these cells had moved to begin with."""
+        resting, frame = self.fits
+        return joint_fit(self.rival, question, (resting.cells, frame.cells), moving)
+
+    @property
+    def comparable(self) -> bool:
+        """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
+        return len(self.fits) == 2 and self.fits[0].sensitivity is not None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the circuit explains both."""
+        return min(fit.tail for fit in self.fits) >= LEVEL
+
+    @property
+    def sparse(self) -> bool:
+        """Whether it leaves more than half of the cells where they were."""
+        return 2 * int(self.moving.sum()) < self.moving.size
+
+
+def explanation_of(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival as it is; where it explains nothing, with the resistance in series that explains best of a few."""
+    plain = Explanation.of(rival, question)
+    return plain if plain is not None else with_some_in_series(rival, question)
+
+
+def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival with the resistance in series that explains best of a few; None where it has none."""
+    if rival.in_series is not None:
+        return None
+    most = most_in_series(rival, question)
+    if not most:
+        return None
+    found: list[Explanation] = []
+    for ohm in np.linspace(0, most, GRID)[int(rival.scene.circuit.told_in_series(rival.scene) == 0) :]:
+        one = Explanation.of(rival.with_series(float(ohm)), question, found[-1] if found else None)
+        found += [] if one is None else [one]
+    return min(found, key=lambda one: one.score, default=None)
+
+
+def most_in_series(rival: Rival, question: Question) -> float:
+    """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    if not rival.scene.circuit.series_name or len(question.standing) == 0:
+        return 0.0
+    try:
+        read = question.readings(rival.with_series(0.0))
+    except (InputError, *BROKEN):
+        return 0.0
+    circuit = rival.with_series(0.0).scene.circuit
+    known = [(one.value, sigma) for one in read if (sigma := one.sigma_of_values) is not None]
+    most = min(circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
+    return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -85,3 +178,26 @@ def _others(as_told: JointFit, told: Explanation, rivals: list[Rival], question:
         except (InputError, *BROKEN):
             continue
         yield from (fit for fit in fits if fit.sparse and np.isfinite(fit.score))
+
+
+def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp] | None = None) -> str:
+    """The inequality of the circuit that readings break by more than their noise, in words; '' where none.
+
+    named : (frames) the numbers by which the words name them; None: as they come.
+    """
+    sigma = readings.sigma_of_values
+    assert sigma is not None
+    for test in scene.circuit.free_tests(readings.value, noise * sigma):
+        frame = int(np.argmax(test.excess))
+        if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
+            beyond = f"{test.excess[frame]:.3g} times its noise"
+            number = frame if named is None else named[frame]
+            return f"readings of frame {number} break a law of the circuit by {beyond}: {test.law}"
+    return ""
+
+
+def lawful(rival: Rival, question: Question) -> bool:
+    """Whether every frame keeps the inequalities of a circuit that is to take the told one's place."""
+    readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
+    used = replace(readings, seen=readings.seen * nearly_gaussian(question.told, 1))
+    return not broken_law(rival.scene, used, question.widening)

@@ -1,7 +1,9 @@
 """Two frames explained together, all cells but a few the same in both: the constrained fit behind a comparison.
 
-What linear theory says of cells that readings hardly see is not to be trusted; here the network itself is asked, and
-asked again which cells must have moved while all others stand still.
+A circuit with as many cells as readings explains nearly every single frame. Two frames say more: a load touches some
+cells, and under the right circuit all others stand still, within the noise. Under a wrong one, cells that nobody
+touched seem to move with the load. So the cells that must have moved for the rest to stand still are counted, each at
+the same cost. Linear theory proposes them; the network itself is then fitted with these cells free and all others tied.
 """
 
 from dataclasses import dataclass, replace
@@ -10,17 +12,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import fitted
-from lampest.estimate.model_check.question import Question
-from lampest.estimate.model_check.rivals import Rival
-from lampest.estimate.model_check.stillness import PRICE, released
+from lampest.estimate.model_check.cells_fit import CellsFit, fitted, residual_of
+from lampest.estimate.model_check.rivals import Question, Rival
+from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
-MOST_STEPS, LONGEST_STEP = 60, 1.5  # of log r; 4 to 8 steps suffice, some 40 with open lines
-DAMPING, MOST_DAMPING = 1e-4, 1e4  # of the diagonal, as Levenberg and Marquardt begin and end
+# −2 log probability, per cell that is said to move: what a cell gains at random is χ² of one degree, and the largest of
+# 400 such exceeds 12 in one case of five.
+PRICE = 12.0
+CREEPS = (0.0, 3e-3)  # of log r, by which cells may move on their own: not at all, or as films creep in seconds
+LONGEST = 1.5  # of log r, that of one step
 SETTLED = 0.1  # of χ²: a smaller gain changes no verdict
+FIT = LevenbergMarquardt(evaluations=60, settled=SETTLED / 2, damping=1e-4, most_damping=1e4, longest=LONGEST)
 FIRMNESS = 1e-4  # 1/variance of a step: what no reading sees stays where it is
 MOST_ROUNDS = 10  # of choosing anew which cells have moved; two or three settle it
 MOST_SERIES, LARGEST_PART, LEAST_PART = 12, 0.15, 0.005  # steps, and of the largest resistance in series at once
@@ -61,15 +66,30 @@ class JointFit:
         change = position[1] - position[0]
         factor = float(np.median(change if moved.all() else change[~moved]))
         gap = np.where(moved, 0.0, change - factor)
-        step = _solved(apart._jacobian, apart.slopes[1] @ gap - apart.residual)
-        step *= LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP)
+        step = _solved(apart.jacobian, apart.slopes[1] @ gap - apart.residual)
+        step *= LONGEST / max(float(np.abs(step).max()), LONGEST)
         closed = replace(apart, position=np.stack([position[0], position[1] - gap]))
-        return closed._stepped(step).settled()
+        return closed.stepped(step).settled()
 
     @property
     def chi_square(self) -> float:
         """Σ residual²."""
         return float(self.residual @ self.residual)
+
+    @property
+    def cost(self) -> float:
+        """½ Σ residual²."""
+        return self.chi_square / 2
+
+    @property
+    def gradient(self) -> Array:
+        """Of the cost by all unknowns, see `jacobian`."""
+        return np.asarray(self.jacobian.T @ self.residual)
+
+    @cached_property
+    def normal(self) -> Array:
+        """JᵀJ of all unknowns, with the FIRMNESS of a step."""
+        return _normal(self.jacobian)
 
     @property
     def count(self) -> int:
@@ -93,8 +113,7 @@ class JointFit:
 
         Cells at the edge of r > 0 follow none: the fit of a circuit that has many there leaves more of the noise.
         """
-        system, _ = self._normal
-        seen = np.linalg.eigvalsh(system) - FIRMNESS
+        seen = np.linalg.eigvalsh(self.normal) - FIRMNESS
         return float(np.sum(seen / (1 + seen)))
 
     @property
@@ -113,47 +132,22 @@ class JointFit:
         return max(self.chi_square / self.expected, 1.0)
 
     def settled(self) -> "JointFit":
-        """The least χ² that steps of Levenberg and Marquardt reach while the same cells have moved."""
-        here, damping = self, DAMPING
-        system, slope = here._normal
-        for _ in range(MOST_STEPS):
-            step = np.linalg.solve(system + damping * np.diag(np.diag(system)), -slope)
-            step *= LONGEST_STEP / max(float(np.abs(step).max()), LONGEST_STEP)
-            there = here._stepped(step)
-            gained = here.chi_square - there.chi_square
-            if not gained > 0:
-                damping *= 10
-                if damping > MOST_DAMPING:
-                    break
-                continue
-            here, damping = there, damping / 10
-            system, slope = here._normal
-            if gained < SETTLED:
-                break
-        return here
-
-    @property
-    def _normal(self) -> tuple[Array, Array]:
-        """(JᵀJ, Jᵀ residual) of all unknowns."""
-        jacobian = self._jacobian
-        system = jacobian.T @ jacobian
-        system[np.diag_indices(len(system))] += FIRMNESS
-        return system, jacobian.T @ self.residual
+        """The least χ² that is reached while the same cells have moved."""
+        return FIT.minimum(self.stepped, np.zeros(self.jacobian.shape[1])).at
 
     def chosen_anew(self) -> NDArray[np.bool_]:
         """Which cells must have moved (cells), by linear theory about this fit: all changes free, and priced."""
         common = self._common
         wanted = np.column_stack([self.slopes[1], self.residual])
         left = wanted - common @ _solved(common, wanted)
-        precision = left[:, :-1].T @ left[:, :-1]
-        precision[np.diag_indices(len(precision))] += FIRMNESS
+        precision = _normal(left[:, :-1])
         change = self.position[1] - self.position[0]
         change = change - (np.median(change) if self.moved.all() else np.median(change[~self.moved]))
-        return released(precision @ change - left[:, :-1].T @ left[:, -1], precision)
+        return selected(precision @ change - left[:, :-1].T @ left[:, -1], precision)
 
     def series_step(self, series: Array) -> float:
         """By how many ohm in series χ² falls most, by linear theory while the same cells have moved."""
-        return float(_solved(np.column_stack([self._jacobian, series]), -self.residual)[-1])
+        return float(_solved(np.column_stack([self.jacobian, series]), -self.residual)[-1])
 
     @property
     def _common(self) -> Array:
@@ -161,12 +155,12 @@ class JointFit:
         resting, frame = self.slopes
         return np.column_stack([resting + frame, frame.sum(axis=1)])
 
-    @property
-    def _jacobian(self) -> Array:
+    @cached_property
+    def jacobian(self) -> Array:
         """d residual/d(log r of both frames, the factor, what the moved cells changed beside it)."""
         return np.column_stack([self._common, self.slopes[1][:, self.moved]])
 
-    def _stepped(self, step: Array) -> "JointFit":
+    def stepped(self, step: Array) -> "JointFit":
         """The fit a step further."""
         size = len(self.moved)
         position = self.position + step[:size]
@@ -234,20 +228,94 @@ def _slope_in_series(fit: JointFit, question: Question, most: float) -> Array:
     return (there.residual - fit.residual)[:, None] / step
 
 
+def _normal(matrix: Array) -> Array:
+    return np.asarray(matrix.T @ matrix + FIRMNESS * np.eye(matrix.shape[1]))
+
+
 def _solved(matrix: Array, wanted: Array) -> Array:
     """argmin |matrix·x − wanted|² + FIRMNESS·|x|²."""
-    system = matrix.T @ matrix
-    system[np.diag_indices(len(system))] += FIRMNESS
-    return np.asarray(np.linalg.solve(system, matrix.T @ wanted))
+    return np.asarray(np.linalg.solve(_normal(matrix), matrix.T @ wanted))
 
 
 def _of_frame(scene: Scene, readings: Readings, position: Array) -> tuple[Array, Array]:
     """(residuals/σ of one frame at log r (cells), their derivatives)."""
-    assert readings.sigma is not None
-    circuit = scene.circuit
     cells = np.exp(position).reshape(readings.value.shape)
-    network = circuit.network(cells, circuit.ties(readings.value), scene.wiring)
-    missed = (network.reading() - readings.value) / readings.sigma
-    counted = (readings.seen > 0) & ((readings.side == 0) | (readings.side * missed < 0))
-    weight = np.where(counted, 1 / readings.sigma, 0.0).ravel()
-    return np.where(counted, missed, 0.0).ravel(), network.sensitivity() * weight[:, None]
+    network = scene.circuit.network(cells, scene.circuit.ties(readings.value), scene.wiring)
+    residual, weight = residual_of(network, readings)
+    return residual.ravel(), network.sensitivity() * weight.reshape(-1, 1)
+
+
+def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.bool_]]:
+    """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, S) of two fits of one circuit.
+
+    The change of all cells together (temperature, supply) is taken off. log det is that of the covariance of the change
+    against the frame's own: −2 log density of the frame's readings, so that a circuit gains nothing by being blind.
+    """
+    change = np.log(frame.cells / resting.cells).ravel()
+    change = change - np.median(change)
+    own = np.linalg.inv(frame.normal)
+    together = own + np.linalg.inv(resting.normal)
+    least = float(np.linalg.slogdet(frame.normal)[1])
+    best = (np.inf, np.ones(resting.cells.shape, dtype=bool))
+    for creep in CREEPS:
+        covariance = together + creep**2 * np.eye(len(change))
+        precision = np.linalg.inv(covariance)
+        gained, moved = _forward(precision @ change, precision)
+        chi_square = float(change @ precision @ change) - gained
+        score = chi_square + PRICE * int(moved.sum()) + float(np.linalg.slogdet(covariance)[1]) + least
+        best = (score, moved.reshape(resting.cells.shape)) if score < best[0] else best
+    return best
+
+
+def selected(slope: Array, precision: Array) -> NDArray[np.bool_]:
+    """Cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d: the better of two ways.
+
+    Forward, one after the other is released while it gains more than its PRICE, and what then gains less beside the
+    others is tied again: among changes that readings hardly tell apart the first to go is often one between those that
+    moved. Backward, one after the other is tied while that loses less than its PRICE.
+    """
+    forward = _backward(slope, precision, _forward(slope, precision)[1])
+    backward = _backward(slope, precision, np.ones(len(slope), dtype=bool))
+    return min((forward, backward), key=lambda one: one[0])[1]
+
+
+def _backward(slope: Array, precision: Array, moved: NDArray[np.bool_]) -> tuple[float, NDArray[np.bool_]]:
+    """(−2 log density and prices, moved cells): cells are tied while one of them loses less than its PRICE.
+
+    To tie cell c loses d_c²/C_cc, with the covariance C of those that are free; d and C are then those of the others.
+    """
+    free = np.flatnonzero(moved)
+    covariance = np.linalg.inv(precision[np.ix_(free, free)])
+    change = covariance @ slope[free]
+    gained, held = float(slope[free] @ change), np.zeros(len(free), dtype=bool)
+    while not held.all():
+        loss = np.where(held, np.inf, change**2 / np.maximum(np.diag(covariance), 1e-300))
+        cell = int(np.argmin(loss))
+        if loss[cell] >= PRICE:
+            break
+        gained, held[cell] = gained - loss[cell], True
+        column = covariance[:, cell] / covariance[cell, cell]
+        change = change - column * change[cell]
+        covariance = covariance - np.outer(column, covariance[cell])
+    left = np.zeros(len(slope), dtype=bool)
+    left[free[~held]] = True
+    return PRICE * int(left.sum()) - gained, left
+
+
+def _forward(slope: Array, precision: Array) -> tuple[float, NDArray[np.bool_]]:
+    """(χ² that is gained, released cells): cells are released while one of them gains more than its PRICE.
+
+    To release cell c gains slope_c²/P_cc; slope and P are then those of the others alone (sweep operator).
+    """
+    precision, slope = precision.copy(), slope.copy()
+    gained, held = 0.0, np.ones(len(slope), dtype=bool)
+    while held.any():
+        gain = np.where(held, slope**2 / np.maximum(np.diag(precision), 1e-300), 0.0)
+        cell = int(np.argmax(gain))
+        if gain[cell] < PRICE:
+            break
+        gained, held[cell] = gained + gain[cell], False
+        column = precision[:, cell] / precision[cell, cell]
+        slope = slope - column * slope[cell]
+        precision -= np.outer(column, precision[cell])
+    return gained, ~held

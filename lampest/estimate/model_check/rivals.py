@@ -1,4 +1,4 @@
-"""Circuits that may have made a recording instead of the one that its scene tells.
+"""Circuits that may have made a recording instead of the one that its scene tells, and what they are to explain.
 
 Every kind of readout with the told converter and resistor, either side driven, and every kind with another resistance
 in series. The converter's volts are what they have in common: a divider's equation is undone where the scene names it.
@@ -6,20 +6,27 @@ in series. The converter's volts are what they have in common: a divider's equat
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import product
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.tagged import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.scene import Scene
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # what kinds call the resistor that a converter reads across
 CHANNELS = ("drive_ohm", "sense_ohm", "input_ohm")
 CONVERTER = tuple(field.name for field in fields(Readout))
+LARGEST_NOISE = 0.05  # of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian
+LARGEST_SHIFT = 0.1  # σ of a mean by which the same curvature may shift it
+ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,3 +126,79 @@ def _alike(first: Array | None, second: Array | None) -> bool:
         return False
     one, other = (values[known] - values[known].mean() for values in (first, second))
     return bool(np.sum(one * other) > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What a circuit is asked to explain.
+
+    told : the circuit as the scene has it. resting : the numbers of the unloaded frames. standing : those of the
+    measured ones to explain beside them, alike but for their noise; none. widening : factor on every σ, where repeats
+    scatter by more than it. named : (frames) the numbers by which sentences name them.
+    """
+
+    told: Rival
+    resting: NDArray[np.intp]
+    standing: NDArray[np.intp]
+    widening: float = 1.0
+    named: NDArray[np.intp] | None = None
+
+    @property
+    def loaded(self) -> str:
+        """'frame 3', or 'frames 3 to 9'."""
+        ends = self.standing[[0, -1]]
+        first, last = ends if self.named is None else self.named[ends]
+        return f"frame {first}" if first == last else f"frames {first} to {last}"
+
+    def readings(self, rival: Rival) -> tuple[Readings, ...]:
+        """The mean of the unloaded frames, and of the standing ones.
+
+        Raises InputError where values are none of the circuit.
+        """
+        read, count = self._read(rival), len(self.resting)
+        assert read.sigma is not None
+        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable)
+        resting = read[:count].mean()
+        return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
+
+    def _read(self, rival: Rival) -> Readings:
+        """The frames that are asked for, as a circuit reads them."""
+        sigma = rival.sigma if rival.sigma is None or rival.sigma.ndim == 2 else rival.sigma[self._chosen]
+        return Readings.of(rival.scene, rival.recorded[self._chosen], sigma)
+
+    @cached_property
+    def _usable(self) -> Array:
+        """Readings that are asked for of every circuit alike; see `nearly_gaussian`."""
+        return nearly_gaussian(self.told, max(len(self.resting), len(self.standing)))[self._chosen]
+
+    @property
+    def _chosen(self) -> NDArray[np.intp]:
+        return np.concatenate([self.resting, self.standing])
+
+
+def nearly_gaussian(told: Rival, frames: int) -> Array:
+    """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
+
+    frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation makes
+    of them is while noise is small.
+    """
+    sigma = Readings.of(told.scene, told.recorded, told.sigma).sigma
+    if told.scene.circuit.unit != "ohm" or sigma is None:
+        return np.ones(told.recorded.shape)
+    most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
+    return np.where(sigma <= most * told.recorded, 1.0, 0.0)
+
+
+def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
+    """Those of the other frames that differ from one frame by no more than their noise; that one among them.
+
+    Their mean says the same with less noise. readings : (frames, rows, columns). noise : factor on every σ.
+    """
+    assert readings.sigma is not None
+    plain = readings.plain & readings.plain[frame]
+    spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
+    square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
+    degrees = plain.sum(axis=(1, 2))
+    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(degrees, 1)) >= ALIKE
+    kept: NDArray[np.intp] = others[alike[others] | (others == frame)]
+    return kept

@@ -1,4 +1,4 @@
-"""Whether frames are torn: whether loads moved on while the lines of a frame were read one after the other.
+"""Motion within a scan: whether loads moved on while the lines of a frame were read one after the other.
 
 A reading that is taken τ of a frame period away from the frame's middle differs by Δ·τ, with Δ half the difference of
 the frames before and after. If no cells explain the readings, but some do once s·Δ·τ is taken off, or if cells that
@@ -12,21 +12,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import fitted
-from lampest.estimate.noise.moves import Asked, asked, moves_between
-from lampest.estimate.noise.unseen import GAIN, possible, still_cells
+from lampest.estimate.model_check.cells_fit import LEVEL, fitted
+from lampest.estimate.noise.still_cells import GAIN, FrameFit, Moves, possible, still_cells
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
-MOST_FRAMES = 3  # that move most are asked
-UNEXPLAINED = 1e-4  # P(χ²), as in the check of the circuit
+MOST_FRAMES = 3  # that move most are tried
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that are tried: a scan takes no longer than that
-THIRD = 3.0
+THIRD = 3.0  # by which χ² must fall
 LEAST_LEFT = 0.1  # of a reading, however fast it changes
-LEAST_MOTION = 3.0  # rms of Δ·τ over σ, below which a torn frame is none that anybody would notice
+LEAST_MOTION = 3.0  # rms of Δ·τ over σ, below which nobody would notice it
 
 
 def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -80,15 +78,15 @@ def scan_share(
     moving = inner[np.argsort(-size[inner])][:MOST_FRAMES]
     if size[moving[0]] < LEAST_MOTION:
         return 0.0
-    base = asked(scene, resting, None, sizes, noise, resting=True)
-    if base is None or base.fit.tail < UNEXPLAINED:
+    base = FrameFit.of(scene, resting, None, sizes, noise)
+    if base is None or base.fit.tail < LEVEL:
         return 0.0
     fits = [explained(scene, readings[frame], torn[frame], 0.0) for frame in moving]
-    if min(tail for _, tail in fits) < UNEXPLAINED:
+    if min(tail for _, tail in fits) < LEVEL:
         found = _share_that_explains(scene, readings, torn, moving, [cost for cost, _ in fits])
-        return found or float(np.median([tail for _, tail in fits]) < UNEXPLAINED)  # the whole period, or nothing
+        return found or float(np.median([tail for _, tail in fits]) < LEVEL)  # the whole period, or nothing
     for frame in moving[size[moving] >= LEAST_MOTION]:
-        here = asked(scene, readings[frame], base.fit.cells, sizes, noise, resting=False)
+        here = FrameFit.of(scene, readings[frame], base.fit.cells, sizes, noise)
         if here is not None and (share := _share(base, here, torn[frame])):
             return share
     return 0.0
@@ -112,9 +110,9 @@ def _share_that_explains(
     return best if costs[best] < costs[0.0] - len(frames) * np.log(THIRD) else 0.0
 
 
-def _share(base: Asked, here: Asked, torn: Array) -> float:
+def _share(base: FrameFit, here: FrameFit, torn: Array) -> float:
     """√E[s²] from one frame."""
-    moves = moves_between(base, [here])
+    moves = Moves.between(base, [here])
     cost, _ = still_cells(moves.change, moves.covariance(0.0))
     tearing = moves.with_column(here.answer(torn[None]))
     better, still = still_cells(tearing.change, tearing.covariance(0.0))
@@ -122,14 +120,3 @@ def _share(base: Asked, here: Asked, torn: Array) -> float:
         return 0.0
     root = possible(tearing, 0.0, still)
     return float(np.sqrt((root[-1] ** 2).sum()))
-
-
-def said_of_motion(share: float, torn: Array, sigma: Array) -> str:
-    """That frames are torn, and how many; ''."""
-    if not share:
-        return ""
-    count = int(np.sum(np.sqrt(np.mean((torn / sigma) ** 2, axis=(1, 2))) > 1))
-    return (
-        f"loads move while a frame is scanned, as if that took {share:.2g} of the time between frames: {count} frames "
-        "are torn, which error bars allow for as far as their neighbours tell"
-    )

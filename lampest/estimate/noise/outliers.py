@@ -1,67 +1,143 @@
-"""Readings that leap: far from what the same reading is in the frames around it, which agree.
+"""Single readings that are outliers in time: far from what the frames around let expect, which agree.
 
-A loose contact or a lost bit moves one reading for one frame; a touch moves many together. Among unloaded frames a
-leap is left out of the mean; between measured ones its neighbours in time stand for it.
+A loose contact or a lost bit moves one reading for one frame; a touch moves many together. Among unloaded frames an
+outlier is left out of the mean; among measured ones its neighbours in time replace it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
 
 FAR = 6.0  # σ beyond the neighbours: of the 2,400 readings of a usual recording noise does it once in 200,000
-STEADIER = 3.0  # times as far as the neighbours scatter: what moves on its way is no leap
-NEAREST = 4  # frames in time that are asked: one of them may leap too
+STEADIER = 3.0  # times as far as the neighbours scatter: a load on its way is no outlier
+NEAREST = 4  # frames in time that are compared: one of them may have an outlier, too
 # Times as far as half of its row or half of its column. A load on one cell moves these by 0.22 of its own reading where
 # all lines float, whatever it is: the change has rank one (10 x 10; 0.21 at 32 x 32).
 ALONE = 6.0
-SHARE = 0.05  # of a frame's readings may leap, and twice what unloaded frames show: where more do, it was touched
+SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
 TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
 LEAST_FRAMES = 3  # that tell which of them is the odd one
-
-
-@dataclass(frozen=True, eq=False)
-class Leaps:
-    """leaping : (frames, rows, columns). instead : what frames around let expect there; spread : its σ beside noise."""
-
-    leaping: NDArray[np.bool_]
-    instead: Array
-    spread: Array
-
-
-def leaps(value: Array, scale: Array, most_share: float = 1.0) -> Leaps:
-    """Of readings (frames, rows, columns) in order of time, NaN where one says nothing; scale : their σ, one frame's.
-
-    None leaps in a frame in which more than most_share do, in fewer than LEAST_FRAMES frames, or beside σ = 0.
-    """
-    expected = [by_median(value), *by_line(value)]
-    scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
-    with np.errstate(divide="ignore", invalid="ignore"):
-        leaping = (scale > 0) & np.any([strays(value, scale, one) for one in expected], axis=0)
-    crowded = leaping.mean(axis=(1, 2)) > most_share
-    middle, spread = nearest_of(expected)
-    apart = np.max([np.abs(there - middle) for there, _ in expected], axis=0)
-    return Leaps(
-        leaping & ~crowded[:, None, None] & (len(value) >= LEAST_FRAMES), middle, np.hypot(spread, np.nan_to_num(apart))
-    )
-
+CHECKED = 5  # cells of a diagonal at which it is checked whether lines follow a load
 
 Expected = tuple[Array, Array]  # (what neighbours in time let expect, how far off that may be) of each reading
 
 
-def nearest_of(expected: Sequence[Expected]) -> Expected:
-    """For each reading the one that may be off by less; NaN where none says anything."""
-    middle, spread = expected[0]
-    for other, wider in expected[1:]:
-        nearer = wider < spread
-        middle, spread = np.where(nearer, other, middle), np.where(nearer, wider, spread)
-    return middle, spread
+@dataclass(frozen=True, eq=False)
+class Outliers:
+    """outlying : (frames, rows, columns). instead : what frames around let expect; spread : its σ beside noise."""
+
+    outlying: NDArray[np.bool_]
+    instead: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, value: Array, scale: Array, most_share: float = 1.0) -> "Outliers":
+        """Of readings (frames, rows, columns) in order of time, NaN where one says nothing; scale : their σ.
+
+        A frame in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
+        readings beside σ = 0.
+        """
+        expected = [_by_median(value), *_by_line(value)]
+        scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
+        with np.errstate(divide="ignore", invalid="ignore"):
+            outlying = (scale > 0) & np.any([_stands_out(value, scale, one) for one in expected], axis=0)
+        few = outlying.mean(axis=(1, 2)) <= most_share
+        middle, spread = expected[0]
+        for other, wider in expected[1:]:
+            nearer = wider < spread
+            middle, spread = np.where(nearer, other, middle), np.where(nearer, wider, spread)
+        apart = np.max([np.abs(there - middle) for there, _ in expected], axis=0)
+        outlying &= few[:, None, None] & (len(value) >= LEAST_FRAMES)
+        return cls(outlying, middle, np.hypot(spread, np.nan_to_num(apart)))
 
 
-def neighbours(value: Array) -> tuple[Array, NDArray[np.intp]]:
+def without_outliers(readings: Readings, unloaded: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Readings]:
+    """(outliers (frames, rows, columns), the readings without them): unloaded ones say nothing, others are replaced.
+
+    unloaded : (frames); these and the measured ones are compared apart, because between them a load comes. Bounds are
+    no outliers.
+    """
+    value = readings.plain_values
+    sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
+    outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
+    # σ may be wrong, and frames may differ together: what most readings do from frame to frame is noise.
+    seen = [pair_scale(value[chosen] / sigma[chosen]) for chosen in (unloaded, ~unloaded)]
+    scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
+    most = 1.0
+    for chosen in (unloaded, ~unloaded):
+        enough = chosen.sum() >= LEAST_FRAMES
+        if enough:
+            found = Outliers.of(value[chosen], scale[chosen], most)
+            outlying[chosen], instead[chosen], spread[chosen] = found.outlying, found.instead, found.spread
+            most = 2 * float(found.outlying.mean())
+        most = max(SHARE, most if enough else 0.0)
+    if not outlying.any():
+        return outlying, readings
+    resting, moving = outlying & unloaded[:, None, None], outlying & ~unloaded[:, None, None]
+    wider = None if readings.sigma is None else np.where(moving, np.hypot(readings.sigma, spread), readings.sigma)
+    plain = np.where(moving, instead, readings.value)
+    return outlying, replace(readings, value=plain, sigma=wider, seen=np.where(resting, 0.0, readings.seen))
+
+
+@dataclass(frozen=True, eq=False)
+class FramesBefore:
+    """The last frames of a stream, of which outliers are found as they come; the newest last, at most NEAREST.
+
+    A touch of one cell moves its row and its column where lines are tied by cells alone: there a single outlier shows
+    from the frames before. Where a reading answers to its own cell only it does not, and readings stay as they are.
+    """
+
+    frames: tuple[Readings, ...] = ()
+
+    def after(self, readings: Readings) -> "FramesBefore":
+        """Once a frame has come."""
+        return FramesBefore((*self.frames, readings)[-NEAREST:])
+
+    def without_outliers(
+        self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
+    ) -> tuple[Readings, int]:
+        """(a frame with what those before let expect in the place of outliers, how many there are).
+
+        resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
+        """
+        if len(self.frames) < LEAST_FRAMES or readings.sigma is None or np.isnan(baseline).any():
+            return readings, 0
+        value = np.stack([frame.plain_values for frame in self.frames])
+        scale = readings.sigma * np.fmax(pair_scale(value / readings.sigma), 1.0)
+        middle = median(value)
+        spread = TO_SIGMA * median(np.abs(value - middle))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            outlying = _stands_out(readings.plain_values[None], scale[None], (middle[None], spread[None]))[0]
+        if not outlying.any() or outlying.mean() > SHARE:
+            return readings, 0
+        if not _lines_follow(scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring), scale):
+            return readings, 0
+        calm = np.where(outlying, middle, readings.value)
+        sigma = np.where(outlying, np.hypot(readings.sigma, spread), readings.sigma)
+        return replace(readings, value=calm, sigma=sigma), int(outlying.sum())
+
+
+def _lines_follow(network: Network, scale: Array) -> bool:
+    """Whether a load on one cell moves its row or its column by more than an outlier may; scale : σ of readings."""
+    rows, columns = scale.shape
+    for number in range(CHECKED):
+        place = int((number + 0.5) / CHECKED * rows), int((number + 0.5) / CHECKED * columns)
+        step = np.zeros(scale.shape)
+        step[place] = 1.0
+        moved = np.abs(network.forward(step)) / scale
+        if ALONE * max(_lines_median(moved[None], axis)[0][place] for axis in (1, 2)) <= moved[place]:
+            return False
+    return True
+
+
+def _neighbours(value: Array) -> tuple[Array, NDArray[np.intp]]:
     """The NEAREST other frames of every frame, (neighbours, frames, rows, columns), and how far off each is."""
     frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
     within = np.clip(frames - NEAREST // 2, 0, len(value) - width)[:, None] + np.arange(width)
@@ -69,19 +145,19 @@ def neighbours(value: Array) -> tuple[Array, NDArray[np.intp]]:
     return value[nearest], nearest - frames
 
 
-def by_median(value: Array) -> Expected:
-    """Their median, with their scatter."""
-    beside, _ = neighbours(value)
+def _by_median(value: Array) -> Expected:
+    """The median of the neighbours, with their scatter."""
+    beside, _ = _neighbours(value)
     middle = median(beside)
     return middle, TO_SIGMA * median(np.abs(beside - middle))
 
 
-def by_line(value: Array) -> list[Expected]:
-    """The line through them, where there are enough: of a load that moves, or breathes.
+def _by_line(value: Array) -> Sequence[Expected]:
+    """The line through the neighbours, where there are enough: of a load that moves, or breathes.
 
     Twice what it leaves may be off: two degrees of freedom tell little, and a load does not move along a line.
     """
-    beside, offset = neighbours(value)
+    beside, offset = _neighbours(value)
     if len(beside) < NEAREST:
         return []
     centre = offset.mean(axis=0)[:, None, None]
@@ -92,15 +168,15 @@ def by_line(value: Array) -> list[Expected]:
     return [(height - slope * centre, 2 * np.sqrt(left * (1 + 1 / len(beside) + centre**2 / size)))]
 
 
-def strays(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
+def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
     """Whether a reading is far from what is expected, while its row and its column are not."""
     middle, spread = expected
     away = np.abs(value - middle)
-    beside = np.fmax(*(lines_median(away / scale, axis) for axis in (1, 2))) * scale
+    beside = np.fmax(*(_lines_median(away / scale, axis) for axis in (1, 2))) * scale
     return np.asarray(away > np.fmax(np.fmax(FAR * scale, STEADIER * spread), ALONE * beside))
 
 
-def lines_median(values: Array, axis: int) -> Array:
+def _lines_median(values: Array, axis: int) -> Array:
     """Of each reading's row (axis 2) or column (axis 1), the same shape."""
     return np.broadcast_to(np.expand_dims(median(np.moveaxis(values, axis, 0)), axis), values.shape)
 

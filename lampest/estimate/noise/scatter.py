@@ -13,6 +13,8 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
 
 LEVEL = 1e-3  # of each of three tests: one clean recording in 300 gets a part that it has not
 FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
@@ -37,6 +39,35 @@ class Scatter:
     gain_freedom: int
     together: Array
     apart: Array
+
+
+def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
+    """The parts of the unloaded frames' scatter; None where no reading is a value in two of them.
+
+    Without a converter there is nothing that a frame's readings could share but what they are themselves.
+    """
+    assert resting.sigma is not None
+    circuit, scene = recording.scene.circuit, recording.scene
+    value = resting.plain_values
+    count = np.sum(~np.isnan(value), axis=0)
+    value = np.where(count > 1, value, np.nan)
+    if np.isnan(value).all():
+        return None
+    total = np.nan_to_num(value).sum(axis=0)
+    middle = np.where(count > 1, total / np.maximum(count, 1), resting.value[0])
+    deviation = (value - middle) / resting.sigma
+    if scene.readout is None:
+        loud = middle / np.exp(np.log(resting.sigma).mean(axis=0))
+    else:
+        volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
+        loud = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
+        # From readings to volts, so that an offset of the converter is one number for all channels.
+        step = 1e-3 * scene.readout.lsb_volt
+        ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
+        deviation = deviation * np.sign(ends[0] - ends[1])
+    if circuit.by_columns:
+        deviation, loud = deviation.swapaxes(1, 2), loud.T
+    return scatter(deviation, loud, len(value) - 1)
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check.check import ModelCheck, model_check
-from lampest.estimate.noise.seen import without_leaps
+from lampest.estimate.noise.outliers import without_outliers
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -121,7 +121,7 @@ class Engine:
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
-        resting = without_leaps(every, np.ones(len(every.value), dtype=bool))[1].mean()
+        resting = without_outliers(every, np.ones(len(every.value), dtype=bool))[1].mean()
         self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise.before import FramesBefore
+from lampest.estimate.noise.outliers import FramesBefore
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -152,7 +152,7 @@ class PanelState:
         """With a frame among those before the next; the frame without its outliers, and how many there are."""
         stream, after = self.stream, replace(self, before=self.before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
-        return after, *self.before.without_leaps(readings, *known)
+        return after, *self.before.without_outliers(readings, *known)
 
     def ratio(self, step: Step) -> Array | None:
         """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
