@@ -70,21 +70,21 @@ if TYPE_CHECKING:
     from lampest.panel.readouts import Readout as Readout
     from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
     from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
-    from lampest.panel.readouts.loaded_columns.diode import Diode as Diode
+    from lampest.panel.readouts.loaded_columns import Diode as Diode
     from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
     from lampest.panel.response import PowerResponse as PowerResponse
     from lampest.panel.response import TableResponse as TableResponse
+    from lampest.panel.scene import Experiment as Experiment
     from lampest.panel.scene import Faults as Faults
+    from lampest.panel.scene import MeasuredSubject as MeasuredSubject
     from lampest.panel.scene import Scene as Scene
+    from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
-    from lampest.panel.series import SeriesPerLine as SeriesPerLine
-    from lampest.panel.subject import Experiment as Experiment
-    from lampest.panel.subject import MeasuredSubject as MeasuredSubject
     from lampest.recording import datasets as datasets
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene

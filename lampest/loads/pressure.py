@@ -10,9 +10,9 @@ from lampest.loads.film import FilmKnown, FilmTrack
 from lampest.loads.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
-from lampest.panel.hidden import usual
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
+from lampest.panel.systematic import usual
 
 GRAVITY = 9.81  # m/s²
 KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY

@@ -6,9 +6,9 @@ the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. Nobody else reads an impedance.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,19 @@ from lampest.panel.panel import Array
 Block = tuple[slice, slice]
 Numbers = NDArray[np.intp]
 GridLinear = Callable[[Array], Array]  # (rows, columns) → (rows, columns)
+
+
+class ReadCircuit(Hashable, Protocol):
+    """What a network asks of the readout that it is read by; see `lampest.panel.readouts.readout.Readout`."""
+
+    def ties(self, measured: Array) -> Array:
+        """t (lines) siemens: what ties every line to ground, for readings (rows, columns)."""
+
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """y = h(Z_jj, Z_kk, Z_jk), element by element; numpy arrays and CasADi alike."""
+
+    def network(self, cell_resistance: Array, ties: Array) -> "Network":
+        """The solved network of cells (rows, columns) ohm, without wire."""
 
 
 class SecondOrder(Protocol):

@@ -1,7 +1,7 @@
 """What a measurement contains. An effect that a scene does not name does not exist in the model."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
@@ -13,11 +13,9 @@ from lampest.files.tagged import members_of
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import MOST_OHM, check_resistors, lines_text
+from lampest.panel.readouts.lines import MOST_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse
-from lampest.panel.series import SeriesPerLine
-from lampest.panel.subject import Experiment, MeasuredSubject
 
 DEEPEST_MM = 1.1e7
 MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # the rest in ohm
@@ -203,6 +201,78 @@ class Systematic:
 
 
 @dataclass(frozen=True)
+class SeriesPerLine:
+    """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
+
+    rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    rows: PerLine
+    columns: PerLine
+
+    def __post_init__(self) -> None:
+        check_resistors("rows", self.rows, open_end=False)
+        check_resistors("columns", self.columns, open_end=False)
+
+    def ohm(self, panel: Panel) -> Array:
+        """(rows, columns) ohm. Raises ValueError where a list has another length."""
+        row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
+        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
+
+
+@dataclass(frozen=True)
+class MeasuredSubject:
+    """Who touched the panel.
+
+    Parameters
+    ----------
+    id : its name in the laboratory. species : its Latin name. length_mm : of the body. mass_g : of the body.
+    note : what else there is to say.
+
+    Empty or None: not told. Raises ValueError where a number is not positive.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    id: str = ""
+    species: str = ""
+    length_mm: float | None = None
+    mass_g: float | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("length_mm", "mass_g"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise ValueError(f"{name} must be positive and finite")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What it was measured for.
+
+    Parameters
+    ----------
+    title : in a few words. experimenter : who did it. institution : where. water_temperature_celsius : of the water
+        around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
+
+    Empty or None: not told. Raises ValueError where the water is no water.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    title: str = ""
+    experimenter: str = ""
+    institution: str = ""
+    water_temperature_celsius: float | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        celsius = self.water_temperature_celsius
+        if celsius is not None and not -5 <= celsius <= 100:
+            raise ValueError("water_temperature_celsius must lie between -5 and 100")
+
+
+@dataclass(frozen=True)
 class Scene:
     """The panel, how it is read, and what stands between the two.
 
@@ -277,6 +347,25 @@ class Scene:
         if not isinstance(series, SeriesPerLine):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
+
+    def with_series(self, ohm: float) -> "Scene":
+        """The same with a resistance in series with the panel, which all lines are driven through.
+
+        Itself where the readout's kind has none; see `Readout.series_name`.
+        """
+        name = self.circuit.series_name
+        if self.circuit.in_series:
+            return replace(self, series_resistance_ohm=ohm)
+        changes: dict[str, Any] = {name: ohm}
+        return replace(self, readout=replace(self.circuit, **changes)) if name else self  # type: ignore[arg-type]
+
+    @property
+    def told_in_series(self) -> float:
+        """What the scene says of it, ohm; the mean where lines differ."""
+        name = self.circuit.series_name
+        if self.circuit.in_series:
+            return float(np.mean(self.series_ohm))
+        return float(np.mean(as_tuple(getattr(self.circuit, name)))) if name else 0.0
 
     @property
     def told_systematic(self) -> Systematic | None:

@@ -1,9 +1,9 @@
 """What all frames of a recording share and nobody knows better: it moves all readings together, not apart.
 
 The reference resistor (the loads, the feedback) is off by a fraction, every line's channel by some ohm, the same in
-every frame; so are the hidden errors of `lampest.panel.hidden`. To first order the estimate moves by K·U·z with
-independent standard normal z, U one column for the reference and one for each line: what each does to the readings.
-Changes against the baseline move by the difference.
+every frame. So are errors that are hidden: resistance in series, wire, the converter's curve, each reading's own. To
+first order the estimate moves by K·U·z with independent standard normal z, one column of U for each error: what it does
+to the readings, a secant of the readout's own equations. Changes against the baseline move by the difference.
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,101 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampest.panel.hidden import Possible, hidden_columns, recorded_share, usual
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wired import contact_responses
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene, Systematic
+
+BENDS = 4  # sines that a converter's curve is made of; between them they are as large as told, in the mean square
+# Two channels of a CD74HC4067, 70 ohm each typically and 160 at most: singles lie between 50 and 110.
+USUAL_SERIES_OHM = 20.0
+USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
+USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
+
+USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, glued or old film answers otherwise
+
+
+@dataclass(frozen=True, eq=False)
+class Possible:
+    """What is known of hidden errors. sizes : of each. root : (n, n) of the covariance of z, as columns are ordered.
+
+    None: of the sizes alone. sure : whether each reading's own error is told, or there beyond chance.
+    """
+
+    sizes: Systematic
+    root: Array | None
+    sure: bool = True
+
+
+def usual(scene: Scene) -> Systematic | None:
+    """What errors a scene names, or leaves possible by silence; None where it has no readout, or says there are none.
+
+    Kinds without a resistance in series, or of which what they sense is no voltage of lines, have no such error.
+    """
+    if scene.told_systematic is not None:
+        return scene.told_systematic
+    if scene.readout is None or scene.systematic == "none":
+        return None
+    series = USUAL_SERIES_OHM if scene.circuit.series_name else None
+    return Systematic(
+        series_ohm=series, inl_lsb=USUAL_INL_LSB, wire_ohm_per_cell=USUAL_WIRE_OHM, response_sd=USUAL_RESPONSE_SD
+    )
+
+
+def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systematic) -> Array:
+    """U (n, rows, columns) in the unit of the network's readings: of one frame's cells (rows, columns) ohm.
+
+    measured : its readings. In the order series, curve, wire of rows, wire of columns, each reading.
+    """
+    parts = []
+    if sizes.series_ohm:
+        parts.append(_series(cells, measured, scene, sizes.series_ohm))
+    if sizes.inl_lsb and scene.readout is not None:
+        parts.append(_curve(measured, scene, sizes.inl_lsb))
+    if sizes.wire_ohm_per_cell:
+        parts.append(_wire(cells, scene, sizes.wire_ohm_per_cell))
+    if sizes.reading_error:
+        each = sizes.reading_error * recorded_share(measured, scene)
+        parts.append(np.diag(each.ravel()).reshape(measured.size, *measured.shape))
+    return np.concatenate(parts) if parts else np.zeros((0, *measured.shape))
+
+
+def _series(cells: Array, measured: Array, scene: Scene, ohm: float) -> Array:
+    """Of so many ohm in every driven line."""
+    lines = scene.circuit.shared_errors(cells, measured, scene, 0.0, 1.0)[1:]
+    rows = measured.shape[0]
+    driven, _ = of_side(scene.circuit.noisy_side, lines[:rows], lines[rows:])
+    return np.asarray(ohm * driven.sum(axis=0)[None])
+
+
+def _curve(measured: Array, scene: Scene, lsb: float) -> Array:
+    """Of sines over the converter's range."""
+    circuit = scene.circuit
+    volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
+    size = lsb * circuit.lsb_volt * np.sqrt(2 / BENDS)
+    waves = size * np.sin(np.pi * (np.arange(BENDS)[:, None, None] + 1) * volt / circuit.supply_volt)
+    ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
+    return np.asarray(ends[0] - ends[1])
+
+
+def _wire(cells: Array, scene: Scene, ohm: float) -> Array:
+    """Of so many ohm more from cell to cell, in rows and in columns."""
+    still, wiring = scene.circuit.exact_reading(cells, scene.wiring), scene.wiring or Wiring()
+    lines = wiring.lines
+    longer = (
+        replace(lines, row_ohm_per_cell=lines.row_ohm_per_cell + ohm),
+        replace(lines, column_ohm_per_cell=lines.column_ohm_per_cell + ohm),
+    )
+    return np.stack([scene.circuit.exact_reading(cells, replace(wiring, lines=one)) - still for one in longer])
+
+
+def recorded_share(measured: Array, scene: Scene) -> Array:
+    """∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
+    recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
+    ends = [scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1)]
+    return np.asarray((ends[0] - ends[1]) / (2 * step))
 
 
 @dataclass(frozen=True)

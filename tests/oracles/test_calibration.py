@@ -10,7 +10,7 @@ from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, T
 from lampest.files.document import parse_document, validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns.diode import Diode
+from lampest.panel.readouts.loaded_columns import Diode
 from lampest.panel.readouts.wiring import Lines
 from lampest.recording.calibration.calibrate import Calibration, calibrate
 from lampest.recording.calibration.text import calibrated_scene, calibrated_scene_text

@@ -15,8 +15,13 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import convex
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
-from lampest.panel.readouts.two_point.stencil import Stencil, StencilSquare, square_from_afar
+from lampest.panel.readouts.two_point.floating import (
+    FloatingNetwork,
+    Stencil,
+    StencilSquare,
+    grounding,
+    square_from_afar,
+)
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import certificate, linearised

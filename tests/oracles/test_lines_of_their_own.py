@@ -15,9 +15,8 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns.diode import Diode
-from lampest.panel.scene import Scene, Systematic
-from lampest.panel.series import SeriesPerLine
+from lampest.panel.readouts.loaded_columns import Diode
+from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.config import read_run

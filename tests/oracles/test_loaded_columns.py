@@ -18,8 +18,7 @@ from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout
-from lampest.panel.scene import Faults, Scene
-from lampest.panel.series import SeriesPerLine
+from lampest.panel.scene import Faults, Scene, SeriesPerLine
 from lampest.recording.foreign.importing import import_file
 from lampest.recording.recording import Recording
 from lampest.runs.batch import run_batch

@@ -17,7 +17,7 @@ from lampest.estimate.model_check.rivals import standing_frames
 from lampest.estimate.noise.outliers import without_outliers
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.readouts.two_point.four_point import four_point_excess
+from lampest.panel.readouts.two_point.readout import four_point_excess
 from lampest.recording.readings import Readings
 from lampest.report.compare import compare, model_notes, screen_blocks
 from lampest.report.info import describe
@@ -71,9 +71,9 @@ def test_every_kind_is_among_the_circuits() -> None:
 def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> None:
     scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
-    bare = circuit.with_series(scene, 0.0)
-    assert bare.circuit.told_in_series(bare) == 0
-    told = circuit.told_in_series(scene)
+    bare = scene.with_series(0.0)
+    assert bare.told_in_series == 0
+    told = scene.told_in_series
     assert told in (200.0, 300.0, 3000.0)
     assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
 

@@ -97,7 +97,7 @@ def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
     if not most:
         return None
     found: list[Explanation] = []
-    for ohm in np.linspace(0, most, GRID)[int(rival.scene.circuit.told_in_series(rival.scene) == 0) :]:
+    for ohm in np.linspace(0, most, GRID)[int(rival.scene.told_in_series == 0) :]:
         one = Explanation.of(rival.with_series(float(ohm)), question, found[-1] if found else None)
         found += [] if one is None else [one]
     return min(found, key=lambda one: one.score, default=None)

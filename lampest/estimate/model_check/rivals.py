@@ -54,7 +54,7 @@ class Rival:
 
     def with_series(self, ohm: float) -> "Rival":
         """The same with a resistance in series."""
-        return replace(self, scene=self.scene.circuit.with_series(self.scene, float(ohm)), in_series=float(ohm))
+        return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
 
 def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Rival]:

@@ -12,10 +12,10 @@ from lampest.estimate.noise.motion import scan_share, swept
 from lampest.estimate.noise.outliers import LEAST_FRAMES, without_outliers
 from lampest.estimate.noise.scatter import Scatter, unloaded_scatter
 from lampest.estimate.noise.still_cells import errors_left_possible
-from lampest.panel.hidden import BENDS, Possible, usual
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import BENDS, Possible, usual
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code

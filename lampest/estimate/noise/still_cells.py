@@ -1,7 +1,7 @@
 """Errors that all frames share, from cells that nobody touched: under a wrong circuit they seem to move.
 
 Errors z that baseline and frames share move the estimated log change of a cell by a = K_f U_f − K_b U_b times z, with U
-as of `lampest.panel.hidden` and K the inverse of the readings' derivative. Over the cells that stand still,
+as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still,
 
     d = a z + noise,   z ~ N(0, 1),   of which each reading's own error ~ N(0, e²).
 
@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.model_check.cells_fit import LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
-from lampest.panel.hidden import Possible, hidden_columns
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
+from lampest.panel.systematic import Possible, hidden_columns
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 

@@ -3,11 +3,10 @@
 from typing import Annotated
 
 from lampest.files.tagged import ByKind
-from lampest.panel.readouts.grounded import GroundedReadout
-from lampest.panel.readouts.loaded_columns.readout import LoadedColumnsReadout
+from lampest.panel.readouts.grounded import GroundedReadout, VirtualGroundReadout
+from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.readouts.readout import Readout
 from lampest.panel.readouts.two_point.readout import TwoPointReadout
-from lampest.panel.readouts.virtual_ground import VirtualGroundReadout
 
 __all__ = [
     "AnyReadout",

@@ -4,28 +4,26 @@ With the weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag 
 Jᵀw = g·bᵀ(Z W Z)b. For floating lines W is the Laplacian of w.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import GridLinear, Network, Numbers, SecondOrder
+from lampest.panel.network import GridLinear, Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.equation import PARTS, compiled_equation
 
-if TYPE_CHECKING:
-    from lampest.panel.readouts.readout import Readout
-
-LEAST_RESPONSE = 1e-6  # of the largest own response: where a cell hardly moves its reading, a preconditioner rests
+Entries = tuple[Array, Array, Array]  # of (p, q, t) = (Z_jj, Z_kk, Z_jk)
+LEAST_RESPONSE = 1e-6  # (of the largest own response) below it a preconditioner takes no step
 
 
 @dataclass(frozen=True, eq=False)
 class TiedNetwork(Network):
     """readout : states the equation."""
 
-    readout: "Readout"
+    readout: ReadCircuit
 
     def reading(self) -> Array:
         """h(Z_jj, Z_kk, Z_jk), without what only its derivatives need."""
@@ -39,10 +37,15 @@ class TiedNetwork(Network):
         values = compiled_equation(self.readout, *shape)(*(np.broadcast_to(part, shape).ravel() for part in entries))
         return dict(zip(PARTS, values.reshape(len(PARTS), *shape), strict=True))
 
-    def _read(self, matrix: Array) -> tuple[Array, Array, Array]:
+    def _read(self, matrix: Array) -> Entries:
         """(K_jj, K_kk, K_jk), to be broadcast to (rows, columns)."""
         diagonal, rows = np.diag(matrix), self.rows
         return diagonal[:rows, None], diagonal[None, rows:], matrix[:rows, rows:]
+
+    def _along_slopes(self, row: Array, column: Array, mutual: Array) -> Array:
+        """h_p·row + h_q·column + h_t·mutual, (rows, columns)."""
+        slopes = self._equation
+        return np.asarray(slopes["p"] * row + slopes["q"] * column + slopes["t"] * mutual)
 
     def _loading(self, row: Array, column: Array, mutual: Array) -> Array:
         """W (lines, lines) from weights of Z_jj, Z_kk and Z_jk, each (rows, columns)."""
@@ -62,8 +65,7 @@ class TiedNetwork(Network):
 
     def read_change(self, change: Array) -> Array:
         """What a change of Z (lines, lines) does to the readings, to first order."""
-        slopes = (self._equation[name] for name in ("p", "q", "t"))
-        return np.asarray(sum(slope * part for slope, part in zip(slopes, self._read(change), strict=True)))
+        return self._along_slopes(*self._read(change))
 
     def adjoint(self, weights: Array) -> Array:
         """g·bᵀ(Z W Z)b."""
@@ -75,7 +77,7 @@ class TiedNetwork(Network):
         across = self._impedance[:, : self.rows, None] - self._impedance[:, None, self.rows :]
         return across.reshape(len(across), -1)
 
-    def entry_responses(self, cells: Numbers | slice = slice(None)) -> tuple[Array, Array, Array]:
+    def entry_responses(self, cells: Numbers | slice = slice(None)) -> Entries:
         """g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells) for some cells."""
         row, column = np.split(self.potential_differences[:, cells], [self.rows])
         conductance = self.conductance.ravel()[cells]
@@ -91,23 +93,25 @@ class TiedNetwork(Network):
         whole: Array = response.reshape(self.conductance.size, row.shape[1])
         return whole if readings is None else whole[readings]
 
-    def own_response(self) -> Array:
-        """The same where a cell meets its own reading: D_jc = Z_jj − Z_jk, D_kc = Z_jk − Z_kk."""
+    def _own_differences(self) -> tuple[Array, Array]:
+        """(D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns): Z_jj − Z_jk, Z_jk − Z_kk."""
         row, column, mutual = self._read(self._impedance)
-        at_row, at_column = row - mutual, mutual - column
-        entries = (at_row**2, at_column**2, at_row * at_column)
-        slopes = (self._equation[name] for name in ("p", "q", "t"))
-        return np.asarray(self.conductance * sum(slope * part for slope, part in zip(slopes, entries, strict=True)))
+        return row - mutual, mutual - column
+
+    def own_response(self) -> Array:
+        """The same where a cell meets its own reading."""
+        at_row, at_column = self._own_differences()
+        return self.conductance * self._along_slopes(at_row**2, at_column**2, at_row * at_column)
 
     def second_order(self, weights: Array) -> SecondOrder:
-        """Through Z twice, and through the bends of h."""
+        """Through Z twice, and through the curvature of h."""
         return TiedSecondOrder(self, weights)
 
     def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
         """Of the diagonal of J alone."""
-        response = self.own_response()
-        held = np.maximum(np.abs(response), LEAST_RESPONSE * np.abs(response).max(initial=1e-300))
-        inverse = np.where(free, 1 / (held**2 * weight + diagonal), 0.0)
+        response = np.abs(self.own_response())
+        floored = np.maximum(response, LEAST_RESPONSE * response.max(initial=1e-300))
+        inverse = np.where(free, 1 / (floored**2 * weight + diagonal), 0.0)
         return lambda values: inverse * values
 
 
@@ -128,55 +132,52 @@ class TiedSecondOrder:
         """g·bᵀ K b."""
         return self.network.conductance * self.network._across(self._twice)
 
-    def _bent(self, name: str) -> Array:
-        return self.weights * self.network._equation[name]
-
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step does to the slopes of h."""
         network, impedance = self.network, self.network._impedance
         injected = network._injected(network.conductance * step, impedance)
         change = impedance @ injected
-        moved = self.moved(change)
         twice = 2 * network._differences(self._twice, injected, symmetric=False)
-        once = network._differences(impedance, moved @ impedance, symmetric=True)
+        once = network._differences(impedance, self.loading_change(change) @ impedance, symmetric=True)
         return network.read_change(change), network.conductance * (twice + once)
 
-    def moved(self, change: Array) -> Array:
+    def _curvature(self, name: str) -> Array:
+        """w·∂²h, (rows, columns)."""
+        return self.weights * self.network._equation[name]
+
+    def loading_change(self, change: Array) -> Array:
         """W' (lines, lines): what a change of Z does to W through the slopes of h."""
         row, column, mutual = self.network._read(change)
+        pp, pq, pt, qq, qt, tt = map(self._curvature, PARTS[4:])
         return self.network._loading(
-            self._bent("pp") * row + self._bent("pq") * column + self._bent("pt") * mutual,
-            self._bent("pq") * row + self._bent("qq") * column + self._bent("qt") * mutual,
-            self._bent("pt") * row + self._bent("qt") * column + self._bent("tt") * mutual,
+            pp * row + pq * column + pt * mutual,
+            pq * row + qq * column + qt * mutual,
+            pt * row + qt * column + tt * mutual,
         )
 
     def matrix(self) -> Array:
-        """2 g (BᵀZB ∘ BᵀKB) g + Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i; the latter as far as h bends at all."""
+        """2 g (BᵀZB ∘ BᵀKB) g, and what the curvature of h adds."""
         network = self.network
         conductance = network.conductance.ravel()
         matrix = 2 * network._between_cells(network._impedance) * network._between_cells(self._twice)
         matrix *= conductance[:, None] * conductance
-        return self.bent(matrix)
+        return self.with_curvature(matrix)
 
-    def bent(self, matrix: Array) -> Array:
+    def with_curvature(self, matrix: Array) -> Array:
         """A matrix (cells, cells) with Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i added to it in its place."""
         row, column, mutual = self.network.entry_responses()
         flat = mutual.reshape(len(matrix), -1)
-        pieces = (
-            ("pp", lambda bend: row.T @ (bend.sum(axis=1)[:, None] * row)),
-            ("qq", lambda bend: column.T @ (bend.sum(axis=0)[:, None] * column)),
-            ("tt", lambda bend: flat.T @ (bend.reshape(-1, 1) * flat)),
-            ("pq", lambda bend: twice_symmetric(row.T @ (bend @ column))),
-            ("pt", lambda bend: twice_symmetric(row.T @ np.einsum("jk,jkc->jc", bend, mutual))),
-            ("qt", lambda bend: twice_symmetric(column.T @ np.einsum("jk,jkc->kc", bend, mutual))),
-        )
-        for name, piece in pieces:
-            bend = self._bent(name)
-            if bend.any():
-                matrix += piece(bend)
+        halves: dict[str, Callable[[Array], Array]] = {  # A of every pair of entries, whose share is A + Aᵀ
+            "pp": lambda by: row.T @ (by.sum(axis=1)[:, None] * row) / 2,
+            "qq": lambda by: column.T @ (by.sum(axis=0)[:, None] * column) / 2,
+            "tt": lambda by: flat.T @ (by.reshape(-1, 1) * flat) / 2,
+            "pq": lambda by: row.T @ (by @ column),
+            "pt": lambda by: row.T @ np.einsum("jk,jkc->jc", by, mutual),
+            "qt": lambda by: column.T @ np.einsum("jk,jkc->kc", by, mutual),
+        }
+        for name, half in halves.items():
+            curvature = self._curvature(name)
+            if curvature.any():
+                part = half(curvature)
+                matrix += part + part.T
         return matrix
-
-
-def twice_symmetric(matrix: Array) -> Array:
-    """A + Aᵀ."""
-    return matrix + matrix.T

@@ -1,27 +1,22 @@
 """The network of a panel with wire, seen from its terminals.
 
-With C = K⁻¹Bᵀ (`lampest.panel.readouts.ladder`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines that touch
-taken as one, and D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal.
-Then ∂Z_ab/∂g_c = −D_ac D_bc as without wire, and with X = diag(r) − r K⁻¹ r + DᵀCᵀ r, the potential differences for a
-unit current through every cell, ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
+With C = K⁻¹Bᵀ (`lampest.panel.readouts.wiring.Ladder`) the terminals' currents are BC·p; Z = (BC + diag t)⁻¹, lines
+that touch taken as one, and D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every
+terminal. Then ∂Z_ab/∂g_c = −D_ac D_bc as without wire, and with X = diag(r) − r K⁻¹ r + DᵀCᵀ r, the potential
+differences for a unit current through every cell, ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, GridLinear, Network, SecondOrder
+from lampest.panel.network import Block, GridLinear, Network, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
-from lampest.panel.readouts.ladder import Ladder
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
-from lampest.panel.readouts.wiring import Wiring
-
-if TYPE_CHECKING:
-    from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.wiring import Ladder, Wiring
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +32,7 @@ class WiredNetwork(TiedNetwork):
     currents: Array
 
     @classmethod
-    def solve(cls, cell_resistance: Array, ties: Array, readout: "Readout", wiring: Wiring) -> "WiredNetwork":
+    def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
         """Of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
         rows, columns = cell_resistance.shape
         ladder = wiring.factor(cell_resistance)
@@ -71,24 +66,20 @@ class WiredNetwork(TiedNetwork):
         across = self.potential_differences
         return np.asarray(np.sum(across * (loading @ across), axis=0).reshape(self.conductance.shape))
 
-    def own_response(self) -> Array:
-        """J's diagonal, from what every cell shows of its own row and column."""
+    def _own_differences(self) -> tuple[Array, Array]:
+        """(D_jc, D_kc) of every cell c at its own row j and column k."""
         rows, columns = self.conductance.shape
+        row, column = np.indices((rows, columns))
         across = self.potential_differences.reshape(-1, rows, columns)
-        every_row, every_column = np.indices((rows, columns))
-        at_row = across[every_row, every_row, every_column]
-        at_column = across[rows + every_column, every_row, every_column]
-        entries = (at_row**2, at_column**2, at_row * at_column)
-        slopes = (self._equation[name] for name in ("p", "q", "t"))
-        return np.asarray(self.conductance * sum(slope * part for slope, part in zip(slopes, entries, strict=True)))
+        return across[row, row, column], across[rows + column, row, column]
 
     def driven_through(self, sources: Array) -> Array:
         """X·s (cells, patterns) volt of currents s (cells, patterns) that are driven through cells."""
         shape = self.conductance.shape
         resistance = self.cell_resistance.reshape(-1, 1)
         pushed = resistance * sources
-        held = self.ladder.solve(pushed.reshape(*shape, -1)).reshape(pushed.shape)
-        return np.asarray(pushed - resistance * held + self.potential_differences.T @ (self.currents.T @ pushed))
+        drawn = self.ladder.solve(pushed.reshape(*shape, -1)).reshape(pushed.shape)
+        return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
 
     def contact_response(self) -> Array:
         """∂y/∂c of the lines' contacts c, (rows, columns, lines): ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z.
@@ -99,48 +90,49 @@ class WiredNetwork(TiedNetwork):
         return np.stack([self.read_change(np.outer(line, line)) for line in entering], axis=-1)
 
     def second_order(self, weights: Array) -> SecondOrder:
-        """Through D twice, and through the bends of h."""
-        return WiredSecondOrder(self, TiedSecondOrder(self, weights), self.loading(weights))
+        """Through D twice, and through the curvature of h."""
+        return WiredSecondOrder(self, weights)
 
     def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
         """Of the same cells without wire, which is near enough for a preconditioner."""
         return self.readout.network(self.cell_resistance, self.ties).normal_inverse(weight, diagonal, free)
 
     def changed(self, block: Block, conductance: Array) -> "WiredNetwork":
-        """Solved anew: cells inside a wired panel cannot be told from its terminals."""
+        """Solved anew: Z alone, which terminals show, does not tell cells inside a wired panel apart."""
         cells = self.cell_resistance.copy()
         cells[block] = 1 / conductance
         return WiredNetwork.solve(cells, self.ties, self.readout, self.wiring)
 
 
 @dataclass(frozen=True, eq=False)
-class WiredSecondOrder:
-    """H of weights at a network. bends : what the equation's second derivatives add. loading : W (lines, lines)."""
+class WiredSecondOrder(TiedSecondOrder):
+    """H of weights at a network with wire."""
 
     network: WiredNetwork
-    bends: TiedSecondOrder
-    loading: Array
+
+    @cached_property
+    def _loading(self) -> Array:
+        """W (lines, lines)."""
+        return self.network.loading(self.weights)
 
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
         network = self.network
         across, change = network.potential_differences, network.changes(step)
         moved = network.driven_through((across * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * (self.loading @ across), axis=0).reshape(step.shape)
-        return network.read_change(change), network.conductance * (twice + network.drawn(self.bends.moved(change)))
+        twice = 2 * np.sum(moved * (self._loading @ across), axis=0).reshape(step.shape)
+        return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
 
     def adjoint(self) -> Array:
         """g·diag(Dᵀ W D)."""
-        return self.network.conductance * self.network.drawn(self.loading)
+        return self.network.conductance * self.network.drawn(self._loading)
 
     def matrix(self) -> Array:
-        """2 g (X ∘ Dᵀ W D) g, and what the bends of h add."""
-        network = self.network
-        conductance, across = network.conductance.ravel(), network.potential_differences
-        between = network.driven_through(np.eye(len(conductance)))
-        matrix = 2 * between * (across.T @ self.loading @ across)
+        """2 g (X ∘ Dᵀ W D) g, and what the curvature of h adds."""
+        conductance, across = self.network.conductance.ravel(), self.network.potential_differences
+        matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self._loading @ across)
         matrix *= conductance[:, None] * conductance
-        return self.bends.bent(matrix)
+        return self.with_curvature(matrix)
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:

@@ -7,8 +7,7 @@ import numpy as np
 
 from lampest.files.document import to_yaml
 from lampest.panel.readouts.lines import LineNumber
-from lampest.panel.scene import Scene
-from lampest.panel.series import SeriesPerLine
+from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.calibration.calibrate import Calibration
 from lampest.recording.calibration.circuit import MEMORY, TYPICAL, WIRE, with_numbers
 from lampest.recording.calibration.found import Found

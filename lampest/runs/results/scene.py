@@ -8,8 +8,7 @@ from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene, Water, scene_text
-from lampest.panel.series import SeriesPerLine
+from lampest.panel.scene import Scene, SeriesPerLine, Water, scene_text
 
 ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
     "pitch_mm": lambda scene: scene.panel.pitch_mm,

@@ -46,7 +46,7 @@ def made_preconditioner(addresses: Any, rows: int, model: Any, links: Any, point
 
     The terms as they are, JᵀWJ as of J's stencil (diag(e) + U K Uᵀ) g of any readout, whose diagonal e is a cell, whose
     columns U are the lines, and whose K is what a line's readings share; see
-    `lampest.panel.readouts.two_point.stencil`. base : B = (the terms) + diag(g²e²w), as 1/B (cells, 1) or, where terms
+    `lampest.panel.readouts.two_point.floating`. base : B = (the terms) + diag(g²e²w), as 1/B (cells, 1) or, where terms
     tie cells (`band` > 0, how far apart), as its Cholesky factor (cells, band + 1). seen : (2, cells) g·e·w and g, so
     that V = [g e w U, g U]. inner : (C⁻¹ + Vᵀ B⁻¹ V)⁻¹, (2·lines)², C⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]]; empty where a
     line's readings share nothing.

@@ -2,24 +2,19 @@
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts.free_test import FreeTest
 from lampest.panel.readouts.lines import LineNumber, along, check_resistors
-from lampest.panel.readouts.readout import Readout, check_supply
+from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
 from lampest.panel.readouts.two_point.exact import two_point_resistance
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
-from lampest.panel.readouts.two_point.four_point import four_point_excess
 from lampest.panel.readouts.wiring import Wiring
-
-if TYPE_CHECKING:
-    from lampest.panel.scene import Scene
 
 LEAST_REST = 1e-6  # of the input's conductance: a cell that conducts less is beyond any converter
 
@@ -34,11 +29,11 @@ class TwoPointReadout(Readout):
     reference_ohm : reference resistor in ohm.
     measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
     input_ohm : input resistance of the converter, parallel to what it is across; None: none that matters.
-    adc_bits, readings, noise_lsb : the converter; see `Readout`.
+    adc_bits, readings, noise_lsb : see `Converter`.
 
     Recorded is what the divider equation gives, as if the converter took no current, the series resistance of the scene
-    included. Raises ValueError where a
-    number is out of range. Source: paper, equation (1) (across the sensor) and section V.B (across the reference).
+    included. Raises ValueError where a number is out of range. Source: paper, equation (1) (across the sensor) and
+    section V.B (across the reference).
     """
 
     unit: ClassVar[str] = "ohm"
@@ -53,11 +48,10 @@ class TwoPointReadout(Readout):
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
-        check_supply(self.supply_volt)
+        super().__post_init__()
         check_resistors("reference_ohm", self.reference_ohm)
         if self.input_ohm is not None:
             check_resistors("input_ohm", self.input_ohm, most=inf)
-        super().__post_init__()
 
     def description(self) -> str:
         """The divider and the converter."""
@@ -134,9 +128,9 @@ class TwoPointReadout(Readout):
         self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
     ) -> Network:
         """Of floating lines by a convex function; see `lampest.panel.readouts.two_point.convex`."""
-        if not isinstance(network, FloatingNetwork):
-            return super().fitted_block(network, block, measured, least, chosen)
-        return fitted_block(network, block, measured, least, chosen)
+        if isinstance(network, FloatingNetwork):
+            return fitted_block(network, block, measured, least, chosen)
+        return super().fitted_block(network, block, measured, least, chosen)
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
@@ -147,24 +141,11 @@ class TwoPointReadout(Readout):
         """min R: what is left for the panel is positive."""
         return float(measured[np.isfinite(sigma)].min(initial=np.inf))
 
-    def with_series(self, scene: "Scene", ohm: float) -> "Scene":
-        """As the scene's series resistance."""
-        return replace(scene, series_resistance_ohm=ohm)
-
-    def told_in_series(self, scene: "Scene") -> float:
-        """The scene's; the mean where lines differ."""
-        return float(np.mean(scene.series_ohm))
-
-    @property
-    def series_name(self) -> str:
-        """The scene's own."""
-        return "series_resistance_ohm"
-
-    def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """R − R_series."""
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
-    def to_recorded(self, reading: Array, scene: "Scene") -> Array:
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """R + R_series, as the divider shows it."""
         total = np.asarray(reading + scene.series_ohm)
         if self.input_ohm is None:
@@ -192,12 +173,14 @@ class TwoPointReadout(Readout):
         slope = self._between_lines(recorded) / recorded
         return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
 
-    def simulated(self, cell_resistance: Array, scene: "Scene", row_ohm: Array, column_ohm: Array) -> Array:
+    def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
         """R + R_series + what both channels have more."""
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
-    def shared_errors(self, cells: Array, measured: Array, scene: "Scene", reference: float, channel: float) -> Array:
+    def shared_errors(
+        self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
+    ) -> Array:
         """(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
         rows, columns = (np.eye(count) for count in measured.shape)
         lines = [*(along("rows", line) for line in rows), *(along("columns", line) for line in columns)]
@@ -244,3 +227,36 @@ class TwoPointReadout(Readout):
 def resolution_limit(two_point_resistance: Array, sigma: Array) -> Array:
     """r_max = R²/σ, any shape, ohm."""
     return np.asarray(two_point_resistance) ** 2 / np.asarray(sigma)
+
+
+def four_point_excess(resistance: Array, sigma: Array) -> Array:
+    """max_jkpq (R_jk − R_jq − R_pq − R_pk)/σ of all four, (frames); resistance, σ (frames, rows, columns) ohm.
+
+    Two-point resistances are distances: from row j over column q and row p to column k no path is shorter than the
+    direct one. Source: effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993), applied three times.
+    The shortest way over any q from row j to row p is taken before the shortest over any p, (rows² · columns) sums. A
+    reading with infinite σ takes no part.
+    """
+    return np.array([_excess(*frame) for frame in zip(resistance, sigma, strict=True)])
+
+
+def _excess(resistance: Array, sigma: Array) -> float:
+    """Of one frame (rows, columns)."""
+    value = np.where(np.isfinite(sigma), resistance, np.inf)
+    variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
+    rows, columns = value.shape
+    between, spread = np.empty((rows, rows)), np.empty((rows, rows))
+    for row in range(rows):
+        over = value[row] + value
+        middle = over.argmin(axis=1)
+        between[row] = over[np.arange(rows), middle]
+        spread[row] = variance[row, middle] + variance[np.arange(rows), middle]
+    worst = -np.inf
+    for row in range(rows):
+        way = between[row][:, None] + value
+        over = way.argmin(axis=0)
+        chosen = over, np.arange(columns)
+        noise = np.sqrt(variance[row] + spread[row, over] + variance[chosen])
+        counted = np.isfinite(value[row]) & np.isfinite(way[chosen]) & (noise > 0)
+        worst = max(worst, float(((value[row] - way[chosen])[counted] / noise[counted]).max(initial=-np.inf)))
+    return worst

@@ -1,0 +1,148 @@
+"""The analogue-to-digital converter that a readout ends in: codes, their noise, and the range that they cover."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
+
+USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
+LEAST_VOLT, MOST_VOLT = 1e-3, 1e5  # a thermocouple's, a transmission line's
+HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converter:
+    """Codes from 0 to 2^bits − 1 over voltages from 0 to the supply.
+
+    Parameters
+    ----------
+    supply_volt : supply of the circuit and reference of the converter in volt.
+    adc_bits : resolution of the converter.
+    readings : conversions that are averaged for one cell.
+    noise_lsb : standard deviation of one reading before quantisation, in least significant bits; a number or one for
+        each driven line (`noisy_side`). 'estimated': as the unloaded frames show it. None: not said; then as five or
+        more unloaded frames show it, else USUAL_NOISE_LSB.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    supply_volt: float = 5.0
+    adc_bits: int = 10
+    readings: int = 20
+    noise_lsb: PerLine | Literal["estimated"] | None = None
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.supply_volt) and self.supply_volt > 0):
+            raise ValueError("supply_volt must be positive and finite")
+        if not LEAST_VOLT <= self.supply_volt <= MOST_VOLT:
+            raise ValueError(f"supply_volt must lie between {LEAST_VOLT:g} and {MOST_VOLT:g} V")
+        if not 1 <= self.adc_bits <= 32:
+            raise ValueError("adc_bits must lie between 1 and 32")
+        if not 1 <= self.readings <= 65535:
+            raise ValueError("readings must lie between 1 and 65535")
+        check_lines("noise_lsb", self.assumed_noise)
+        if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
+            raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
+
+    @property
+    def noise_told(self) -> bool:
+        """Whether the noise is specified, and not left to the frames."""
+        return self.noise_lsb is not None and self.noise_lsb != "estimated"
+
+    @property
+    def assumed_noise(self) -> PerLine:
+        """`noise_lsb` where it is specified; else what is taken until frames have shown it."""
+        return USUAL_NOISE_LSB if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
+
+    @property
+    def noisy_side(self) -> Side:
+        """Whose lines `noise_lsb` lists: the driven ones; rows unless a kind says otherwise."""
+        return "rows"
+
+    def converter_description(self) -> str:
+        """The converter's numbers, for people."""
+        noise = lines_text(self.assumed_noise, "LSB") if self.noise_told else "as the unloaded frames show it"
+        return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}"
+
+    def recorded_from_volt(self, volt: Array) -> Array:
+        """A recorded reading from what the converter sees, any shape."""
+        return np.asarray(volt, dtype=float)
+
+    def volt_from_recorded(self, recorded: Array) -> Array:
+        """What the converter sees of a recorded reading, any shape, volt."""
+        return np.asarray(recorded, dtype=float)
+
+    @property
+    def lsb_volt(self) -> float:
+        """Vcc / 2^bits: one least significant bit in volt."""
+        return self.supply_volt / 2.0**self.adc_bits
+
+    def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
+        """code = ⌊V/Vcc · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
+        code = np.floor(np.asarray(volt) / self.lsb_volt)
+        clipped: NDArray[np.int64] = np.clip(code, 0, 2**self.adc_bits - 1).astype(np.int64)
+        return clipped
+
+    def volt_from_code(self, mean_code: Array) -> Array:
+        """V = (code + ½)·Vcc/2^bits: the middle of what a converter calls by this code; means of codes too."""
+        return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
+
+    def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
+        """A recorded reading from the sum of so many codes; a rail stands for its interval's middle, and is finite."""
+        return self.recorded_from_volt(self.volt_from_code(sums / readings))
+
+    def noise_volt(self) -> Array:
+        """The noise of one reading, to be broadcast to (rows, columns)."""
+        return self._of_driven_lines(np.array(self.assumed_noise)) * self.lsb_volt
+
+    def _of_driven_lines(self, values: Array) -> Array:
+        """One number, or one for each driven line, to be broadcast to (rows, columns)."""
+        return along(self.noisy_side, values) if values.ndim else values
+
+    def sigma_code(self) -> Array:
+        """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b²; as `noise_lsb` is given.
+
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
+        1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        """
+        noise, bias = np.array(self.assumed_noise), self._bias
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
+
+    @cached_property
+    def _bias(self) -> Array:
+        """b² of `sigma_code`; a sum that is the same for every frame."""
+        harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.assumed_noise)
+        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
+        return np.asarray(np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12)))
+
+    def sigma(self, recorded: Array) -> Array:
+        """σ of recorded readings, the same shape and unit."""
+        return np.broadcast_to(self.sigma_volt(), np.shape(recorded)).copy()
+
+    def sigma_volt(self) -> Array:
+        """σ of a mean reading at the converter, to be broadcast to (rows, columns)."""
+        return self._sigma_volt
+
+    @cached_property
+    def _sigma_volt(self) -> Array:
+        return np.asarray(self._of_driven_lines(self.sigma_code()) * self.lsb_volt)
+
+    def rails(self) -> tuple[float, float]:
+        """(least, largest) recorded reading that a code between the first and the last one can mean.
+
+        A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
+        """
+        return self._rails
+
+    @cached_property
+    def _rails(self) -> tuple[float, float]:
+        top = 2.0**self.adc_bits - 1
+        ends = self.recorded_from_volt(np.array([1.0, top]) * self.lsb_volt)
+        return float(ends.min()), float(ends.max())
