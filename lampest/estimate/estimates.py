@@ -21,6 +21,13 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
+from lampest.solvers.solution import Status
+
+AT_RAILS = {  # what stands for the solver's own sentence where readings are at or beyond a rail
+    Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
+    Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so faintly that they may still move",
+    Status.UNREAD: "too few of the frame's readings are values: the others are missing, or at or beyond {}",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +181,16 @@ class Estimates:
 
     @property
     def status(self) -> tuple[str, ...]:
-        """(frames) how each solve ended, a sentence."""
-        return tuple(step.status for step in self.steps)
+        """(frames) how each solve ended, a sentence; it names the converter's rails where they leave cells open."""
+        return tuple(
+            self._status(step, recorded)
+            for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True)
+        )
+
+    def _status(self, step: Step, recorded: Array) -> str:
+        readout, sentence = self.recording.scene.readout, AT_RAILS.get(step.solution.status)
+        rails = readout.rails_reached(recorded) if readout is not None and sentence is not None else ""
+        return sentence.format(rails) if rails and sentence is not None else step.status
 
     @property
     def solved(self) -> NDArray[np.bool_]:

@@ -4,7 +4,9 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -93,6 +95,28 @@ def test_a_readout() -> None:
     assert_allclose(simulated(given).recorded, recording.recorded, rtol=1e-12)
     nodal = lampest.reconstruct(recording, [Misfit(weighting="noise")])
     assert_allclose(nodal.cell_resistance, found.cell_resistance, rtol=1e-4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BelowGround(Divider):
+    """A circuit whose output no converter between ground and supply can read."""
+
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """Volt, negative."""
+        return -super().reading(row, column, mutual)
+
+
+def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
+    negative = simulated(BelowGround())
+    found = lampest.reconstruct(negative, [Misfit(weighting="noise")], formulation="reduced")
+    assert not found.solved.any() and found.status[0].endswith("at or beyond the converter's rail of 0.00488 volt")
+    recording = simulated(Divider())
+    recorded = recording.recorded.copy()
+    recorded[:, 2, 3:5], recorded[:, 0, 0] = -0.1, 6.0
+    spoilt = replace(recording, recorded=recorded)
+    found = lampest.reconstruct(spoilt, [Misfit(weighting="noise")], formulation="reduced")
+    assert found.solved.all() and found.status[0].startswith("an optimum, but readings at or beyond")
+    assert "the converter's rails of 0.00488 and 5 volt" in found.status[0]
 
 
 def test_a_method(recording: Recording) -> None:

@@ -229,6 +229,18 @@ class Readout(Converter, ABC):
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
         return self.supply_volt - recorded if self.mirrored else recorded
 
+    def rails_reached(self, recorded: Array) -> str:
+        """'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' where none does."""
+        least, largest = self.rails()
+        reached = [
+            f"{rail:.3g}"
+            for rail, any_beyond in ((least, recorded < least), (largest, recorded > largest))
+            if np.any(any_beyond)
+        ]
+        return (
+            f"the converter's rail{'s' * (len(reached) - 1)} of {' and '.join(reached)} {self.unit}" if reached else ""
+        )
+
     @property
     def direction(self) -> float:
         """1 where a network's reading grows with the recorded one, -1 where it falls."""
