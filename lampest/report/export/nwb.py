@@ -116,9 +116,9 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
             yield TimeSeries(name=one.name, data=one.values, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
     x, y = case.scene.panel.centres_mm()
-    cells = [("row", "row line", rows), ("column", "column line", lines)]
+    cells: list[tuple[str, str, Any]] = [("row", "row line", rows), ("column", "column line", lines)]
     cells += [("y_mm", "position of the row, mm", y[rows]), ("x_mm", "position of the column, mm", x[lines])]
-    frames = [("time", "time of the frame, s", case.time)]
+    frames: list[tuple[str, str, Any]] = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
         ("frames", "what frames say in words", frames, [one for one in held if one.is_text]),
         ("cells", "what has no time", cells, [one for one in held if one.axes == CELLS]),
