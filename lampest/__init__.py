@@ -104,7 +104,7 @@ if TYPE_CHECKING:
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot
-    from lampest.report.plots.results import plot_results as plot_results
+    from lampest.report.plots import plot_results as plot_results
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column
     from lampest.runs.config import read_run as read_run

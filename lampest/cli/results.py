@@ -83,7 +83,7 @@ def plot(
     frames: FramesNamed = None,
 ) -> None:
     """Mapping contours of every recording, side by side; or error bars, or pressures."""
-    from lampest.report.plots.results import plot_results
+    from lampest.report.plots import plot_results
 
     with progress("pictures") as on_picture:
         files = plot_results(
@@ -147,8 +147,8 @@ def detect(
     """
     from lampest.loads.recognition.settings import RecognitionSettings
     from lampest.report.detect import pressed as any_load
-    from lampest.report.detect.report import FILE, event_table, write_detections
-    from lampest.report.detect.run import detect_file, looked_at
+    from lampest.report.detect.detection import detect_file, looked_at
+    from lampest.report.detect.events import FILE, event_table, write_detections
     from lampest.report.plots.timeline import plot_timelines
 
     try:

@@ -72,6 +72,6 @@ class Reconstruction(Estimates):
         frame : index into the recording; None: the strongest one. Raises InputError where there is no such plot or
         frame, or nothing to draw.
         """
-        from lampest.report.plots.results import picture  # matplotlib takes longer to load than a frame to solve
+        from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
 
         return picture((self.result(),), kind, frame)

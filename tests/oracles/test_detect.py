@@ -28,9 +28,8 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.detect.detection import QUANTITIES, numbers_of
+from lampest.report.detect.detection import QUANTITIES, detect, numbers_of
 from lampest.report.detect.events import events, states
-from lampest.report.detect.run import detect
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local

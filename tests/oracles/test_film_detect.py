@@ -23,8 +23,8 @@ from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.report.detect.detection import GivenRecording, detected
 from lampest.report.detect.events import events
-from lampest.report.detect.run import GivenRecording, detected
 from lampest.runs.filling import named_result
 
 pytestmark = pytest.mark.slow

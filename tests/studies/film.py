@@ -29,9 +29,8 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.detect.detection import Detection
+from lampest.report.detect.detection import Detection, GivenRecording, detected
 from lampest.report.detect.events import states
-from lampest.report.detect.run import GivenRecording, detected
 from lampest.runs.filling import named_result
 
 AFTER = 300

@@ -15,9 +15,9 @@ from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import Table, compare, compare_files, csv_text, legend, screen_blocks, write_csv
 from lampest.report.info import describe
+from lampest.report.plots import plot_results
 from lampest.report.plots.contours import ContourPlot
 from lampest.report.plots.plot import strongest_index
-from lampest.report.plots.results import plot_results
 from lampest.report.plots.style import save
 from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
 

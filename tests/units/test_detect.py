@@ -19,9 +19,8 @@ from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.detect.detection import QUANTITIES
-from lampest.report.detect.report import event_table, write_detections
-from lampest.report.detect.run import MOST_SOURCES, GivenRecording, detect, detect_file, looked_at
+from lampest.report.detect.detection import MOST_SOURCES, QUANTITIES, GivenRecording, detect, detect_file, looked_at
+from lampest.report.detect.events import event_table, write_detections
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.frame_noise import arrays_of
 from lampest.runs.results import CaseResult, Results, read_results, write_results

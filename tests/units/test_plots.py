@@ -14,10 +14,8 @@ from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.report.plots import PLOTS, Plot, plot_of
-from lampest.report.plots.maps import MapPainter, Tile
-from lampest.report.plots.results import plot_results
-from lampest.report.plots.scales import banded_scale, share_scale
+from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
+from lampest.report.plots.maps import MapPainter, Tile, banded_scale, share_scale
 from lampest.report.plots.style import change_text, new_figure
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import COLUMNS, FRAMES, Column

@@ -9,9 +9,8 @@ from support import invented_case
 
 from lampest.loads.recognition.candidates import KINDS
 from lampest.report.detect.detection import QUANTITIES, Detection
-from lampest.report.detect.events import events
+from lampest.report.detect.events import event_table, events
 from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
-from lampest.report.detect.report import event_table
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
 

@@ -1,17 +1,27 @@
-"""From frames to events: touched, attached, moved, released."""
+"""From frames to events: touched, attached, moved, released; as a table, and with all frames as a file."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from lampest.loads.recognition.candidates import AND, LOADS, NOTHING, UNIFORM
+from lampest.files import hdf5
+from lampest.loads.recognition.candidates import AND, KINDS, LOADS, NOTHING, UNIFORM
 from lampest.loads.recognition.verdict import OR
 from lampest.panel.panel import Array
-from lampest.report.detect.detection import NOT_SOLVED, Detection
+from lampest.report.compare import Table
+from lampest.report.detect.detection import NOT_SOLVED, QUANTITIES, Detection
+from lampest.runs.case import SHARED
 
+FORMAT, FILE = "detections/1", "detections.h5"
+READINGS = "readings"  # what tables call detections from the readings themselves
+ORDINALS = ("second", "third")  # groups of the loads beside the first
+LEAST_ERROR = 0.1  # mm or kPa: nothing is told to ± 0.0
 AWAY = frozenset(candidate.label for candidate in UNIFORM)
 SUCKING = frozenset(load.label for load in LOADS if load.sucks)
-MOVED_MM, MOVED_SD = 3.0, 4.0
+MOVED_MM, MOVED_SD = 3.0, 4.0  # a movement has begun once the centre is away by both, over two frames
 STILL_FRAMES, STILL_MM = 3, 1.5  # a movement is over once the centre stays within so much over so many frames
 
 
@@ -127,3 +137,106 @@ def _medians(numbers: Array) -> Array:
     """Of every column's finite numbers; NaN where there is none."""
     columns = [column[np.isfinite(column)] for column in numbers.T]
     return np.array([np.median(column) if column.size else np.nan for column in columns])
+
+
+def source_name(source: str) -> str:
+    """What tables and pictures call an estimator, or the readings themselves."""
+    return READINGS if source == SHARED else source
+
+
+def event_table(detections: Sequence[Detection]) -> Table:
+    """One row for each event; a recording in which nothing happened has one row that says so."""
+    numbers = tuple(f"{quantity.header} [{quantity.units}]" for quantity in QUANTITIES[2:])
+    headers = ("recording", "from", "event", "frame", "time [s]", "what", "x, y [mm]", *numbers)
+    rows = []
+    for detection in detections:
+        names = (detection.recording, source_name(detection.source))
+        happened = events(detection)
+        if not happened:
+            rows.append((*names, "nothing attached", *[""] * (len(headers) - 3)))
+        for event in happened:
+            when = (event.kind, str(event.frame), f"{event.time:g}", event.label)
+            x, y, *others = (_plus_minus(*pair) for pair in zip(event.values, event.errors, strict=True))
+            rows.append((*names, *when, ", ".join(filter(None, (x, y))), *others))
+    return Table(headers, tuple(rows))
+
+
+def _plus_minus(value: float, error: float) -> str:
+    error = max(error, LEAST_ERROR)
+    digits = 0 if error >= 10 else 1
+    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−") if np.isfinite(value) else ""
+
+
+def write_detections(path: str | Path, detections: Sequence[Detection]) -> Path:
+    """Write all detections into one file, whole or not at all. Raises InputError where it cannot be written."""
+    path = Path(path)
+    recordings = list(dict.fromkeys(detection.recording for detection in detections))
+    with hdf5.new_file(path) as file:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry", **({"default": recordings[0]} if recordings else {}))
+        for order, recording in enumerate(recordings):
+            group = entry.create_group(recording)
+            hdf5.set_attributes(group, NX_class="NXsubentry", default=SHARED, order=order)
+            for detection in detections:
+                if detection.recording == recording:
+                    _write(group.create_group(detection.source), detection)
+    return path
+
+
+def _write(group: Any, one: Detection) -> None:
+    hdf5.set_attributes(group, NX_class="NXdata", signal="diameter", axes=["time"], source=source_name(one.source))
+    hdf5.write_scale(group, "time", np.asarray(one.time, dtype=float), "s", "time of the frame")
+    state = hdf5.ascii_array(states(one.labels))
+    why = "why the unloaded panel was taken anew after the frame; empty: it was not"
+    columns = [
+        ("frame", one.frame, "1", "index of the frame in the recording"),
+        ("label", hdf5.ascii_array(one.labels), "1", "what the frame may be called"),
+        ("state", state, "1", "label on which two frames in a row agree"),
+        *(
+            (f"probability/{kind.replace(' ', '_')}", shares, "1", f"probability of {kind}")
+            for kind, shares in zip(KINDS, one.probabilities.T, strict=True)
+        ),
+        *_numbers("", one.values, one.errors, ""),
+    ]
+    for ordinal, numbers in zip(ORDINALS, one.further, strict=True):
+        columns += _numbers(f"{ordinal}/", *numbers, f"{ordinal} load: ")
+    columns += [
+        ("count", one.count, "1", "number of loads at once"),
+        ("goodness", one.goodness, "1", "chi-square per reading of the best load"),
+        ("tared", hdf5.ascii_array(one.tared), "1", why),
+    ]
+    for column in columns:
+        hdf5.write_dataset(group, *column, ("time",))
+    for folder in ("probability", *ORDINALS):
+        hdf5.set_attributes(group[folder], NX_class="NXcollection")
+    _write_events(group.create_group("events"), events(one))
+
+
+def _numbers(folder: str, values: Array, errors: Array, of_what: str) -> list[tuple[str, Any, str, str]]:
+    """Name, values, units and meaning of every quantity of a load, then of their standard deviations."""
+    return [
+        (f"{folder}{quantity.name}{suffix}", part, quantity.units, prefix + of_what + quantity.long_name)
+        for suffix, numbers, prefix in (("", values, ""), ("_errors", errors, "standard deviation: "))
+        for quantity, part in zip(QUANTITIES, numbers.T, strict=True)
+    ]
+
+
+def _write_events(group: Any, happened: Sequence[Event]) -> None:
+    """A table by columns; none where nothing happened."""
+    hdf5.set_attributes(group, NX_class="NXcollection", events=len(happened))
+    if not happened:
+        return
+    kinds, labels = (hdf5.ascii_array([getattr(one, name) for one in happened]) for name in ("kind", "label"))
+    columns = [
+        ("event", kinds, "1", "touched, attached, moved or released"),
+        ("label", labels, "1", "what it is called until the next event"),
+        ("time", np.array([one.time for one in happened]), "s", "time of the first frame"),
+        ("frame", np.array([one.frame for one in happened]), "1", "index of the first frame in the recording"),
+    ]
+    for number, quantity in enumerate(QUANTITIES):
+        for suffix, part in (("", [one.values for one in happened]), ("_errors", [one.errors for one in happened])):
+            text = f"{quantity.long_name}, until the next event"
+            columns.append((quantity.name + suffix, np.array(part)[:, number], quantity.units, text))
+    for column in columns:
+        hdf5.write_dataset(group, *column)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.report.page.batch import Batch, Matched, matched
-from lampest.report.page.compared import PREDICTION, Comparison
+from lampest.report.page.compared import PREDICTION, Comparison, Standing
 from lampest.report.page.measures import Measures
-from lampest.report.page.statistics import Standing
 from lampest.report.page.words import between, counted, digits, listed, signed, weights_text
 
 FEW, MOST_NAMED = 5, 4

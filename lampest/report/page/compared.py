@@ -1,7 +1,8 @@
-"""All estimators of a batch against each other: by which criterion, how far apart, how fast."""
+"""Estimators of a batch against each other: by which criterion, how far apart with bootstrap intervals, how fast."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,103 @@ from lampest.panel.panel import Array
 from lampest.report.compare import data_error
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.measures import log_error, weighted_residual
-from lampest.report.page.statistics import Pair, Scores, Standing, pairs, score, standings
+from lampest.report.page.statistics import Interval, Picks, block_length, mean_interval, picks
 from lampest.runs.case import CaseResult
 
-OUTLIER = 5.0
-SHORTEST_MS = 1e-3
+OUTLIER = 5.0  # standard deviations: what larger residuals count as
+SHORTEST_MS = 1e-3  # what a clock shows as zero counts as
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What is compared.
+
+    Parameters
+    ----------
+    estimators : names. values : (units, estimators), smaller is better.
+    units : their names; recordings, or the frames of one recording. block : so many neighbouring units are drawn
+    together, 1 for recordings.
+    """
+
+    estimators: tuple[str, ...]
+    values: Array
+    units: tuple[str, ...]
+    over_frames: bool
+    block: int
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Paired difference, mean of first − second over the units; in how many each was smaller."""
+
+    first: str
+    second: str
+    difference: Interval
+    wins: int
+    losses: int
+
+    @property
+    def told_apart(self) -> bool:
+        return not self.difference.holds_zero
+
+
+@dataclass(frozen=True)
+class Standing:
+    """An estimator's mean over the units, against the smallest of all; wins : units in which none is smaller."""
+
+    estimator: str
+    mean: Interval
+    against_best: Pair
+    wins: int
+
+
+def score(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Scores:
+    """Averages over the cells of the matched frames: one for each recording, or for each frame of a single recording.
+
+    per_cell : (frames, ...) of a case, smaller is better. average : np.median or np.mean.
+    """
+    single = len(match.subjects) == 1
+    columns = []
+    for name in match.estimators:
+        pairs_of = zip(match.cases(name), match.chosen, strict=True)
+        chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
+        columns.append(average(chosen[0], axis=1) if single else np.array([average(part) for part in chosen]))
+    values = np.stack(columns, axis=1)
+    if not single:
+        return Scores(match.estimators, values, tuple(subject.name for subject in match.subjects), False, 1)
+    numbers = match.subjects[0].cases[0].frame[match.chosen[0]]
+    return Scores(match.estimators, values, tuple(f"frame {number}" for number in numbers), True, block_length(values))
+
+
+def standings(scores: Scores, generator: np.random.Generator) -> tuple[Standing, ...]:
+    """Every estimator against the one with the smallest mean, that one first, then by their means.
+
+    All are drawn together, so differences are paired.
+    """
+    drawn = picks(len(scores.values), scores.block, generator)
+    order = [int(index) for index in np.argsort(scores.values.mean(axis=0), kind="stable")]
+    wins = np.sum(scores.values == scores.values.min(axis=1, keepdims=True), axis=0)
+    return tuple(
+        Standing(
+            scores.estimators[index],
+            mean_interval(scores.values[:, index], drawn),
+            _pair(scores, index, order[0], drawn),
+            int(wins[index]),
+        )
+        for index in order
+    )
+
+
+def pairs(scores: Scores, generator: np.random.Generator) -> tuple[Pair, ...]:
+    """Every two estimators, each pair once in the order of their names' appearance."""
+    drawn = picks(len(scores.values), scores.block, generator)
+    return tuple(_pair(scores, *two, drawn) for two in combinations(range(len(scores.estimators)), 2))
+
+
+def _pair(scores: Scores, one: int, other: int, drawn: Picks) -> Pair:
+    difference = scores.values[:, one] - scores.values[:, other]
+    wins, losses = int(np.sum(difference < 0)), int(np.sum(difference > 0))
+    return Pair(scores.estimators[one], scores.estimators[other], mean_interval(difference, drawn), wins, losses)
 
 
 @dataclass(frozen=True)
@@ -60,16 +153,16 @@ def predicted(case: CaseResult) -> Array:
     influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
     Technometrics 15, 1973.
     """
-    residual, resolution = weighted_residual(case), case.resolution
-    assert residual is not None and resolution is not None
-    deviation: Array = np.minimum(residual**2, OUTLIER**2) + 2 * resolution
+    assert case.resolution is not None
+    deviation: Array = np.minimum(_residual(case) ** 2, OUTLIER**2) + 2 * case.resolution
     return deviation
 
 
-def _absolute_residual(case: CaseResult) -> Array:
+def _residual(case: CaseResult) -> Array:
+    """(model − measured)/σ of a case that knows its σ."""
     residual = weighted_residual(case)
     assert residual is not None
-    return np.abs(residual)
+    return residual
 
 
 CELL_ERROR = Criterion(
@@ -97,7 +190,7 @@ WEIGHTED = Criterion(
     "σ",
     "|model − measured|/σ, its median over readings and frames",
     False,
-    _absolute_residual,
+    lambda case: np.abs(_residual(case)),
     np.nanmedian,
 )
 DATA_ERROR = Criterion(

@@ -1,15 +1,16 @@
-"""What is said of one case: errors, residuals, intervals, weights, times, and cells and frames not to be trusted."""
+"""Figures of one case: errors, residuals, intervals, times; and where two cases differ significantly."""
 
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.report.compare import data_error, relative_error
-from lampest.report.page.interval import Interval
-from lampest.report.page.statistics import block_length, mean_interval, median_interval, picks
+from lampest.report.page.statistics import Interval, block_length, mean_interval, median_interval, picks
 from lampest.runs.case import CaseResult
 
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
@@ -32,77 +33,88 @@ class Measures:
     share : median share of an estimate that the data decide, percent.
     time : median time per frame, ms. open, low, saturated : so many cells.
     optima : how many frames end at a local optimum, and from how few and how many starts. missing, bounds : so many
-    readings. pressure : smallest and largest, kPa.
+    readings; None where there is none. pressure : smallest and largest, kPa.
     """
 
     frames: int
     solved: int
     cells: int
     failures: tuple[tuple[str, tuple[int, ...]], ...]
-    cell_error: Interval | None
-    data_error: float | None
-    misfit: float | None
-    spread: float | None
-    width: float | None
-    endless: int | None
-    coverage: Interval | None
-    free_coverage: Interval | None
-    share: float | None
     weights: dict[str, Array]
-    time: float | None
     open: int
     low: int
     saturated: int | None
     missing: int | None
     bounds: int | None
-    pressure: tuple[float, float] | None
-    optima: tuple[int, int, int] | None = None
+    optima: tuple[int, int, int] | None
+    cell_error: Interval | None = None
+    data_error: float | None = None
+    misfit: float | None = None
+    spread: float | None = None
+    width: float | None = None
+    endless: int | None = None
+    coverage: Interval | None = None
+    free_coverage: Interval | None = None
+    share: float | None = None
+    time: float | None = None
+    pressure: tuple[float, float] | None = None
 
 
 @np.errstate(over="ignore")
 def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
     """Everything of one case; intervals from frames drawn in blocks."""
     good = case.solved
-    failed = Counter(text for text, solved in zip(case.status, good, strict=True) if not solved)
-    none = int(np.sum(good)) == 0
-    error = None if none or case.truth is None else relative_error(case.cell_resistance, case.truth)[good]
-    residual = None if none else weighted_residual(case)
-    widths = None if none else _width(case)
-    ended = None if widths is None else widths[good][np.isfinite(widths[good])]
-    within = None if none else _within(case)
-    free = (case.open_cell == 0) & (case.at_lower_bound == 0)
+    known = _of_solved(case, generator) if np.any(good) else {}
+    failed = list(zip(case.status, case.frame, good, strict=True))
+    texts = dict.fromkeys(text for text, _, solved in failed if not solved)
     return Measures(
         frames=len(good),
         solved=int(np.sum(good)),
         cells=int(case.measured[good].size),
         failures=tuple(
-            (
-                text,
-                tuple(int(case.frame[at]) for at, status in enumerate(case.status) if status == text and not good[at]),
-            )
-            for text in failed
+            (text, tuple(int(frame) for status, frame, solved in failed if status == text and not solved))
+            for text in texts
         ),
-        cell_error=None if error is None else median_interval(_flat(error), _drawn(error, generator)),
-        data_error=None if none else _mean(data_error(case)[good]),
-        misfit=None if residual is None else _mean(residual[good] ** 2),
-        spread=None if residual is None else MAD * float(np.nanmedian(np.abs(residual[good]))),
-        width=None if ended is None or ended.size == 0 else float(np.mean(ended)),
-        endless=None if ended is None else int(case.measured[good].size - ended.size),
-        coverage=None if within is None else _share(within[good], np.ones(within[good].shape, bool), generator),
-        free_coverage=None if within is None else _share(within[good], free[good], generator),
-        share=None if none or case.data_share is None else 100 * float(np.median(case.data_share[good])),
         weights=case.weights,
-        time=None if none else 1e3 * float(np.median(case.solve_time[good])),
         open=int(np.sum(case.open_cell[good] != 0)),
         low=int(np.sum(case.at_lower_bound[good] != 0)),
         saturated=None if case.saturated is None else int(np.sum(case.saturated[good] != 0)),
-        missing=None if case.missing_readings is None else int(np.sum(case.missing_readings)),
-        bounds=None if case.bound_readings is None else int(np.sum(case.bound_readings)),
-        pressure=None
-        if none or case.pressure is None
-        else (float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))),
+        missing=None if case.missing_readings is None else int(np.sum(case.missing_readings)) or None,
+        bounds=None if case.bound_readings is None else int(np.sum(case.bound_readings)) or None,
         optima=case.local_optima,
+        **known,
     )
+
+
+def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, Any]:
+    """What only solved frames tell, of those that there are."""
+    good, cells = case.solved, case.measured[case.solved].size
+    known: dict[str, Any] = {
+        "data_error": _mean(data_error(case)[good]),
+        "time": 1e3 * float(np.median(case.solve_time[good])),
+    }
+    if case.truth is not None:
+        error = relative_error(case.cell_resistance, case.truth)[good].reshape(int(np.sum(good)), -1)
+        block = block_length(np.median(error, axis=1)[:, None])
+        known["cell_error"] = median_interval(error, picks(len(error), block, generator))
+    residual = weighted_residual(case)
+    if residual is not None:
+        known["misfit"] = _mean(residual[good] ** 2)
+        known["spread"] = MAD * float(np.nanmedian(np.abs(residual[good])))
+    lower, upper = case.cell_resistance_lower, case.cell_resistance_upper
+    if lower is not None and upper is not None:
+        widths = (100 * (upper - lower) / case.cell_resistance)[good]
+        known["width"], known["endless"] = _mean(widths), int(cells - np.sum(np.isfinite(widths)))
+        if case.truth is not None:
+            within = ((lower <= case.truth) & (case.truth <= upper))[good]
+            free = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good]
+            known["coverage"] = _share(within, np.ones(within.shape, bool), generator)
+            known["free_coverage"] = _share(within, free, generator)
+    if case.data_share is not None:
+        known["share"] = 100 * float(np.median(case.data_share[good]))
+    if case.pressure is not None:
+        known["pressure"] = float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))
+    return known
 
 
 def log_error(case: CaseResult) -> Array:
@@ -120,21 +132,6 @@ def weighted_residual(case: CaseResult) -> Array | None:
     return np.asarray(np.where(case.valued, residual, np.nan))
 
 
-def _width(case: CaseResult) -> Array | None:
-    """100·(upper − lower)/r of the 95 % intervals, (frames, rows, columns) percent; infinite without an upper end."""
-    if case.cell_resistance_lower is None or case.cell_resistance_upper is None:
-        return None
-    width: Array = 100 * (case.cell_resistance_upper - case.cell_resistance_lower) / case.cell_resistance
-    return width
-
-
-def _within(case: CaseResult) -> NDArray[np.bool_] | None:
-    """Whether the truth lies in the interval, (frames, rows, columns)."""
-    if case.truth is None or case.cell_resistance_lower is None or case.cell_resistance_upper is None:
-        return None
-    return (case.cell_resistance_lower <= case.truth) & (case.truth <= case.cell_resistance_upper)
-
-
 def _share(within: NDArray[np.bool_], counted: NDArray[np.bool_], generator: np.random.Generator) -> Interval | None:
     """Mean over the frames of the share of the counted cells that are within, in percent."""
     cells = counted.sum(axis=(1, 2))
@@ -150,11 +147,50 @@ def _mean(values: Array) -> float | None:
     return float(numbers.mean()) if numbers.size else None
 
 
-def _flat(values: Array) -> Array:
-    return values.reshape(len(values), -1)
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """Two estimators of one recording; over the frames that both solved.
+
+    difference : (frames, rows, columns) relative change of the first − second, percentage points; NaN elsewhere.
+    significant : (frames, rows, columns). share : of the cells of these frames, percent.
+    """
+
+    first: str
+    second: str
+    difference: Array
+    significant: NDArray[np.bool_]
+    share: float
 
 
-def _drawn(values: Array, generator: np.random.Generator) -> NDArray[np.intp]:
-    """Draws of frames; their memory is that of their medians."""
-    medians = np.median(_flat(values), axis=1)
-    return picks(len(values), block_length(medians[:, None]), generator)
+def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
+    """Every two cases with error bars that both solved something, those that disagree most first."""
+    known = [
+        case for case in cases if case.relative_change_lower is not None and case.relative_change_upper is not None
+    ]
+    found = [_disagreement(one, other) for one, other in combinations(known, 2) if np.any(one.solved & other.solved)]
+    return tuple(sorted(found, key=lambda pair: -pair.share))
+
+
+def _disagreement(one: CaseResult, other: CaseResult) -> Disagreement:
+    """a − b is significant where its 95 % interval excludes zero: a − b > √((a − a_low)² + (b_high − b)²) for a > b.
+
+    That is exact for independent normal errors. Both estimates rest on the same readings, so that their errors agree in
+    part, and fewer than one cell in twenty is marked by chance. Source: Zou and Donner, Stat. Med. 27, 2008.
+    """
+    both = one.solved & other.solved
+    difference = one.relative_change - other.relative_change
+    with np.errstate(invalid="ignore"):
+        above = np.where(difference > 0, _arm(one, False), _arm(one, True))
+        below = np.where(difference > 0, _arm(other, True), _arm(other, False))
+        significant: NDArray[np.bool_] = np.abs(difference) > np.hypot(above, below)
+    return Disagreement(
+        one.estimator, other.estimator, difference, significant, 100 * float(np.mean(significant[both]))
+    )
+
+
+def _arm(case: CaseResult, upward: bool) -> Array:
+    """Distance from the estimate to the upper or lower end of its interval, percentage points, never negative."""
+    assert case.relative_change_lower is not None and case.relative_change_upper is not None
+    end = case.relative_change_upper if upward else case.relative_change_lower
+    arm: Array = np.maximum((end - case.relative_change) * (1 if upward else -1), 0.0)
+    return arm

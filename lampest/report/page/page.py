@@ -11,8 +11,7 @@ from lampest.report.page.advice import Advice, advise, doubts
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Comparison, compared
 from lampest.report.page.measures import Measures, measures
-from lampest.report.page.section import Section, section
-from lampest.report.page.standing import standing_section
+from lampest.report.page.section import Section, section, standing_section
 from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
 from lampest.report.page.template import SHARED, filled

@@ -1,24 +1,33 @@
-"""One recording on the page: its table, its figures with captions, and what went wrong."""
+"""Sections of the page: one recording, and the comparison over all, each with tables and captioned figures."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 
 from lampest.panel.panel import Array, Panel
 from lampest.report.page.batch import Subject
-from lampest.report.page.differences import Disagreement, disagreements
-from lampest.report.page.measures import Measures, weighted_residual
-from lampest.report.page.tables import Sheet, failures, recording_sheet
+from lampest.report.page.compared import Comparison, Standing
+from lampest.report.page.measures import Disagreement, Measures, disagreements, weighted_residual
+from lampest.report.page.tables import failures, pair_sheet, recording_sheet, standing_sheet, unit_sheet
+from lampest.report.page.template import Illustration, Sheet
 from lampest.report.page.words import counted, digits
 from lampest.report.plots.contours import ContourPlot, percent_change
-from lampest.report.plots.maps import Tile, maps_figure
+from lampest.report.plots.curves import (
+    Forest,
+    ForestLine,
+    forest_figure,
+    histogram_figure,
+    paired_figure,
+    profile_figure,
+)
+from lampest.report.plots.maps import Scale, Tile, maps_figure, positive_scale, share_scale, signed_scale
 from lampest.report.plots.plot import strongest_index
-from lampest.report.plots.profiles import histogram_figure, profile_figure
-from lampest.report.plots.scales import Scale, positive_scale, share_scale, signed_scale
-from lampest.report.plots.style import data_uri
+from lampest.report.plots.style import data_uri, short_title
 from lampest.runs.case import CaseResult
 
+MOST_UNITS = 200  # whose figures are listed one by one
 MOST_PAIRS, MOST_SHARP = 9, 1500
 LEAST_SIGMAS, LEAST_PERCENT = 3.0, 0.1  # that a signed scale reaches
 POINTS = (1.0, 100.0)  # that a scale of percentage points reaches, at least and at most
@@ -40,16 +49,6 @@ DIFFERENT = (
     "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
     "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
 )
-
-
-@dataclass(frozen=True)
-class Illustration:
-    """An image as text, what it shows in words, its caption; wide : over the whole page."""
-
-    uri: str
-    alternative: str
-    caption: str
-    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -222,3 +221,93 @@ def _strongest_row(subject: Subject, place: int) -> int:
     else:
         change = percent_change(first.measured[place], first.measured_baseline)
     return int(np.argmax(np.where(np.isfinite(change), np.abs(change), 0.0)) // change.shape[1])
+
+
+@dataclass(frozen=True)
+class StandingSection:
+    """about : what is compared and how, sentences. units : every recording's or frame's figure, or None if too many."""
+
+    about: tuple[str, ...]
+    standings: Sheet
+    pictures: tuple[Illustration, ...]
+    pairs: Sheet
+    units: Sheet | None
+    units_title: str
+
+
+def standing_section(comparison: Comparison) -> StandingSection:
+    """Everything on the page about who is better."""
+    few = len(comparison.scores.units) <= MOST_UNITS
+    return StandingSection(
+        _about(comparison),
+        standing_sheet(comparison),
+        _pictures(comparison),
+        pair_sheet(comparison),
+        unit_sheet(comparison) if few else None,
+        "Every frame" if comparison.scores.over_frames else "Every recording",
+    )
+
+
+def _about(comparison: Comparison) -> tuple[str, ...]:
+    scores, criterion = comparison.scores, comparison.criterion
+    if scores.over_frames:
+        drawn = "single frames" if scores.block == 1 else f"blocks of {scores.block} neighbouring frames"
+        units = (
+            f"The {counted(len(scores.values), 'frame')} of one recording that all estimators solved are compared in "
+            f"pairs; the bootstrap draws {drawn}."
+        )
+    else:
+        units = (
+            f"{counted(len(scores.values), 'recording')} with {counted(comparison.match.frames, 'frame')} that all "
+            "estimators solved are compared in pairs; the bootstrap draws recordings."
+        )
+    smaller = "Smaller is better." if criterion.decides else "Smaller is nearer to the readings, not to the cells."
+    return (f"Criterion: {criterion.name}, {criterion.meaning}. {smaller}", units)
+
+
+def _pictures(comparison: Comparison) -> tuple[Illustration, ...]:
+    scores, criterion, rows = comparison.scores, comparison.criterion, comparison.standings
+    order = [scores.estimators.index(row.estimator) for row in rows]
+    best, unit = rows[0].estimator, "frame" if scores.over_frames else "recording"
+    dots = paired_figure(
+        [row.estimator for row in rows], scores.values[:, order], f"{criterion.name} [{criterion.unit}]"
+    )
+    quickest = comparison.times[0].estimator
+    forests = (
+        Forest(
+            _lines(rows, lambda end: end),
+            f"difference from {short_title(best)} [{criterion.difference_unit}]",
+            0.0,
+            False,
+        ),
+        Forest(_lines(comparison.times, exp), f"time per frame, times that of {short_title(quickest)}", 1.0, True),
+    )
+    return (
+        Illustration(
+            data_uri(dots),
+            f"{criterion.name} of every {unit}",
+            f"A dot for each {unit}, grey lines join those of one {unit}, orange bars are means.",
+        ),
+        Illustration(
+            data_uri(forest_figure(forests)),
+            f"Differences from {best}, and times compared with {quickest}",
+            f"Paired differences from {best}, and times over that of the fastest, {quickest} with "
+            f"{digits(comparison.milliseconds(quickest), 2)} ms; 95 % bootstrap intervals, filled where they exclude "
+            "the line.",
+        ),
+    )
+
+
+def _lines(rows: Sequence[Standing], scale: Callable[[float], float]) -> tuple[ForestLine, ...]:
+    """All but the first, which the others are held against."""
+    pairs = [row.against_best for row in rows[1:]]
+    return tuple(
+        ForestLine(
+            pair.first,
+            scale(pair.difference.value),
+            scale(pair.difference.lower),
+            scale(pair.difference.upper),
+            pair.told_apart,
+        )
+        for pair in pairs
+    )

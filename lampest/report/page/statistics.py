@@ -1,83 +1,30 @@
-"""Bootstrap intervals and paired comparison: over recordings, or over one recording's frames in blocks."""
+"""Bootstrap intervals over recordings, or over one recording's frames in blocks."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.page.batch import Matched
-from lampest.report.page.interval import Interval
-from lampest.runs.results import CaseResult
 
 DRAWS = 2000
-ENDS = (2.5, 97.5)
-BINS = 400
+ENDS = (2.5, 97.5)  # percentiles
+BINS = 400  # of a median's distribution
 Picks = NDArray[np.intp]
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """What is compared.
-
-    Parameters
-    ----------
-    estimators : names. values : (units, estimators), smaller is better.
-    units : their names; recordings, or the frames of one recording. block : so many neighbouring units are drawn
-    together, 1 for recordings.
-    """
-
-    estimators: tuple[str, ...]
-    values: Array
-    units: tuple[str, ...]
-    over_frames: bool
-    block: int
-
-
 @dataclass(frozen=True)
-class Pair:
-    """Paired difference, mean of first − second over the units; in how many each was smaller."""
+class Interval:
+    """A figure and the ends of its 95 % bootstrap interval (percentiles)."""
 
-    first: str
-    second: str
-    difference: Interval
-    wins: int
-    losses: int
+    value: float
+    lower: float
+    upper: float
 
     @property
-    def told_apart(self) -> bool:
-        return not self.difference.holds_zero
-
-
-@dataclass(frozen=True)
-class Standing:
-    """An estimator's mean over the units, against the smallest of all; wins : units in which none is smaller."""
-
-    estimator: str
-    mean: Interval
-    against_best: Pair
-    wins: int
-
-
-def score(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Scores:
-    """Averages over the cells of the matched frames: one for each recording, or for each frame of a single recording.
-
-    per_cell : (frames, ...) of a case, smaller is better. average : np.median or np.mean.
-    """
-    single = len(match.subjects) == 1
-    columns = []
-    for name in match.estimators:
-        pairs_of = zip(match.cases(name), match.chosen, strict=True)
-        chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
-        columns.append(average(chosen[0], axis=1) if single else np.array([average(part) for part in chosen]))
-    values = np.stack(columns, axis=1)
-    if not single:
-        return Scores(match.estimators, values, tuple(subject.name for subject in match.subjects), False, 1)
-    numbers = match.subjects[0].cases[0].frame[match.chosen[0]]
-    return Scores(match.estimators, values, tuple(f"frame {number}" for number in numbers), True, block_length(values))
+    def holds_zero(self) -> bool:
+        return self.lower <= 0 <= self.upper
 
 
 def block_length(values: Array) -> int:
@@ -132,42 +79,3 @@ def median_interval(values: Array, drawn: Picks) -> Interval:
 def _interval(value: float, draws: Array) -> Interval:
     lower, upper = np.percentile(draws, ENDS)
     return Interval(value, float(lower), float(upper))
-
-
-def standings(scores: Scores, generator: np.random.Generator) -> tuple[Standing, ...]:
-    """Every estimator against the one with the smallest mean, that one first, then by their means.
-
-    All are drawn together, so differences are paired.
-    """
-    drawn = picks(len(scores.values), scores.block, generator)
-    means = scores.values.mean(axis=0)
-    order = np.argsort(means, kind="stable")
-    least = scores.values.min(axis=1)
-    return tuple(
-        Standing(
-            scores.estimators[index],
-            mean_interval(scores.values[:, index], drawn),
-            _pair(scores, int(index), int(order[0]), drawn),
-            int(np.sum(scores.values[:, index] == least)),
-        )
-        for index in order
-    )
-
-
-def pairs(scores: Scores, generator: np.random.Generator) -> tuple[Pair, ...]:
-    """Every two estimators, each pair once in the order of their names' appearance."""
-    drawn = picks(len(scores.values), scores.block, generator)
-    count = len(scores.estimators)
-    return tuple(_pair(scores, one, other, drawn) for one in range(count) for other in range(one + 1, count))
-
-
-def _pair(scores: Scores, one: int, other: int, drawn: Picks) -> Pair:
-    difference = scores.values[:, one] - scores.values[:, other]
-    names: Sequence[str] = scores.estimators
-    return Pair(
-        names[one],
-        names[other],
-        mean_interval(difference, drawn),
-        int(np.sum(difference < 0)),
-        int(np.sum(difference > 0)),
-    )

@@ -1,11 +1,31 @@
-"""A page from its template: whatever comes from a file is escaped, what is not given is an error."""
+"""What pages are made of: tables, pictures, and a template in which whatever comes from a file is escaped."""
 
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
 SHARED = "lampest.report.page"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: headers, then rows whose first cell is their name; `best` : (row, column) of cells to set off."""
+
+    headers: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    best: frozenset[tuple[int, int]] = frozenset()
+
+
+@dataclass(frozen=True)
+class Illustration:
+    """An image as text, what it shows in words, its caption; wide : over the whole page."""
+
+    uri: str
+    alternative: str
+    caption: str
+    wide: bool = False
 
 
 def filled(package: str, **values: Any) -> str:

@@ -1,11 +1,11 @@
-"""Figures as a reader wants them: three significant digits, intervals, weights, frame numbers."""
+"""Figures in words: three significant digits, intervals, weights, frame numbers."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.page.interval import Interval
+from lampest.report.page.statistics import Interval
 
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
@@ -24,15 +24,21 @@ def digits(value: float, count: int = 3) -> str:
 
 def between(interval: Interval, unit: str = "") -> str:
     """'2.13 (1.95 to 2.36) %'; all three with the decimals that the interval's length deserves."""
-    return f"{together(interval.value, interval)} ({_kept(ends(interval))}){unit and HARD + unit}"
+    return _between(interval, unit, "")
 
 
-def ends(interval: Interval) -> str:
-    """'1.95 to 2.36'."""
-    return f"{together(interval.lower, interval)} to {together(interval.upper, interval)}"
+def signed(interval: Interval, unit: str = "") -> str:
+    """'+1.3 (+0.9 to +1.7) %'."""
+    return _between(interval, unit, "+")
 
 
-def together(value: float, interval: Interval, sign: bool = False) -> str:
+def _between(interval: Interval, unit: str, sign: str) -> str:
+    """No line is broken within the brackets."""
+    value, lower, upper = (_together(part, interval, sign) for part in (interval.value, interval.lower, interval.upper))
+    return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
+
+
+def _together(value: float, interval: Interval, sign: str) -> str:
     """A number with the decimals that an interval's length deserves: two digits of it, three of the figure."""
     sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
     if not np.isfinite(value) or not sizes or not 1e-6 < min(sizes) < 1e6:
@@ -40,18 +46,7 @@ def together(value: float, interval: Interval, sign: bool = False) -> str:
     places = min(
         max(0, 1 - int(np.floor(np.log10(sizes[0])))), max(0, 2 - int(np.floor(np.log10(max(sizes[-1], sizes[0])))))
     )
-    return f"{value:{'+' if sign else ''},.{places}f}".replace("-", "−")
-
-
-def signed(interval: Interval, unit: str = "") -> str:
-    """'+1.3 (+0.9 to +1.7) %'."""
-    value, lower, upper = (together(part, interval, True) for part in (interval.value, interval.lower, interval.upper))
-    return f"{value} ({_kept(f'{lower} to {upper}')}){unit and HARD + unit}"
-
-
-def _kept(text: str) -> str:
-    """The text with blanks at which no line is broken."""
-    return text.replace(" ", HARD)
+    return f"{value:{sign},.{places}f}".replace("-", "−")
 
 
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:

@@ -3,15 +3,27 @@
 A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
 
-from lampest.files.errors import InputError
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from lampest.files.errors import InputError, in_words
 from lampest.files.plugins import installed
-from lampest.report.plots.certainty import CertaintyPlot
-from lampest.report.plots.contours import ContourPlot
+from lampest.recording.stored import too_long
+from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
+from lampest.report.plots.style import SUFFIXES, image_of, verbatim, write_image
+from lampest.runs.columns import Column
+from lampest.runs.executors import each_of
+from lampest.runs.results import CaseResult, Results, read_results, stored_cases
 
-__all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "plot_of"]
+__all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
 PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot())
+MOST_TOGETHER = 20  # estimators that one picture shows
+OTHER_SUFFIXES = (".jpg", ".jpeg", ".gif", ".bmp", ".tif", ".tiff", ".webp", ".eps", ".ps")
 
 
 def plot_of(kind: str) -> Plot:
@@ -22,3 +34,114 @@ def plot_of(kind: str) -> Plot:
         kinds = ", ".join(dict.fromkeys(plot.kind for plot in plots))
         raise InputError(f"there {'is no plot' if not named else 'are two plots'} '{kind}'; there are {kinds}")
     return named[0]
+
+
+def plot_results(
+    path: str | Path,
+    out: str | Path | None = None,
+    show: str | Plot = "contours",
+    columns: Sequence[Column] = (),
+    on_picture: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    frame: int | None = None,
+    estimators: Sequence[str] = (),
+    form: str | None = None,
+    frames: range | None = None,
+    recordings: Sequence[str] = (),
+) -> list[Path]:
+    """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
+
+    More than MOST_TOGETHER estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on.
+    What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or
+    .pdf file where there is one picture. columns : as `read_results` takes them.
+    on_picture : told of how many pictures how many are drawn. frame : index into the recordings; its pictures are
+    called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; png where
+    neither it nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be
+    drawn. Returns the files that were written.
+
+    Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
+    nothing to draw, or the place cannot be written.
+    """
+    plot = _chosen(show, frame)
+    path, target = Path(path), None if out is None else Path(out)
+    single = target if target is not None and target.suffix in SUFFIXES else None
+    _check_form(target, form)
+    if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
+        frames = range(frame, frame + 1)
+    results = read_results(path, columns, frames)
+    try:
+        results = results.named("recording", recordings).named("estimator", estimators)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    pictures = list(_pictures(results, plot))
+    if not pictures:
+        raise InputError(f"{path}: {_lacks(plot)}")
+    if single is not None and len(pictures) > 1:
+        names = ", ".join(name for name, _ in pictures[:3]) + ", …" * (len(pictures) > 3)
+        raise InputError(
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
+            "name a folder"
+        )
+    ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
+    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
+    tasks = [(plot, cases, file) for (_, cases), file in zip(pictures, files, strict=True)]
+    for file, image in zip(files, each_of(_image, tasks, on_picture, here=not isinstance(show, str)), strict=True):
+        write_image(image, file)
+    return files
+
+
+def _image(task: tuple[Plot, tuple[CaseResult, ...], Path]) -> bytes:
+    plot, cases, file = task
+    with verbatim():
+        return image_of(plot.draw(cases), file)
+
+
+def _check_form(target: Path | None, form: str | None) -> None:
+    """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
+    if form is not None and f".{form}" not in SUFFIXES:
+        raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
+    if target is None:
+        return
+    if target.suffix.lower() in OTHER_SUFFIXES:
+        raise InputError(f"{target}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    if form is not None and target.suffix in SUFFIXES and target.suffix != f".{form}":
+        raise InputError(f"{target}: is no name of a picture in {form}")
+
+
+def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
+    """One picture of a recording's cases; of one of them where the plot draws them apart.
+
+    frame : index into the recording; None: what the plot says. Raises InputError where there is no such plot or frame,
+    or nothing to draw.
+    """
+    plot = _chosen(show, frame)
+    drawable = plot.drawable(cases)
+    if not drawable:
+        raise InputError(f"{cases[0].recording}: {_lacks(plot)}")
+    with verbatim():
+        return plot.draw(drawable)
+
+
+def _chosen(show: str | Plot, frame: int | None) -> Plot:
+    plot = plot_of(show) if isinstance(show, str) else show
+    if not isinstance(plot, Plot):
+        raise InputError(f"a plot is a word such as 'contours' or a Plot, not {in_words(plot)}")
+    return plot if frame is None else replace(plot, frame=frame)
+
+
+def _lacks(plot: Plot) -> str:
+    """Why there is nothing to draw."""
+    return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
+
+
+def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseResult, ...]]]:
+    """(name, cases) of every picture; more estimators than one picture holds go on several, of that many each."""
+    for recording in results.recordings():
+        cases = plot.drawable(results.of(recording))
+        if plot.apart:
+            yield from ((f"{recording}_{case.estimator}", (case,)) for case in cases)
+        elif len(cases) <= MOST_TOGETHER:
+            yield from [(recording, cases)] if cases else ()
+        else:
+            for page, first in enumerate(range(0, len(cases), MOST_TOGETHER), 1):
+                yield f"{recording}_{page}", cases[first : first + MOST_TOGETHER]

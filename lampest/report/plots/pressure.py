@@ -16,9 +16,8 @@ from lampest.files.errors import InputError
 from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
-from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, PRESSING, MapPainter, Scale, Tile, stepped_scale
 from lampest.report.plots.plot import Plot, frame_title, shown_index
-from lampest.report.plots.scales import PRESSING, Scale, stepped_scale
 from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, new_figure, plain_number
 from lampest.runs.case import CaseResult
 

@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -47,11 +47,7 @@ def image_of(figure: Figure, path: Path) -> bytes:
     """The bytes of a figure as a file of that name has them. Raises InputError for another suffix than SUFFIXES."""
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    stream = BytesIO()
-    dated = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate",)}[path.suffix]
-    with _repeatable():
-        figure.savefig(stream, format=path.suffix[1:], dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
-    return stream.getvalue()
+    return _drawn(figure, path.suffix[1:])
 
 
 def write_image(image: bytes, path: Path) -> None:
@@ -60,24 +56,24 @@ def write_image(image: bytes, path: Path) -> None:
         unfinished.write_bytes(image)
 
 
-def _repeatable() -> AbstractContextManager[None]:
-    """The same figure gives the same bytes; words are drawn, so that no font is missing elsewhere."""
-    return rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"})
-
-
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
     """The figure as the address of an image that holds it; the same figure gives the same text."""
-    stream = BytesIO()
-    metadata: dict[str, Any] = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
-    with _repeatable():
-        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)
     form = "image/png" if kind == "png" else "image/svg+xml"
-    return f"data:{form};base64,{b64encode(stream.getvalue()).decode('ascii')}"
+    return f"data:{form};base64,{b64encode(_drawn(figure, kind)).decode('ascii')}"
+
+
+def _drawn(figure: Figure, kind: str) -> bytes:
+    """The same figure gives the same bytes; words are drawn, so that no font is missing elsewhere."""
+    stream = BytesIO()
+    dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
+    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
+        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
+    return stream.getvalue()
 
 
 @contextmanager
 def verbatim() -> Iterator[None]:
-    """What figures made herein say is no formula, whatever signs a name holds."""
+    """Texts of figures made herein are no formulas, whatever signs a name holds."""
     with rc_context({"text.parse_math": False}):
         yield
 

@@ -16,9 +16,8 @@ from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
 from lampest.report.plots.contours import percent_change
-from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.plot import strongest_index
-from lampest.report.plots.scales import stepped_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, image_of, new_figure, verbatim, write_image
 from lampest.runs.case import SHARED
 from lampest.runs.executors import each_of

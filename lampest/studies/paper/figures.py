@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile
-from lampest.report.plots.scales import banded_scale
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, change_text, new_figure
 from lampest.studies.paper.published import Published, PublishedBending, PublishedResponse
 from lampest.studies.paper.side import MEASURED, Side

@@ -7,9 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from lampest.files.whole import write_whole
-from lampest.report.page.section import Illustration
-from lampest.report.page.tables import Sheet
-from lampest.report.page.template import filled
+from lampest.report.page.template import Illustration, Sheet, filled
 from lampest.report.plots.style import data_uri, save, verbatim
 from lampest.studies.paper import tables
 from lampest.studies.paper.figures import (
