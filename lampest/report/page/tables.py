@@ -83,9 +83,9 @@ def _entry(line: Line, own: Sequence[Measures], known: Sequence[Interval | float
     if alone and isinstance(known[0], Interval):
         return between(known[0])
     value = line.over([one.value if isinstance(one, Interval) else one for one in known])
+    cells = sum(one.cells for one in own)
     if line.over is not sum:
         return digits(value) if value == 0 or value >= LEAST else f"<{HARD}{LEAST:g}"
-    cells = sum(one.cells for one in own)
     return f"{value:,.0f}" + (f" ({digits(100 * value / cells, 2)}{HARD}%)" if value and cells else "")
 
 
