@@ -16,7 +16,6 @@ from lampest.report.page.words import counted, digits
 from lampest.report.plots.contours import ContourPlot, percent_change
 from lampest.report.plots.curves import (
     Forest,
-    ForestLine,
     forest_figure,
     histogram_figure,
     paired_figure,
@@ -298,16 +297,7 @@ def _pictures(comparison: Comparison) -> tuple[Illustration, ...]:
     )
 
 
-def _lines(rows: Sequence[Standing], scale: Callable[[float], float]) -> tuple[ForestLine, ...]:
-    """All but the first, which the others are held against."""
-    pairs = [row.against_best for row in rows[1:]]
-    return tuple(
-        ForestLine(
-            pair.first,
-            scale(pair.difference.value),
-            scale(pair.difference.lower),
-            scale(pair.difference.upper),
-            pair.told_apart,
-        )
-        for pair in pairs
-    )
+def _lines(rows: Sequence[Standing], scale: Callable[[float], float]) -> list[tuple[str, float, float, float]]:
+    """All but the first, which the others are compared with."""
+    differences = [(row.estimator, row.against_best.difference) for row in rows[1:]]
+    return [(name, scale(one.value), scale(one.lower), scale(one.upper)) for name, one in differences]

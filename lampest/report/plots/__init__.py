@@ -5,6 +5,7 @@ A package adds plots by naming them in the entry point group `lampest.plots`, a 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -15,9 +16,8 @@ from lampest.recording.stored import too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
-from lampest.report.plots.style import SUFFIXES, image_of, verbatim, write_image
+from lampest.report.plots.style import SUFFIXES, verbatim, write_all
 from lampest.runs.columns import Column
-from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results, read_results, stored_cases
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
@@ -84,16 +84,8 @@ def plot_results(
         )
     ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
-    tasks = [(plot, cases, file) for (_, cases), file in zip(pictures, files, strict=True)]
-    for file, image in zip(files, each_of(_image, tasks, on_picture, here=not isinstance(show, str)), strict=True):
-        write_image(image, file)
-    return files
-
-
-def _image(task: tuple[Plot, tuple[CaseResult, ...], Path]) -> bytes:
-    plot, cases, file = task
-    with verbatim():
-        return image_of(plot.draw(cases), file)
+    drawn = [partial(plot.draw, cases) for _, cases in pictures]
+    return write_all(drawn, files, on_picture, here=not isinstance(show, str))
 
 
 def _check_form(target: Path | None, form: str | None) -> None:

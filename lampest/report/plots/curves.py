@@ -1,6 +1,6 @@
 """The report's curves: rows of cells with intervals, histograms of residuals, and estimators compared in pairs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, erf, floor, log10, sqrt
 from typing import Any
@@ -32,22 +32,31 @@ CHANGES = (-50, 100, -90, 900, -80, 400, -99, 9900, -95, 1900, 200, -98, 20, -20
 DRAWABLE = (1e-4, 1e6)
 
 
+def _grid(figures: int, across: int, tall: float, room: float) -> tuple[Figure, Any, Iterator[Axes]]:
+    """A half figure, its grid, and its axes in order; numbers of columns below the lowest, what is left over hidden."""
+    across = min(across, figures)
+    down = ceil(figures / across)
+    figure = half_figure(tall * down + room)
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    for number, axes in enumerate(grid.flat):
+        axes.set_visible(number < figures)
+        axes.tick_params(labelsize=SMALL_POINT, length=2, labelbottom=number + across >= figures)
+    return figure, grid, iter(grid.flat)
+
+
+def _not_solved(axes: Axes) -> None:
+    axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
+
+
 def profile_figure(cases: Sequence[CaseResult], place: int, row: int) -> Figure:
     """Relative change along one row of one frame: estimates with their 95 % intervals, and the truth.
 
     The axis is logarithmic in r/r₀, so that −90 % and +900 % are as far from zero as each other.
     """
-    across = min(2, len(cases))
-    down = ceil(len(cases) / across)
-    figure = half_figure(1.25 * down + 0.65)
+    figure, grid, every = _grid(len(cases), 2, 1.25, 0.65)
     limits = _limits(cases, place, row)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    for number, axes in enumerate(grid.flat):
-        if number >= len(cases):
-            axes.set_visible(False)
-            continue
-        _profile(axes, cases[number], place, row, limits)
-        axes.tick_params(labelbottom=number + across >= len(cases))
+    for case, axes in zip(cases, every, strict=False):
+        _profile(axes, case, place, row, limits)
     _change_ticks(grid[0, 0].yaxis, *limits)
     figure.supxlabel(f"position in row {row} [mm]", fontsize=TEXT_POINT)
     figure.supylabel("relative change of resistance [%]", fontsize=TEXT_POINT)
@@ -57,7 +66,6 @@ def profile_figure(cases: Sequence[CaseResult], place: int, row: int) -> Figure:
 
 def _profile(axes: Axes, case: CaseResult, place: int, row: int, limits: tuple[float, float]) -> None:
     axes.set_title(short_title(case.estimator, 30), fontsize=SMALL_POINT + 0.5)
-    axes.tick_params(labelsize=SMALL_POINT, length=2)
     axes.set_yscale("log")
     axes.set_ylim(*limits)
     axes.axhline(1, color="0.85", lw=0.6, zorder=0)
@@ -65,7 +73,7 @@ def _profile(axes: Axes, case: CaseResult, place: int, row: int, limits: tuple[f
     if case.truth is not None and case.truth_baseline is not None:
         axes.plot(x, case.truth[place, row] / case.truth_baseline[row], color="black", lw=0.9, label="truth", zorder=2)
     if not case.solved[place]:
-        axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
+        _not_solved(axes)
         return
     if case.relative_change_lower is not None and case.relative_change_upper is not None:
         lower, upper = (_ratio(part[place, row]) for part in (case.relative_change_lower, case.relative_change_upper))
@@ -86,14 +94,20 @@ def _limits(cases: Sequence[CaseResult], place: int, row: int) -> tuple[float, f
     """Three times as far in r/r₀ as the truth goes, or the estimates where it is unknown, if anything goes there."""
     first = cases[0]
     estimates = [_ratio(case.relative_change[place, row]) for case in cases if case.solved[place]]
-    known = (case.relative_change_lower for case in cases), (case.relative_change_upper for case in cases)
-    ends = [_ratio(part[place, row]) for side in known for part in side if part is not None]
-    far = np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in (*estimates, *ends))])
-    held = np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in estimates)])
+    ends = [
+        end for case in cases for end in (case.relative_change_lower, case.relative_change_upper) if end is not None
+    ]
+    far = _finite(estimates + [_ratio(end[place, row]) for end in ends])
+    held = _finite(estimates)
     if first.truth is not None and first.truth_baseline is not None:
-        held = np.append(first.truth[place, row] / first.truth_baseline[row], 1.0)
+        held = _finite([first.truth[place, row] / first.truth_baseline[row]])
     low, high = max(held.min() / 3, min(far.min(), held.min())), min(held.max() * 3, max(far.max(), held.max()))
     return float(low) / 1.15, float(high) * 1.15
+
+
+def _finite(ratios: Sequence[Array]) -> Array:
+    """All that are finite, and 1."""
+    return np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in ratios)])
 
 
 def _change_ticks(axis: Axis, low: float, high: float) -> None:
@@ -104,13 +118,7 @@ def _change_ticks(axis: Axis, low: float, high: float) -> None:
         ratio = 1 + change / 100
         if low <= ratio <= high and all(abs(log10(ratio / tick)) > apart for tick in ticks):
             ticks.append(ratio)
-    axis.set_major_locator(FixedLocator(ticks))
-    axis.set_major_formatter(FuncFormatter(lambda ratio, _: _signed(100 * (ratio - 1))))
-    axis.set_minor_locator(NullLocator())
-
-
-def _signed(change: float) -> str:
-    return f"{change:+,.4g}".replace("-", "−") if abs(change) > 1e-9 else "0"
+    _fixed_ticks(axis, ticks, lambda ratio, _: f"{100 * (ratio - 1):+,.4g}".replace("-", "−") if ratio != 1 else "0")
 
 
 def histogram_figure(residuals: Sequence[tuple[str, Array]], weighted: bool) -> Figure:
@@ -118,37 +126,27 @@ def histogram_figure(residuals: Sequence[tuple[str, Array]], weighted: bool) -> 
 
     In units of σ the bins widen as sinh so that large ones are seen, and a line gives the standard normal's shares.
     """
-    across = min(ACROSS, len(residuals))
-    down = ceil(len(residuals) / across)
-    figure = half_figure(1.1 * down + 0.7)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    figure, grid, every = _grid(len(residuals), ACROSS, 1.1, 0.7)
     reach = _reach([values for _, values in residuals])
     edges = np.linspace(-reach, reach, BINS + 1)
     if weighted:
         reach = float(np.arcsinh(max(reach, LEAST_REACH)))
         edges = np.sinh(np.linspace(-reach, reach, BINS + 1))
-    for number, axes in enumerate(grid.flat):
-        if number >= len(residuals):
-            axes.set_visible(False)
-            continue
-        _histogram(axes, *residuals[number], edges, weighted)
-        axes.tick_params(labelbottom=number + across >= len(residuals))
+    for (name, values), axes in zip(residuals, every, strict=False):
+        axes.set_title(short_title(name), fontsize=SMALL_POINT + 0.5)
+        _histogram(axes, values, edges, weighted)
     figure.supxlabel(f"(model − measured)/{'σ' if weighted else 'measured [%]'}", fontsize=TEXT_POINT)
     figure.supylabel("share of readings [%]", fontsize=TEXT_POINT)
     shared_legend(figure, grid)
     return figure
 
 
-def _histogram(axes: Axes, name: str, values: Array, edges: Array, weighted: bool) -> None:
-    axes.set_title(short_title(name), fontsize=SMALL_POINT + 0.5)
-    axes.tick_params(labelsize=SMALL_POINT, length=2)
+def _histogram(axes: Axes, values: Array, edges: Array, weighted: bool) -> None:
     if weighted:
         axes.set_xscale("asinh")
-        axes.xaxis.set_major_locator(FixedLocator([tick for tick in DEVIATIONS if abs(tick) < edges[-1]]))
-        axes.xaxis.set_major_formatter(FuncFormatter(plain_number))
-        axes.xaxis.set_minor_locator(NullLocator())
+        _fixed_ticks(axes.xaxis, [tick for tick in DEVIATIONS if abs(tick) < edges[-1]])
     if values.size == 0:
-        axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=SMALL_POINT)
+        _not_solved(axes)
         return
     counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
     shares = 100 * counts / values.size
@@ -161,6 +159,12 @@ def _histogram(axes: Axes, name: str, values: Array, edges: Array, weighted: boo
     if shares.max() > TALLEST * normal.max():
         place: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "top", "fontsize": SMALL_POINT - 0.5}
         axes.text(0.97, 0.95, f"up to {shares.max():.0f} %", **place)
+
+
+def _fixed_ticks(axis: Axis, ticks: Sequence[float], text: Callable[[float, int | None], str] = plain_number) -> None:
+    axis.set_major_locator(FixedLocator(list(ticks)))
+    axis.set_major_formatter(FuncFormatter(text))
+    axis.set_minor_locator(NullLocator())
 
 
 def _reach(values: Sequence[Array]) -> float:
@@ -197,21 +201,10 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
 
 
 @dataclass(frozen=True)
-class ForestLine:
-    """One line of a forest: name, value and its interval, and whether the interval excludes the reference."""
-
-    name: str
-    value: float
-    lower: float
-    upper: float
-    marked: bool
-
-
-@dataclass(frozen=True)
 class Forest:
-    """Lines beside a vertical one at the reference; label : of the axis, with its unit."""
+    """Lines of (name, value, lower, upper) beside a vertical one at the reference; label : of the axis, with unit."""
 
-    lines: tuple[ForestLine, ...]
+    lines: Sequence[tuple[str, float, float, float]]
     label: str
     reference: float
     logarithmic: bool
@@ -232,10 +225,11 @@ def _forest(axes: Axes, forest: Forest) -> None:
     if forest.logarithmic:
         axes.set_xscale("log")
     axes.axvline(forest.reference, color="black", lw=0.7)
-    for place, line in enumerate(forest.lines):
-        axes.plot([line.lower, line.upper], [place, place], color=BLUE, lw=1.4)
-        axes.plot(line.value, place, "o", mec=BLUE, mfc=BLUE if line.marked else "white", ms=4.5, mew=1.1)
-    axes.set_yticks(range(len(forest.lines)), [short_title(line.name, 30) for line in forest.lines])
+    for place, (_, value, lower, upper) in enumerate(forest.lines):
+        axes.plot([lower, upper], [place, place], color=BLUE, lw=1.4)
+        held = lower <= forest.reference <= upper
+        axes.plot(value, place, "o", mec=BLUE, mfc="white" if held else BLUE, ms=4.5, mew=1.1)
+    axes.set_yticks(range(len(forest.lines)), [short_title(name, 30) for name, *_ in forest.lines])
     axes.set_ylim(len(forest.lines) - 0.4, -0.6)
     axes.tick_params(labelsize=SMALL_POINT)
     if forest.logarithmic:
@@ -255,6 +249,4 @@ def _plain_ticks(axis: Axis, low: float, high: float) -> None:
         ticks = [10.0**power for power in powers]
     if len(ticks) < 2:
         ticks = list(MaxNLocator(4).tick_values(low, high))
-    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
-    axis.set_major_formatter(FuncFormatter(plain_number))
-    axis.set_minor_locator(NullLocator())
+    _fixed_ticks(axis, [tick for tick in ticks if low <= tick <= high])

@@ -1,7 +1,7 @@
 """What all pictures share: sizes, colours, how they are begun, and how they become files."""
 
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
+from lampest.runs.executors import each_of
 
 WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0
 TEXT_POINT, SMALL_POINT = 8, 6.5
@@ -40,18 +41,35 @@ def save(figure: Figure, path: str | Path) -> None:
 
     Raises InputError for another suffix or where the place cannot be written.
     """
-    write_image(image_of(figure, Path(path)), Path(path))
-
-
-def image_of(figure: Figure, path: Path) -> bytes:
-    """The bytes of a figure as a file of that name has them. Raises InputError for another suffix than SUFFIXES."""
+    path = Path(path)
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    return _drawn(figure, path.suffix[1:])
+    _write(_drawn(figure, path.suffix[1:]), path)
 
 
-def write_image(image: bytes, path: Path) -> None:
-    """Write an image, whole or not at all. Raises InputError where the place cannot be written."""
+def write_all(
+    figures: Sequence[Callable[[], Figure]],
+    files: Sequence[Path],
+    on_picture: Callable[[int, int], None],
+    here: bool = False,
+) -> list[Path]:
+    """Draw each of the figures, in processes, into its file: the files. here : in this process.
+
+    on_picture : gets how many of how many pictures are drawn. Raises InputError where a place cannot be written.
+    """
+    tasks = list(zip(figures, files, strict=True))
+    for file, image in zip(files, each_of(_image, tasks, on_picture, here=here), strict=True):
+        _write(image, file)
+    return list(files)
+
+
+def _image(task: tuple[Callable[[], Figure], Path]) -> bytes:
+    draw, file = task
+    with verbatim():
+        return _drawn(draw(), file.suffix[1:])
+
+
+def _write(image: bytes, path: Path) -> None:
     with whole_file(path) as unfinished:
         unfinished.write_bytes(image)
 

@@ -1,6 +1,7 @@
 """What was attached, over time: probabilities, diameter, pressures and place; and the strongest frame with circles."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,8 @@ from lampest.report.detect.events import events
 from lampest.report.plots.contours import percent_change
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.plot import strongest_index
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, image_of, new_figure, verbatim, write_image
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, write_all
 from lampest.runs.case import SHARED
-from lampest.runs.executors import each_of
 from lampest.runs.results import CaseResult, Results
 
 HEIGHT_INCH = 4.6
@@ -46,16 +46,7 @@ def plot_timelines(
     """
     shown = [detection for detection in detections if detection.source == SHARED]
     files = [Path(folder) / f"timeline_{detection.recording}.png" for detection in shown]
-    tasks = [(one, results.of(one.recording), file) for one, file in zip(shown, files, strict=True)]
-    for file, image in zip(files, each_of(_image, tasks, on_picture), strict=True):
-        write_image(image, file)
-    return files
-
-
-def _image(task: tuple[Detection, tuple[CaseResult, ...], Path]) -> bytes:
-    detection, cases, file = task
-    with verbatim():
-        return image_of(timeline(detection, cases), file)
+    return write_all([partial(timeline, one, results.of(one.recording)) for one in shown], files, on_picture)
 
 
 def timeline(detection: Detection, cases: Sequence[CaseResult]) -> Figure:
