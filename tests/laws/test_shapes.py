@@ -107,7 +107,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     for _ in range(60):
         here = fitting.at(mean + FARTHEST * sd * rng.choice([-1, 0, 1], len(mean)))
         assert np.isfinite(here.cost)
-        assert np.isfinite(here.slopes).all()
+        assert np.isfinite(here.jacobian).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in RECOGNISED if isinstance(kind.candidate, RoundCandidate)])

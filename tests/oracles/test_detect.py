@@ -13,9 +13,9 @@ from lampest.loads.recognition.candidates import AND, CANDIDATES, FLAT, KINDS, S
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.field import EACH, OWN, SD, field_fit
 from lampest.loads.recognition.frame import Direct, TwoStep, Whitening, outliers
+from lampest.loads.recognition.multistart import discs_of
 from lampest.loads.recognition.oral_disc import fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.together import discs_of
 from lampest.loads.recognition.verdict import HIDDEN, IN_EACH_OTHER, OR, Verdict, outline_cost
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc, oval_pressure

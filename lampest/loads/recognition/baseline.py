@@ -1,13 +1,4 @@
-"""The unloaded panel with its uncertainty: what every frame is compared with.
-
-What a film remembers of the loads that were recognised: a panel at rest is not what it was before them.
-
-After a load a cell shows ln r/r0 = −c S − k P. S = Σ_j s_j is the creep of what it has answered (see
-`lampest.loads.film`); P is the largest answer of late, which some films keep a part of, for minutes, however long
-the load was there. Both look like the load, only weaker: what has risen in a mouth stays up a little, what has fallen
-under its rim stays down. c and k are known to a common error each, and each cell's memory to one of its own, because a
-fit tells shapes and no single cell.
-"""
+"""The unloaded panel with its uncertainty, and what a film remembers of loads: what every frame is compared with."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,13 +16,17 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-STEPS = 12
-SETTLED = 1e-6
-ROUGHLY = 3  # steps after which the cells are near enough to see which reading stands alone
-ALONE, FAR_OFF = 4.5, 10.0
+STEPS, SETTLED = 12, 1e-6  # of Gauss and Newton, at most; the change of ln r0 that ends them
+ROUGHLY = 3  # steps after which the cells are near enough to see outliers
+ALONE, FAR_OFF = 4.5, 10.0  # standard deviations of an outlier, and its σ over its reading afterwards
 CIRCUIT = TwoPointReadout()  # discs are fitted to two-point resistances
 COMMON, NEAR_PITCHES = (0.2, 0.2), 1.5  # parts of the variance, and how far neighbours are alike: assumptions
-SCALE_SD = 3.0  # of the mean of ln r0: a prior that says next to nothing
+SCALE_SD = 3.0  # of the mean of ln r0: a wide prior
+# Of a film's memory, assumptions. OWN: relative, of each cell's; films answer with a scatter of a tenth to a quarter.
+OWN = 0.3
+FAINT = 2e-3  # of ln r/r0, that of a cell at rest apart from drift: less is not worth a new baseline
+MOST = 3.0  # of ln r/r0 in a fit: beyond are open cells and dead shorts
+TAKEN, KEPT = 3.0, 600.0  # s in which P follows an answer that grows, and fades to one that is less
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +114,7 @@ class Baseline:
 
 
 def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:
-    """Whether a reading is far from what all others and the spread of cells let expect; see `frame.outliers`."""
+    """Which readings are outliers by all others and the spread of cells; see `frame.outliers`."""
     inverse = cho_solve(factor, np.eye(len(innovation)))
     alone: NDArray[np.bool_] = np.abs(inverse @ innovation) > ALONE * np.sqrt(np.diag(inverse))
     return alone
@@ -131,16 +126,15 @@ def network_of(logarithm: Array) -> Network:
     return CIRCUIT.network(cells, CIRCUIT.ties(cells))
 
 
-OWN = 0.3  # of a cell's memory: films answer with a scatter of a tenth to a quarter, edges lie beside their places
-FAINT = 2e-3  # of ln r/r0, that of a cell at rest apart from drift: less is not worth a new baseline
-MOST = 3.0  # of ln r/r0 in a fit: beyond are open cells and dead shorts
-TAKEN, KEPT = 3.0, 600.0  # s in which P follows an answer that grows, and fades to one that is less; assumptions
-
-
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """creep : of (rows, columns), with a strength of 1. held : P (rows, columns).
+    """After a load a cell shows ln r/r0 = −c S − k P: what is left of it, and looks like a weaker load.
 
+    S = Σ_j s_j is the creep of what it has answered (see `lampest.loads.film`); P is its largest recent answer, which
+    some films keep a part of, for minutes. c and k are known to a common error each, and each cell's memory to one of
+    its own.
+
+    creep : of (rows, columns), with a strength of 1. held : P (rows, columns).
     seconds : since the baseline, of the last frame. before : (2, rows, columns) S and P when the baseline was taken; 0
     where nothing had been there.
     """

@@ -1,7 +1,4 @@
-"""Several loads at once: their pressures add up, and all their numbers are fitted together.
-
-What a frame may show: nothing, the same pressure everywhere, or one of the shapes that recognition can fit.
-"""
+"""What a frame may show: nothing, the same pressure everywhere, one of the shapes, or several of them at once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -112,6 +109,13 @@ class Uniform(Candidate):
     def start(self, disc: Disc) -> Array:
         """No pressure, wherever the disc."""
         return np.zeros(len(self.numbers))
+
+
+def loads_of(candidate: Candidate, parameters: Array) -> list[tuple[Candidate, Array]]:
+    """Each of its loads with its own φ."""
+    if isinstance(candidate, Several):
+        return list(zip(candidate.parts, candidate.split(parameters), strict=True))
+    return [(candidate, parameters)]
 
 
 NOTHING = Uniform(label="nothing", numbers={})

@@ -21,7 +21,7 @@ SD = np.array([0.005, 0.08, 0.4, 1.6])
 LIMITS = np.array([0.03, 0.18, 0.8])  # between them: geometric means, a little above
 PAIR, EACH = 1.0, 0.055  # alone among alike neighbours three states cost 4 · PAIR each: ln(1 + 3e⁻⁴) a cell in all
 OWN = 0.6  # part of a cell's variance that it does not share with its neighbours
-STEPS, STEP = 10, 1.5
+STEPS, STEP = 10, 1.5  # of Gauss and Newton; the longest one, ln r/r0
 
 
 def field_fit(frame: Observation, *starts: Array) -> Fit:

@@ -1,16 +1,4 @@
-"""One candidate fitted to one frame, and how likely the frame is under it.
-
-How large a load may be: the posterior of its diameter, along which all its other numbers are fitted anew.
-
-A rim between patches is seen by none of them, so that the cost of φ is flat there, steep beside it, and has a minimum
-wherever a patch comes under the rim: curvature at the best one promises too much. With δ = ln d stepped through
-
-    P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ)
-
-about the most probable φ̂: its mean would be nearer where patches see little, and further off where they see much.
-
-|H| is averaged over neighbours: it jumps with every corner of a patch that an edge comes to.
-"""
+"""One candidate fitted to one frame, how likely the frame is under it, and how large a load it may be."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,20 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from lampest.loads.recognition.frame import Explained, Observation, Whitening
+from lampest.loads.recognition.frame import NONE, SUSPICIOUS, Explained, Observation, Whitening, outliers, without
 from lampest.loads.shapes.shape import Candidate
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 
-STEPS = 30
-ENOUGH = 2e-2  # of the logarithm of the posterior: below, a step changes nothing that is reported
-LARGEST_DAMPING = 1e8
-FARTHEST = 5.0  # standard deviations of the prior: beyond, nothing is looked for
-TRIAL = 4
-LOOSE = 0.3
+STEPS = 30  # evaluations of the model in a whole fit
+ENOUGH = 2e-2  # of ln P: below, a step changes nothing that is reported
+FARTHEST = 5.0  # standard deviations of the prior: the bounds of a fit
+TRIAL = 4  # evaluations before a fit may be given up
+LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 PATCHES = (0.9, 1.1)  # times a patch's edge, for a difference
-NONE = np.zeros(0, dtype=np.intp)
 HELD = 1e-3  # standard deviation of a parameter that stays where it is
-LOST = 18.0  # so far below `hopeless` a fit need not say how wide its troughs are: its evidence hardly counts
+LOST = 18.0  # of ln P below `hopeless`: the evidence of such a fit hardly counts, and its widths are not measured
+# The profile of ln d: its step, 0.9 mm at 30 mm; steps to either side; evaluations at each.
+STEP, MOST, TRIES = 0.03, 24, 6
+BARRIER = 10.0  # of ln P: two points in a row so much below the best end a profile
+LIKELY = 5.0  # of ln P: points below the best by more are far tails, no part of an interval
+NEIGHBOURS = np.array([1, 2, 3, 2, 1]) / 9  # weights of ½ ln |H| on the profile; an assumption
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +63,17 @@ class Fit:
         return self.explained.change
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """The model about φ: errors of unit variance of readings and priors, their slopes by φ, and half their square."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linearisation(SumOfSquares):
+    """The model about φ: residual and jacobian are errors of unit variance, of readings and priors, and slopes by φ.
+
+    left, by_parameter : residual of the readings and slopes of these by φ, ohm.
+    """
 
     parameters: Array
     change: Array
-    residual: Array
+    left: Array
     by_parameter: Array
-    errors: Array
-    slopes: Array
-    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,21 +102,18 @@ class Fitting:
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, parameters)
         change, response = self.frame.change(pressure)
         touched = np.flatnonzero(np.any(by_parameter != 0, axis=0))
-        residual, slopes = self.frame.missed(change, touched)
+        left, slopes = self.frame.missed(change, touched)
         of_cells = (response.ravel() * by_parameter.reshape(len(parameters), response.size))[:, touched].T
         of_readings = slopes @ of_cells
-        whitened = self.whitening @ np.column_stack([residual, of_readings])
+        whitened = self.whitening @ np.column_stack([left, of_readings])
         mean, sd = self._prior
-        prior = (parameters - mean) / sd
-        errors = np.concatenate([whitened[:, 0], prior])
         return Linearisation(
-            parameters,
-            change,
-            residual,
-            of_readings,
-            errors,
+            np.concatenate([whitened[:, 0], (parameters - mean) / sd]),
             np.vstack([-whitened[:, 1:], np.diag(1 / sd)]),
-            float(errors @ errors) / 2,
+            parameters=parameters,
+            change=change,
+            left=left,
+            by_parameter=of_readings,
         )
 
     @cached_property
@@ -162,35 +151,17 @@ class Fitting:
         return self._fit(here, count, rough or here.cost > hopeless - self.whitening.volume - LOST)
 
     def descended(self, start: Array, steps: int, hopeless: float = np.inf) -> tuple[Linearisation, int]:
-        """(the model there, its evaluations) after damped Gauss-Newton steps from φ = `start`.
+        """(the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
 
         They end where they gain less than ENOUGH, after `steps`, and soon where the score stays above `hopeless`.
         """
-        damping, hopeless = 1e-3, hopeless - self.whitening.volume
         mean, reach = self._prior[0], FARTHEST * self._prior[1]
-        low, high, longest = mean - reach, mean + reach, self.candidate.steps(self.panel)
-        here, count = self.at(np.clip(start, low, high)), 1
-        while count < steps and len(start):
-            if count > TRIAL and here.cost > hopeless:
-                break
-            normal, slope = here.slopes.T @ here.slopes, here.slopes.T @ here.errors
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
-            step *= min(1.0, float(np.min(longest / np.maximum(np.abs(step), 1e-300))))
-            step = np.clip(here.parameters + step, low, high) - here.parameters
-            there, count = self.at(here.parameters + step), count + 1
-            gain, promised = here.cost - there.cost, -(slope @ step + step @ normal @ step / 2)
-            if gain > 0:
-                here = there
-                damping = max(damping / 10, 1e-6) if gain > 0.5 * promised else damping
-                if gain < ENOUGH and promised < ENOUGH:
-                    break
-            else:
-                if promised < ENOUGH:
-                    break
-                damping = max(10 * damping, 1e-3)
-                if damping > LARGEST_DAMPING:
-                    break
-        return here, count
+        longest = np.array([prior.step for prior in self.candidate.priors(self.panel).values()])
+        most = hopeless - self.whitening.volume
+        found = LevenbergMarquardt(steps, ENOUGH, longest=longest).minimum(
+            self.at, start, (mean - reach, mean + reach), lambda here, count: count > TRIAL and here.cost > most
+        )
+        return found.at, found.evaluations
 
     def widened(self, fit: Fit) -> Fit:
         """A rough fit, with troughs as wide as they are."""
@@ -199,21 +170,21 @@ class Fitting:
     def _fit(self, here: Linearisation, count: int, rough: bool) -> Fit:
         """The result where steps no longer improve it; see `_widths`."""
         sd = self._prior[1]
-        precision = here.slopes.T @ here.slopes * np.outer(sd, sd)
+        precision = here.normal * np.outer(sd, sd)
         stiffness, axes = np.linalg.eigh(precision)
         widths, tried = 1 / np.sqrt(np.maximum(stiffness, 1.0)), 0  # that of the priors is 1
         if not rough:
             widths, tried = self._widths(here, widths, sd[:, None] * axes)
         spread = sd[:, None] * axes * widths
-        cells = here.residual.size
+        misfit = here.residual[: here.left.size]
         return Fit(
             self.candidate,
             here.parameters,
             spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2),
             self._explained(here),
-            here.residual,
+            here.left,
             here.by_parameter,
-            float(here.errors[:cells] @ here.errors[:cells]),
+            float(misfit @ misfit),
             here.cost,
             self.whitening.volume,
             float(np.log(widths).sum() - here.cost) - self.whitening.volume,
@@ -236,6 +207,19 @@ class Fitting:
         return widths, 2 * len(loose)
 
 
+def outliers_of(frame: Observation, fit: Fit) -> NDArray[np.intp]:
+    """Numbers of the readings that contradict a fit to the frame; none where its χ² is not suspicious."""
+    if fit.chi2 <= SUSPICIOUS * frame.measured.size:
+        return NONE
+    return outliers(Whitening.of(frame, fit.explained, fit.scatter), fit.residual)
+
+
+def with_errors(frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
+    """(the frame without a fit's outliers, its errors about what the fit explains)."""
+    frame = without(frame, outliers_of(frame, fit))
+    return frame, Whitening.of(frame, fit.explained, fit.scatter)
+
+
 def linear_evidence(fit: Fit, whitening: Whitening, mean: Array, sd: Array) -> float:
     """ln N(e; A (mean − φ̂), C + A Σ Aᵀ): the frame's probability with the model straight about φ̂, for other errors C.
 
@@ -249,14 +233,6 @@ def linear_evidence(fit: Fit, whitening: Whitening, mean: Array, sd: Array) -> f
     return float(-cost - np.linalg.slogdet(stiff)[1] / 2) - whitening.volume
 
 
-NAME = "diameter"
-STEP, MOST = 0.03, 24  # of ln d: 0.9 mm at 30 mm; steps to either side
-TRIES = 6  # evaluations of the model at each
-BARRIER = 10.0  # of the cost: what lies twice in a row so much above the least is not gone through
-LIKELY = 5.0  # ln of a probability ratio: points below the best by more are far tails, no part of an interval
-NEIGHBOURS = np.array([1, 2, 3, 2, 1]) / 9  # their weights; an assumption
-
-
 class AtDiameter(NamedTuple):
     """φ where ln d = `place`, the cost of readings and priors, ½ ln |H| and H⁻¹."""
 
@@ -268,14 +244,20 @@ class AtDiameter(NamedTuple):
 
 
 def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
-    """The fit with C where that is wider than its own; itself for a candidate that has no diameter.
+    """The fit with the covariance of the posterior along ln d, where that is wider; itself where there is no diameter.
 
+    Between patches no reading sees a rim: the cost is flat there and steep beside it, and its curvature at the best φ
+    promises too much. With δ = ln d stepped through, all other numbers fitted anew,
+
+        P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ)
+
+    about the most probable φ̂. |H| is averaged over neighbours: it jumps with every corner of a patch under an edge.
     fitting : that of its candidate, with the errors that the fit was weighed by.
     """
     names = list(fit.candidate.priors(fitting.panel))
-    if NAME not in names:
+    if "diameter" not in names:
         return fit
-    place = names.index(NAME)
+    place = names.index("diameter")
     points = [_point(fitting, fit.parameters, place, fit.parameters[place])]
     for direction in (STEP, -STEP):
         points += _outwards(fitting, points[0], place, direction)
@@ -308,12 +290,8 @@ def _point(fitting: Fitting, start: Array, place: int, held: float) -> AtDiamete
     begin[place] = held
     here, _ = replace(fitting, held=(place, held)).descended(begin, TRIES)
     mean, sd = fitting.candidate.mean(fitting.panel)[place], fitting.candidate.sd(fitting.panel)[place]
-    precision = here.slopes.T @ here.slopes + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
+    precision = here.normal + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
     cost = here.cost + ((held - mean) / sd) ** 2 / 2
-    covariance = np.linalg.inv(precision) + np.diag(_within(len(begin), place))
+    covariance = np.linalg.inv(precision)
+    covariance[place, place] += STEP**2 / 12 - HELD**2  # of ln d within a step
     return AtDiameter(here.parameters, held, cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
-
-
-def _within(count: int, place: int) -> Array:
-    """The variance of ln d within a step."""
-    return np.asarray((np.arange(count) == place) * (STEP**2 / 12 - HELD**2))

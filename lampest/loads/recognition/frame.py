@@ -1,6 +1,7 @@
 """One frame as a likelihood: what a pressure on the cells makes of the readings, weighed by all that is uncertain."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -14,17 +15,16 @@ from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
 
-STEP_KPA = 1e-3
-NEAR_KPA = np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
+STEP_KPA = 1e-3  # of the response's slope, which is a difference: f has corners
 CURVE_KPA = (-300.0, 1e5)  # beyond, which fits may try on their way, curves have no finite logarithm
 MOST_CHANGED = 12.0  # of ln r/r0: beyond, a cell is open or shorted to all readings, and a network soon has no inverse
-ALONE = 5.0
-MOST_DROPPED = 0.03
+ALONE, MOST_DROPPED = 5.0, 0.03  # standard deviations of an outlier; share of the readings that may be outliers
 EDGE_MM = 3.0  # at a relative deviation of 1: 0.3 mm at 10 %. Patches are glued by hand, rims are soft; an assumption
 # Relative, of the patches' edge, an assumption: cut by hand, and a round one is as a square one of 0.89 its width.
 PATCH_SD = 0.13
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+NONE = np.zeros(0, dtype=np.intp)  # of the cells
 
 
 def counting(sigma: Array, measured: Array) -> Array:
@@ -33,8 +33,8 @@ def counting(sigma: Array, measured: Array) -> Array:
 
 
 def log_response(pressure: Array, response: Response = PUBLISHED) -> tuple[Array, Array]:
-    """κ·ln f(p) and its slope, (…, rows, columns), kPa → 1 and 1/kPa; a difference over 2 Pa: f has corners."""
-    near = pressure + NEAR_KPA
+    """κ·ln f(p) and its slope, (rows, columns), kPa → 1 and 1/kPa."""
+    near = pressure + np.array([0.0, STEP_KPA, -STEP_KPA])[:, None, None]
     here, up, down = response.gains * response.logarithm(near)
     return here, (up - down) / (2 * STEP_KPA)
 
@@ -79,31 +79,15 @@ class Observation(ABC):
         total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
         if self.common is not None:
             total += self.common @ self.common.T
-        return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.bend(change) ** 2))
-
-    def film(self, explained: "Explained") -> Array:
-        """J (x K xᵀ + w²) Jᵀ (cells, cells) ohm²: what cells that answer twice as strongly as they should would add.
-
-        x = ln r/r0 scatters in proportion to itself, partly alike in neighbours and everywhere (`Baseline.alike`);
-        w is what an edge that lies `EDGE_MM` beside its place does.
-        """
-        slope = self.slope(explained.change)
-        return np.asarray(slope @ explained.uneven(self.baseline.alike) @ slope.T)
-
-    def spread(self, explained: "Explained", scatter: float) -> Array:
-        """The covariance (cells, cells) of what ln r departs by from the unloaded cells and a load's change."""
-        errors = self.baseline.model_errors
-        shared = explained.shared(errors.bent)
-        resting = np.diag(np.full(explained.change.size, errors.resting_sd(self.seconds) ** 2))
-        return np.asarray(resting + scatter**2 * explained.uneven(self.baseline.alike) + shared.T @ shared)
+        return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.linearisation_error(change) ** 2))
 
     @abstractmethod
     def direct(self) -> "Direct":
         """The same readings without an estimate between them and a load."""
 
     @abstractmethod
-    def bend(self, change: Array) -> Array:
-        """What the comparison itself is off by at ln r/r0 = `change`, (cells) ohm."""
+    def linearisation_error(self, change: Array) -> Array:
+        """f(r) minus what the comparison takes it for, at ln r/r0 = `change`, (cells) ohm."""
 
     @cached_property
     def target(self) -> Array:
@@ -138,7 +122,7 @@ class Direct(Observation):
         """Itself."""
         return self
 
-    def bend(self, change: Array) -> Array:
+    def linearisation_error(self, change: Array) -> Array:
         """Nothing."""
         return np.zeros(change.size)
 
@@ -147,9 +131,8 @@ class Direct(Observation):
 class TwoStep(Observation):
     """A load is compared with an estimate r̂, weighed by what the readings know of it: f(r) ≈ f(r̂) + ∂f/∂g·(g − ĝ).
 
-    With a misfit of zero the sum of squares is ‖∂f/∂g·(g − ĝ)‖² in units of σ, the estimate's distance from the load
-    by its information matrix; for a regularised one, R − f(r̂) takes the bias off again. Linear in the conductance g,
-    because an open cell has no logarithm to speak of, while its conductance is just zero.
+    For a regularised estimate, R − f(r̂) takes the bias off again. Linear in the conductance g, because that of an open
+    cell is 0, while its logarithm is infinite.
 
     estimate : (rows, columns) ohm.
     """
@@ -171,10 +154,10 @@ class TwoStep(Observation):
         """Without the estimate."""
         return Direct(self.measured, self.sigma, self.baseline, self.water, self.seconds, common=self.common)
 
-    def bend(self, change: Array) -> Array:
-        """What the straight line misses of f(r)."""
+    def linearisation_error(self, change: Array) -> Array:
+        """Of the tangent in conductance."""
         network = network_of(self.baseline.logarithm + change)
-        return self.target - network.reading().ravel() - self.missed(change, np.zeros(0, dtype=np.intp))[0]
+        return self.target - network.reading().ravel() - self.missed(change, NONE)[0]
 
     @cached_property
     def _about(self) -> tuple[Array, Array, Array]:
@@ -214,7 +197,7 @@ class Whitening:
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
         """For a frame about what a load explains, where cells answer with a relative deviation of `scatter`."""
-        return Uncertain.of(frame, explained).whitening(scatter)
+        return whitenings(frame, explained, (scatter,))[0]
 
     @classmethod
     def at_rest(cls, frame: Observation) -> "Whitening":
@@ -230,30 +213,21 @@ class Whitening:
         """L⁻¹·v: errors of unit variance."""
         return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
 
-    @cached_property
-    def precision(self) -> Array:
-        """C⁻¹, (cells, cells)."""
-        whitening = self @ np.eye(len(self.root))
-        return np.asarray(whitening.T @ whitening)
 
+def whitenings(frame: Observation, explained: Explained, scatters: Iterable[float]) -> list[Whitening]:
+    """For a frame about what a load explains, where cells answer with a relative deviation of each `scatter`.
 
-@dataclass(frozen=True, eq=False)
-class Uncertain:
-    """The covariance of a frame about what a load explains: base, and what the film adds; (cells, cells) ohm²."""
-
-    base: Array
-    film: Array
-
-    @classmethod
-    def of(cls, frame: Observation, explained: Explained) -> "Uncertain":
-        """Of one frame."""
-        slope = frame.slope(explained.change)
-        shared = slope @ explained.shared(frame.baseline.model_errors.bent).T
-        return cls(frame.covariance(explained.change) + shared @ shared.T, frame.film(explained))
-
-    def whitening(self, scatter: float) -> Whitening:
-        """Where cells answer with a relative deviation of `scatter`."""
-        return Whitening(cholesky(self.base + scatter**2 * self.film, lower=True, check_finite=False), scatter)
+    Covariance S + scatter²·J (x K xᵀ + w²) Jᵀ: ln r/r0 = x scatters in proportion to itself, partly alike in
+    neighbours and everywhere (K, `Baseline.alike`); w is what an edge that lies `EDGE_MM` beside its place does. S is
+    that of the frame without a load, and what all cells share.
+    """
+    slope = frame.slope(explained.change)
+    shared = slope @ explained.shared(frame.baseline.model_errors.bent).T
+    base = frame.covariance(explained.change) + shared @ shared.T
+    film = slope @ explained.uneven(frame.baseline.alike) @ slope.T
+    return [
+        Whitening(cholesky(base + scatter**2 * film, lower=True, check_finite=False), scatter) for scatter in scatters
+    ]
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
@@ -262,8 +236,9 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
     is taken out before the next is looked for.
     """
-    precision = whitening.precision.copy()
-    pull, dropped = precision @ residual, np.zeros(0, dtype=np.intp)
+    inverse = whitening @ np.eye(len(residual))
+    precision = inverse.T @ inverse
+    pull, dropped = precision @ residual, NONE
     left = np.ones(len(residual), dtype=bool)
     while len(dropped) < max(1, int(MOST_DROPPED * len(residual))):
         score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
@@ -275,17 +250,6 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])
     return dropped
-
-
-def with_errors(
-    frame: Observation, explained: Explained, scatter: float, residual: Array, chi2: float
-) -> tuple[Observation, Whitening]:
-    """(the frame, its errors about what a load explains), without readings that stand alone where χ² is suspicious."""
-    whitening = Whitening.of(frame, explained, scatter)
-    if chi2 <= SUSPICIOUS * frame.measured.size:
-        return frame, whitening
-    frame = without(frame, outliers(whitening, residual))
-    return frame, Whitening.of(frame, explained, scatter)
 
 
 def without(frame: Observation, dropped: NDArray[np.intp]) -> Observation:

@@ -1,11 +1,9 @@
-"""Where to begin: a map of the cells, and round templates laid over it."""
+"""Where fits begin: a map of ln r/r0 of the cells, and round templates laid over it, a matched filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.baseline import Baseline, network_of
@@ -14,15 +12,15 @@ from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.shape import Template
 from lampest.panel.panel import Array, Panel
 
-MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5
+MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5  # of ln r/r0: prior of a map's cells, Gauss-Newton steps, and the longest one
 CLEAR = 1.5  # ln r/r0 beyond which a cell counts no more than one there
-WAYS, LEAST, FAINTEST = 3, 0.15, 0.08  # places for one more load; ln r/r0 in all, and beside the clearest, of one
+PLACES, LEAST, FAINTEST = 3, 0.15, 0.08  # for one more load; ln r/r0 in all, and relative to the clearest, of one
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 
 @dataclass(frozen=True, eq=False)
 class DiscSearch:
-    """Templates about every cell's centre and between four of them: a matched filter.
+    """Templates about every cell's centre and between four of them.
 
     panel, templates : themselves. discs : (discs) what a fit begins with where one of them matches, one template after
     the other.
@@ -44,12 +42,12 @@ class DiscSearch:
         """All templates laid over a panel, and what its readings would show of them."""
         discs, patterns = [], []
         for template in templates:
+            size = (template.outer_mm, template.inner_mm)
+            pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
             for shift in (0.0, panel.pitch_mm / 2):
-                centres, pattern = _everywhere(panel, patch_mm, template, shift)
-                patterns.append(pattern)
-                size = (template.outer_mm, template.inner_mm)
-                pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
-                discs += [Disc(*centre, *size, *pressures, 0.0, 0.0) for centre in centres]
+                patterns.append(_everywhere(panel, patch_mm, template, shift))
+                across, down = panel.centres_mm()
+                discs += [Disc(x + shift, y + shift, *size, *pressures, 0.0, 0.0) for y in down for x in across]
         changes = _unit(np.concatenate(patterns).reshape(-1, panel.cells).T)
         faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.cells)]
         readings = network_of(baseline.logarithm).sensitivity() @ faint
@@ -80,33 +78,24 @@ class DiscSearch:
     def beside(self, change: Array, discs: Sequence[Disc]) -> list[Disc]:
         """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; the clearest first.
 
-        At most WAYS, each more than half a pitch from the others; none where nothing is left beside the discs.
+        At most PLACES, each more than half a pitch from the others; none where nothing is left beside the discs.
         """
-        whole = np.clip(change, -CLEAR, CLEAR)
+        whole, pitch = np.clip(change, -CLEAR, CLEAR), self.panel.pitch_mm
         left, first = whole.copy(), float((self.changes.T @ whole.ravel()).max())
+        across, down = self.panel.centres_mm()
         for disc in discs:
-            left[self._within(disc, disc.diameter_mm / 2 + self.panel.pitch_mm / 2)] = 0.0
-        score = self.changes.T @ left.ravel()
+            distance = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm)
+            left[distance < disc.diameter_mm / 2 + pitch / 2] = 0.0
+        score, (x_mm, y_mm) = self.changes.T @ left.ravel(), np.array(self.discs).T[:2]
         found: list[Disc] = []
-        while len(found) < WAYS:
+        while len(found) < PLACES:
             best = int(np.argmax(score))
             if score[best] < max(LEAST, FAINTEST * first):
                 break
             found.append(self.discs[best])
-            apart = np.hypot(self._places[0] - found[-1].x_mm, self._places[1] - found[-1].y_mm)
-            score = np.where(apart > 0.6 * self.panel.pitch_mm, score, -np.inf)
+            apart = np.hypot(x_mm - found[-1].x_mm, y_mm - found[-1].y_mm)
+            score = np.where(apart > 0.6 * pitch, score, -np.inf)
         return found
-
-    @cached_property
-    def _places(self) -> Array:
-        """x and y of all discs, (2, discs) mm."""
-        return np.array([(disc.x_mm, disc.y_mm) for disc in self.discs]).T
-
-    def _within(self, disc: Disc, reach_mm: float) -> NDArray[np.bool_]:
-        """Which cells' centres are so near a disc's, (rows, columns)."""
-        across, down = self.panel.centres_mm()
-        near: NDArray[np.bool_] = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < reach_mm
-        return near
 
 
 def cell_map(frame: Observation) -> Array:
@@ -122,22 +111,17 @@ def cell_map(frame: Observation) -> Array:
     return change
 
 
-def _everywhere(
-    panel: Panel, patch_mm: float, template: Template, shift: float
-) -> tuple[list[tuple[float, float]], Array]:
-    """(centres, ln r/r0 there (cells, rows, columns)) of a template about every cell's centre, `shift` further on.
+def _everywhere(panel: Panel, patch_mm: float, template: Template, shift: float) -> Array:
+    """ln r/r0 (cells, rows, columns) of a template about every cell's centre, `shift` further on.
 
     About another cell it looks the same: it is laid once over a larger panel, and cut out for every cell.
     """
     across, down = panel.centres_mm()
     large = Panel(2 * panel.rows - 1, 2 * panel.columns - 1, panel.pitch_mm)
-    centre = (across[-1] + shift, down[-1] + shift)
-    pattern, _ = oval_pressure(
-        large, patch_mm, Disc(*centre, template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)
-    )
+    numbers = (template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)
+    pattern, _ = oval_pressure(large, patch_mm, Disc(across[-1] + shift, down[-1] + shift, *numbers))
     windows = np.lib.stride_tricks.sliding_window_view(pattern, panel.shape)[::-1, ::-1]
-    centres = [(x + shift, y + shift) for y in down for x in across]
-    return centres, windows.reshape(-1, *panel.shape)
+    return windows.reshape(-1, *panel.shape)
 
 
 def _unit(columns: Array) -> Array:

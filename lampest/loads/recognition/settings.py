@@ -1,7 +1,4 @@
-"""What the model does not describe: the sources of error that stand beside the noise of the readings.
-
-What a user may tell the recognition beside the results.
-"""
+"""What recognition assumes: errors beside the noise of the readings, and what a user may set beside the results."""
 
 from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
@@ -14,6 +11,9 @@ from lampest.panel.film import OPEN_CREEP
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Systematic, Water
 
+LEAST, MOST = 1e-9, 1e6  # of patch_mm, mm, and noise_percent
+PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
+
 
 @dataclass(frozen=True)
 class ModelErrors:
@@ -21,20 +21,18 @@ class ModelErrors:
 
     Parameters
     ----------
-    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently. Recognition finds it
-        in the readings, between 0.5 and 2.5 times this.
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p): cells answer differently. Recognition estimates it
+        between 0.5 and 2.5 times this.
     bent : of the same, alike in all cells: bent film answers less, by half where it is bent sharply.
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
     drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
     settled : of the logarithm of a cell's resistance at rest, apart from drift.
-    creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation; a mean, not an
-        error: what is left of a load that is gone. Wider than a scene that leaves it open, because false alarms cost
-        more than weak loads that come back to a place just left.
-    remanence_sd : of the part of its largest answer of late that a film keeps for minutes; see `memory`.
+    creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation. Wider than a
+        scene that leaves it open, because false alarms cost more than weak loads that come back to a place just left.
+    remanence_sd : of the part of its largest recent answer that a film keeps for minutes; see `Remembered`.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
-    reading_error : of the logarithm of a factor on each reading, the same in all frames; `lampest detect` takes what
-        the recording's own frames told of it.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames.
 
     Source of the others: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
     creep by a few percent for each decade of time. Raises ValueError where one is negative or not finite.
@@ -59,9 +57,9 @@ class ModelErrors:
                 raise ValueError(f"{name} must be zero or positive, and finite")
 
     def told_by(self, scene: Scene, reading_error: float) -> "ModelErrors":
-        """With what a scene and its frames say of errors and of the film; what they leave open is assumed.
+        """With what a scene specifies of errors and of the film; what it leaves open is assumed.
 
-        reading_error : of the logarithm of each reading, the same in all frames, as frames told.
+        reading_error : of the logarithm of each reading, the same in all frames, as estimated from the frames.
         """
         errors = replace(self, reading_error=reading_error)
         if scene.film is not None:
@@ -91,10 +89,6 @@ class ModelErrors:
         return np.hstack([channels, self.reference * total.reshape(-1, 1), *own])
 
 
-LEAST, MOST = 1e-9, 1e6  # mm or percent
-PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
-
-
 @dataclass(frozen=True)
 class RecognitionSettings:
     """Assumptions about the panel and the errors.
@@ -102,8 +96,7 @@ class RecognitionSettings:
     Parameters
     ----------
     patch_mm : edge of a cell's film in mm; None: 6/10 of the pitch.
-    top_row_depth_mm : depth of row 0 below the water's surface in mm, row by row deeper; None: what the results
-        say, or in air.
+    top_row_depth_mm : depth of row 0 below the water's surface in mm, row by row deeper; None: as the results have it.
     noise_percent : standard deviation of every reading in percent, where the results do not hold it; None: refuse.
     model_errors : the errors beside the readings' noise.
     zero_after : frames in a row without a load from which the unloaded panel is taken anew; 0: never.

@@ -1,20 +1,8 @@
-"""What counts against a fit before anything is measured: further loads, suction that no cell shows, loads in one place.
+"""The comparison of evidence: which candidates are how probable, in one frame and over those of a load.
 
-Between patches a rim can be made to cancel suction, and one load can stand within another: then they fit any outline on
-the panel, and of such outlines there are many more than candidates.
-
-All candidates before one frame: which are how probable, and what one may call it.
-
-What frames of one load say together: a verdict that the frames before it temper.
-
-With q_t(l) the probability of label l in frame t
-
-    ln P(l) = Σ_t AGE^age max(ln q_t(l), −MOST) / Σ_t AGE^age + const.
-
-A mean and no sum, because errors of film and baseline are the same in all frames of a load, and would be taken for
-evidence. MOST keeps a fit that ended in a wrong minimum from outvoting all other frames. All begins anew in
-frames in which nothing stands out, and where what only touched begins to suck, as mouths and cups do; a first frame
-alone is no alarm.
+P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand). All kinds are alike beforehand, but for further loads, for suction that
+raises no cell, and for loads in one place: between patches a rim can be made to cancel suction, and one load can stand
+within another; then they fit any outline, and of such outlines there are many more than candidates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +14,7 @@ from math import exp, hypot, log
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from lampest.loads.recognition.candidates import AND, UNIFORM, Several
+from lampest.loads.recognition.candidates import AND, UNIFORM, Several, loads_of
 from lampest.loads.recognition.field import FIELD
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.response import PUBLISHED
@@ -35,19 +23,26 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 
-RARER = log(20)  # ln of how much rarer every further load is; an assumption
-# What is no candidate is fitted by such loads with up to e⁶⁰ times the evidence of any other: the cost of never being
-# sure of them. Where they fit as well as a hollow load does, they are named all the same.
+# Costs are of ln P. RARER: of every further load; IN_EACH_OTHER: of two in one place; assumptions.
+RARER, IN_EACH_OTHER = log(20), 20.0
+# What is no candidate is fitted by hidden suction with up to e⁶⁰ times the evidence of any other. Where such a fit is
+# as good as a hollow load's, it is named all the same.
 HIDDEN = 60.0
-IN_EACH_OTHER = 20.0  # of two loads in one place; an assumption
 # ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
 # show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 SHOWN, SHARE = 0.2, 0.35
 OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
+SURE, SURE_OF_TARGET = 0.99, 0.999  # P that a label shares; a false alarm costs more than one that says "or"
+OR = " or "
+AS_GOOD = 3.0  # of ln P
+# By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
+# Fitted by log-likelihood to P(lamprey) of scenes made without this package's simulation; see docs/studies/mouths.md.
+COUNTS = 0.5
+MOST, AGE = 10.0, 0.4  # the most that ln P falls in one frame, and the weight of each frame over the next; assumptions
 
 
 def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
-    """−ln P of a fit before the measurement, up to what all share."""
+    """−ln P of a fit before the measurement, up to what all share; response : the scene's own."""
     return RARER * further(fit.candidate) + outline_cost(panel, fit, response)
 
 
@@ -57,37 +52,30 @@ def further(candidate: Candidate) -> int:
 
 
 def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
-    """By how much ln P falls of suction that raises no cell, and of loads that stand in each other; 0 for all others.
-
-    By HIDDEN and IN_EACH_OTHER, and by nothing where a cell clearly rises, or loads stand clear.
-    """
-    if not isinstance(fit.candidate, Several):
-        disc = fit.candidate.disc(fit.parameters) if fit.candidate.sucks else None
-        return _hidden(_rise(panel, fit.change, None), disc, response) if fit.candidate.sucks else 0.0
-    parts = fit.candidate.parts
-    discs = [part.disc(own) for part, own in zip(parts, fit.candidate.split(fit.parameters), strict=True)]
-    cost = sum(_overlapping(*pair) for pair in combinations([disc for disc in discs if disc is not None], 2))
-    for part, disc in zip(parts, discs, strict=True):
-        cost += _hidden(_rise(panel, fit.change, disc), disc, response) if part.sucks else 0.0
+    """By how much ln P falls of suction that raises no cell, and of loads that stand in each other."""
+    loads = [(part, part.disc(own)) for part, own in loads_of(fit.candidate, fit.parameters)]
+    cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
+    for part, disc in loads:
+        if part.sucks:
+            cost += HIDDEN * _hidden(panel, fit.change, disc, response, whole=len(loads) == 1)
     return cost
 
 
-def _rise(panel: Panel, change: Array, disc: Disc | None) -> float:
-    """The most that ln r rises on all the panel, or under a disc; no less than 0."""
-    if disc is None:
-        return max(float(change.max()), 0.0)
-    across, down = panel.centres_mm()
-    near = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
-    return float(change[near].max(initial=0.0))
+def _hidden(panel: Panel, change: Array, disc: Disc | None, response: Response, whole: bool) -> float:
+    """1 where suction raises no cell, or none by much of what it would alone; 0 where it clearly does.
 
-
-def _hidden(rise: float, disc: Disc | None, response: Response) -> float:
-    """HIDDEN where suction raises no cell, or none by much of what it would where nothing else is."""
+    whole : whether cells anywhere count, and not only those under the disc.
+    """
+    under = np.ones(change.shape, dtype=bool)
+    if disc is not None and not whole:
+        across, down = panel.centres_mm()
+        under = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+    rise = float(change[under].max(initial=0.0))
     missing = exp(-((rise / SHOWN) ** 2))
     if disc is not None:
         full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
         missing = max(missing, exp(-((rise / max(full, 1e-9) / SHARE) ** 2)))
-    return HIDDEN * missing
+    return missing
 
 
 def _overlapping(one: Disc, other: Disc) -> float:
@@ -96,14 +84,6 @@ def _overlapping(one: Disc, other: Disc) -> float:
     common = (one.diameter_mm + other.diameter_mm) / 2 - apart
     share = max(common, 0.0) / min(one.diameter_mm, other.diameter_mm)
     return IN_EACH_OTHER * (1 - exp(-((share / OVERLAP) ** 2)))
-
-
-SURE, SURE_OF_TARGET = 0.99, 0.999  # an alarm that is false costs more than one that says "or"
-OR = " or "
-AS_GOOD = 3.0  # of the logarithm of the posterior
-# By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
-# Fitted by log-likelihood to P(lamprey) of scenes made without this package's simulation; see docs/studies/mouths.md.
-COUNTS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +157,12 @@ def judged(
     readings: int,
     response: Response = PUBLISHED,
 ) -> Verdict:
-    """P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand): all kinds are alike, but `prior_cost` makes some fits rarer.
+    """The verdict on one frame.
 
     The label names those that share 99 % of the probability. A target that explains the readings as well as the
-    likeliest load does is always named: its having more parameters alone is no reason to be sure that there is
-    none. Where the likeliest is hollow, that is so of a target whose suction no cell shows, too: a rim may hide it.
-
-    Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
-    not fitted, because nothing stands out, have no probability. What frames of one load say together: `over_time`.
+    likeliest load does is always named, whatever its parameters cost; where the likeliest is hollow, so is a target
+    whose suction no cell shows: a rim may hide it. Where no candidate fits, differences of evidence count less, by
+    χ² per reading of the best one. Candidates that were not fitted, because nothing stands out, have no probability.
     """
     within = np.array([bounded(panel, fit) for fit in fits])
     before = np.array([prior_cost(panel, fit, response) for fit in fits])
@@ -197,18 +175,12 @@ def judged(
     as_good: tuple[str, ...] = ()
     if best not in (*UNIFORM, FIELD):
         score = counts * (np.array([fit.score for fit in fits]) - within) + (0.0 if best.hollow else before)
-        as_good = _as_good(fits, score, int(np.argmax(shares)))
+        enough = score[int(np.argmax(shares))] + AS_GOOD
+        as_good = tuple(
+            fit.candidate.label for fit, high in zip(fits, score, strict=True) if fit.candidate.target and high < enough
+        )
     one = Verdict(fits, tuple(map(float, shares)), (), goodness, "", float(max(evidence - before)), as_good)
     return one.with_odds(one.by_label, candidates)
-
-
-def _as_good(fits: Sequence[Fit], score: Array, best: int) -> tuple[str, ...]:
-    """The targets whose score is at most AS_GOOD above that of the best."""
-    return tuple(
-        fit.candidate.label
-        for fit, high in zip(fits, score, strict=True)
-        if fit.candidate.target and high < score[best] + AS_GOOD
-    )
 
 
 def _named(by_label: Mapping[str, float], order: list[str], enough: float) -> list[str]:
@@ -231,13 +203,17 @@ def bounded(panel: Panel, fit: Fit) -> float:
     return float(ratio[0] - ratio[1]) if ratio else 0.0
 
 
-# Assumptions: the most that ln P falls in one frame, and how fast frames age.
-MOST, AGE = 10.0, 0.4
-
-
 @dataclass(frozen=True, eq=False)
 class OverTime:
-    """odds : label → Σ AGE^age max(ln q, −MOST). frames : Σ AGE^age, how many frames count.
+    """What frames of one load say together. With q_t(l) the probability of label l in frame t
+
+        ln P(l) = Σ_t AGE^age max(ln q_t(l), −MOST) / Σ_t AGE^age + const.
+
+    A mean and no sum, because errors of film and baseline are the same in all frames of a load. MOST keeps a fit that
+    ended in a wrong minimum from outvoting all other frames. All begins anew in frames in which nothing stands out, and
+    where what only touched begins to suck; a first frame alone is no alarm.
+
+    odds : label → Σ AGE^age max(ln q, −MOST). frames : Σ AGE^age, how many frames count.
 
     touches : whether the last one alone showed a load of some shape that does not suck.
     """
@@ -250,12 +226,13 @@ class OverTime:
         """(after one more frame, its verdict in the light of those before); candidates : all that were asked for."""
         if len(verdict.fits) <= len(UNIFORM):
             return OverTime(), verdict
-        shown, best = verdict.by_label, verdict.best.candidate
-        before = OverTime() if self.touches and best.sucks else self
-        labels = dict.fromkeys((*shown, *before.odds))
+        best, before = verdict.best.candidate, self
+        if self.touches and best.sucks:
+            before = OverTime()
+        latest = {label: log(max(share, exp(-MOST))) for label, share in verdict.by_label.items()}
         odds = {
-            label: AGE * before.odds.get(label, -MOST * before.frames) + limited(shown.get(label, 0.0))
-            for label in labels
+            label: AGE * before.odds.get(label, -MOST * before.frames) + latest.get(label, -MOST)
+            for label in dict.fromkeys((*latest, *before.odds))
         }
         together = OverTime(odds, AGE * before.frames + 1, not best.sucks and best is not FIELD)
         return together, verdict.with_odds(together.probabilities(), candidates, alone=together.frames == 1)
@@ -265,8 +242,3 @@ class OverTime:
         likely = np.array(list(self.odds.values())) / self.frames
         shares = np.exp(likely - logsumexp(likely))
         return dict(zip(self.odds, map(float, shares), strict=True))
-
-
-def limited(share: float) -> float:
-    """max(ln q, −MOST)."""
-    return float(np.log(max(share, np.exp(-MOST))))

@@ -59,7 +59,7 @@ class Zero:
     def after(self, frame: Direct, verdict: Verdict, detector: Detector) -> tuple["Zero", Detector]:
         """(zero after a frame that `seen` has given, the detector for the next one)."""
         quiet = frozenset(verdict.label.split(OR)) <= CALM and verdict.best.candidate is NOTHING
-        if not (self.count and quiet and detector.remembered is not None):
+        if not (self.count and quiet):
             return self.broken(), detector
         here = replace(self, calm=(*self.calm, _Calm(frame, detector.remembered)), said="")
         if len(here.calm) < self.count:
@@ -92,11 +92,9 @@ class Zero:
             f"{100 * np.expm1(np.abs(change).max()):.2g} %, as drift and the film's memory allow"
         )
         here = Zero(self.scene, self.count, baseline, self.since + middle.seconds, said=said)
-        fresh = Detector.of(
-            detector.panel, detector.patch_mm, here.seen(replace(middle, seconds=here.since)), detector.loads
-        )
-        kept = None if detector.remembered is None else detector.remembered.against(remembered, middle.seconds)
-        return here, replace(fresh, remembered=kept)
+        starts, first_frame = detector.starts, here.seen(replace(middle, seconds=here.since))
+        fresh = Detector.of(starts.panel, starts.patch_mm, first_frame, starts.loads)
+        return here, replace(fresh, remembered=detector.remembered.against(remembered, middle.seconds))
 
 
 def _mean_error(sigmas: list[Array]) -> Array:

@@ -1,12 +1,9 @@
 """A disc: what all round loads are made of.
 
 A circle of diameter d about (x, y) presses with p·(1 + tilt) between its inner diameter d_i and d, and sucks with s
-inside d_i. Simulation takes its pressure at points, recognition its mean on every patch, with derivatives (`oval.py`).
-
-Pressure of a disc that is neither round nor even: stretched, with soft edges, and a rim that presses in lobes.
-
-A stretched circle has no closed form on square patches, and real edges are soft. So its pressure is the mean over
-points whose distance from an edge, within `SOFT` of it, says how much of it counts; with derivatives.
+inside d_i. Simulation takes its pressure at points; recognition its mean on every patch, with derivatives, of a disc
+that is stretched, has soft edges, and a rim that presses in lobes. A stretched circle has no closed form on square
+patches, so that this is the mean over points, each weighed by its distance from an edge within `SOFT` of it.
 """
 
 from math import log, pi
@@ -63,11 +60,6 @@ def bearing_kpa(suction_kpa: float, inner_mm: float, outer_mm: float) -> float:
 def log_bearing(suction_kpa: float, share: float) -> float:
     """ln p_bear = ln(−s) + 2 ln ι − ln(1 − ι²) with ι = d_i/d: the same, for fits that step in logarithms."""
     return log(-suction_kpa) + 2 * log(share) - log(1 - share * share)
-
-
-def bearing_slope(share: float) -> float:
-    """∂ ln p_bear/∂ι = 2/(ι (1 − ι²)) with ι = d_i/d."""
-    return 2 / (share * (1 - share * share))
 
 
 def annular_pressure(disc: Disc, x: Array, y: Array) -> tuple[Array, Array]:

@@ -1,13 +1,4 @@
-"""An upright rod, standing on its flat end.
-
-A weighted ring.
-
-A suction cup, pumped or pressed on by hand.
-
-The mouth of a lamprey.
-
-A block on a rectangular foot: no circle, and simulated only.
-"""
+"""The shapes that simulation knows, and how recognition fits the round ones."""
 
 from dataclasses import dataclass
 from math import cos, hypot, log, radians, sin, sqrt
@@ -26,15 +17,18 @@ from lampest.loads.shapes.round import (
     TILT,
     WIDTH,
     RoundCandidate,
-    disc_of,
-    sucking_disc,
+    RoundShape,
 )
 from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
+HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
+PUSHED_KPA = 40.0  # by which a hand pushes a cup at most beyond what its suction needs; an assumption
+MOST_ELONGATED, MOST_LOBES = 10.0, 100  # of a mouth: beyond, a file has a slip of the pen
+
 
 @dataclass(frozen=True, kw_only=True)
-class Rod(Shape):
+class Rod(RoundShape):
     """p = m·g/(π d²/4) under the flat end of an upright rod.
 
     Parameters
@@ -56,22 +50,10 @@ class Rod(Shape):
     diameter_mm: float
     mass_g: float
 
-    @property
-    def reach_mm(self) -> float:
-        """Its radius."""
-        return self.diameter_mm / 2
-
-    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The same pressure everywhere under it, and no suction."""
-        return annular_pressure(self.disc(), x, y)
-
     def disc(self) -> Disc:
         """A full one."""
         weight = contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm))
-        return disc_of(self, 0.0, self.diameter_mm, weight)
-
-
-HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
+        return self.pressing(0.0, self.diameter_mm, weight)
 
 
 def hollow(ring: RoundCandidate, parameters: Array) -> tuple[float, Array]:
@@ -82,7 +64,7 @@ def hollow(ring: RoundCandidate, parameters: Array) -> tuple[float, Array]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ring(Shape):
+class Ring(RoundShape):
     """p = m·g/(π (d² − d_i²)/4) under a weighted ring.
 
     Recognition asks for a hole of a quarter of its diameter: what has less is a rod.
@@ -110,32 +92,20 @@ class Ring(Shape):
     outer_diameter_mm: float
     mass_g: float
 
-    @property
-    def reach_mm(self) -> float:
-        """Its outer radius."""
-        return self.outer_diameter_mm / 2
-
-    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The same pressure everywhere under it, and no suction."""
-        return annular_pressure(self.disc(), x, y)
-
     def disc(self) -> Disc:
         """One that does not suck."""
         area = annulus_mm2(self.inner_diameter_mm, self.outer_diameter_mm)
-        return disc_of(self, self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
-
-
-PUSHED_KPA = 40.0  # by which a hand pushes a cup at most beyond what its suction needs; an assumption
+        return self.pressing(self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
 
 
 def pushed_by_hand(cup: RoundCandidate, parameters: Array) -> tuple[float, Array]:
-    """ln 40 kPa − ln push, and its slopes by φ."""
+    """ln PUSHED_KPA − ln push, and its slopes by φ."""
     push = cup.names.index("push")
     return float(log(PUSHED_KPA) - parameters[push]), -np.eye(len(parameters))[push]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SuctionCup(Shape):
+class SuctionCup(RoundShape):
     """p < 0 inside d_i, against the surroundings, and p_rim = −p·d_i²/(d² − d_i²) under the rim that bears it.
 
     Recognition lets a hand push it by up to 40 kPa more.
@@ -165,25 +135,13 @@ class SuctionCup(Shape):
     outer_diameter_mm: float
     pressure_kpa: float
 
-    @property
-    def reach_mm(self) -> float:
-        """Its outer radius."""
-        return self.outer_diameter_mm / 2
-
-    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Suction inside, and the pressure of the rim."""
-        return annular_pressure(self.disc(), x, y)
-
     def disc(self) -> Disc:
         """One whose rim bears the suction."""
-        return sucking_disc(self, self.inner_diameter_mm, self.outer_diameter_mm, self.pressure_kpa)
-
-
-MOST_ELONGATED, MOST_LOBES = 10.0, 100  # nothing of that form is a mouth; beyond, a file has a slip of the pen
+        return self.sucking(self.inner_diameter_mm, self.outer_diameter_mm, self.pressure_kpa)
 
 
 @dataclass(frozen=True, kw_only=True)
-class OralDisc(Shape):
+class OralDisc(RoundShape):
     """Suction p in a lamprey's mouth and a soft rim that presses.
 
     Recognition lets it be long and uneven, and press harder than its suction needs.
@@ -263,12 +221,12 @@ class OralDisc(Shape):
         if self.extra_rim_kpa < 0 or (self.extra_rim_kpa and self.rim_kpa is not None):
             raise ValueError("extra_rim_kpa must be zero or positive, and stands where rim_kpa does not")
         inner = self.diameter_mm - 2 * self.rim_width_mm
-        return sucking_disc(self, inner, self.diameter_mm, self.pressure_kpa, self.rim_kpa, self.extra_rim_kpa)
+        return self.sucking(inner, self.diameter_mm, self.pressure_kpa, self.rim_kpa, self.extra_rim_kpa)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block(Shape):
-    """p = m·g/(a·b) under a rectangular foot.
+    """p = m·g/(a·b) under a rectangular foot; simulated only.
 
     Parameters
     ----------
@@ -292,7 +250,7 @@ class Block(Shape):
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
         """The same pressure everywhere under the foot, and no suction."""
-        angle = np.radians(self.angle_deg)
-        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        angle = radians(self.angle_deg)
+        along, across = x * cos(angle) + y * sin(angle), y * cos(angle) - x * sin(angle)
         under = (np.abs(along) < self.length_mm / 2) & (np.abs(across) < self.width_mm / 2)
         return under * contact_of_weight(self.mass_g, self.length_mm * self.width_mm), np.zeros_like(x)

@@ -1,5 +1,6 @@
 """What round shapes share: the disc that they are, and how recognition fits it."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +13,8 @@ from lampest.loads.shapes.disc import (
     EVEN,
     Disc,
     Unevenness,
+    annular_pressure,
     bearing_kpa,
-    bearing_slope,
     checked_contact,
     log_bearing,
     oval_pressure,
@@ -45,38 +46,46 @@ QUANTITIES = (
     ),
     Quantity("rim_pressure", "kPa", "rim", "mean contact pressure under the rim, or under a rod"),
 )
-# The parameter without which a disc has no such quantity; and quantities from the numbers of a disc.
+# The parameter without which a disc has no such quantity.
 NEEDED = ("diameter", "diameter", "diameter", "width", "suction", "diameter")
-CHOICE = np.zeros((6, 8))
-CHOICE[[0, 1, 2, 3, 4, 5], [0, 1, 2, 2, 4, 5]] = 1, 1, 1, 0.5, 1, 1
-CHOICE[3, 3] = -0.5
 
 
-def disc_of(shape: Shape, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float = 0.0) -> Disc:
-    """The disc that a round shape is. Raises ValueError where a pressure is out of range."""
-    if not VACUUM_KPA < suction_kpa <= 0:
-        raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
-    direction = np.radians(shape.tilt_direction_deg)
-    tilt = (shape.tilt * float(np.cos(direction)), shape.tilt * float(np.sin(direction)))
-    return Disc(*shape.centre_mm, outer_mm, inner_mm, suction_kpa, checked_contact(rim_kpa), *tilt)
+@dataclass(frozen=True, kw_only=True)
+class RoundShape(Shape):
+    """A shape that is a disc: its pressure follows from `disc`."""
 
+    @abstractmethod
+    def disc(self) -> Disc:
+        """The disc. Raises ValueError where the shape's numbers make none."""
 
-def sucking_disc(
-    shape: Shape,
-    inner_mm: float,
-    outer_mm: float,
-    pressure_kpa: float,
-    rim_kpa: float | None = None,
-    extra_kpa: float = 0.0,
-) -> Disc:
-    """A sucking inside and its rim, which bears the suction's force and `extra_kpa` unless its pressure is given.
+    @property
+    def reach_mm(self) -> float:
+        """Its outer radius."""
+        return self.disc().diameter_mm / 2
 
-    Raises ValueError.
-    """
-    bearing = bearing_kpa(pressure_kpa, inner_mm, outer_mm)
-    if not pressure_kpa < 0:
-        raise ValueError("pressure_kpa is a suction: it must be negative")
-    return disc_of(shape, inner_mm, outer_mm, bearing + extra_kpa if rim_kpa is None else rim_kpa, pressure_kpa)
+    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Suction inside, and the pressure of the rim."""
+        return annular_pressure(self.disc(), x, y)
+
+    def pressing(self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float = 0.0) -> Disc:
+        """The disc with these numbers, its centre and tilt. Raises ValueError where a pressure is out of range."""
+        if not VACUUM_KPA < suction_kpa <= 0:
+            raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
+        direction = np.radians(self.tilt_direction_deg)
+        tilt = (self.tilt * float(np.cos(direction)), self.tilt * float(np.sin(direction)))
+        return Disc(*self.centre_mm, outer_mm, inner_mm, suction_kpa, checked_contact(rim_kpa), *tilt)
+
+    def sucking(
+        self, inner_mm: float, outer_mm: float, suction_kpa: float, rim_kpa: float | None = None, extra_kpa: float = 0.0
+    ) -> Disc:
+        """One whose rim bears the suction's force and `extra_kpa`, unless the rim's pressure is given.
+
+        Raises ValueError where a number is out of range.
+        """
+        bearing = bearing_kpa(suction_kpa, inner_mm, outer_mm)
+        if not suction_kpa < 0:
+            raise ValueError("pressure_kpa is a suction: it must be negative")
+        return self.pressing(inner_mm, outer_mm, bearing + extra_kpa if rim_kpa is None else rim_kpa, suction_kpa)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -129,14 +138,14 @@ class RoundCandidate(Candidate):
         diameter, share = exp(at[place["diameter"]]), 0.0
         slopes[2, place["diameter"]] = diameter
         if "width" in place:
-            share, bend = _share(2 * exp(at[place["width"]]) / diameter)
-            slopes[3, place["diameter"]], slopes[3, place["width"]] = diameter * (share - bend), diameter * bend
+            share, slope = _share(2 * exp(at[place["width"]]) / diameter)
+            slopes[3, place["diameter"]], slopes[3, place["width"]] = diameter * (share - slope), diameter * slope
         suction = -exp(at[place["suction"]]) if "suction" in place else 0.0
         if "suction" in place:
             slopes[4, place["suction"]] = suction
         if "push" in place:
             bearing, push = exp(log_bearing(suction, share)), exp(at[place["push"]])
-            rim, by_width = bearing + push, bearing * bearing_slope(share) * bend
+            rim, by_width = bearing + push, bearing * (2 / (share * (1 - share * share))) * slope
             slopes[5, place["push"]], slopes[5, place["suction"]] = push, bearing
             slopes[5, place["width"]], slopes[5, place["diameter"]] = by_width, -by_width
         else:
@@ -200,7 +209,8 @@ class RoundCandidate(Candidate):
     def report(self, parameters: Array) -> tuple[Array, Array]:
         """Those of the disc."""
         disc, slopes = self.disc_with_slopes(parameters)
-        choice = CHOICE[self._reported]
+        x, y, diameter, inner, suction, rim, *_ = np.eye(8)
+        choice = np.stack([x, y, diameter, (diameter - inner) / 2, suction, rim])[self._reported]
         return choice @ np.array(disc), choice @ slopes
 
     @property
