@@ -1,7 +1,7 @@
 """Where error bars cover the truth: effects that no scene states, on fresh recordings, by estimator."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -19,11 +19,24 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
-from lampest.report.compare import Table
 from lampest.runs.executors import AnyExecutor
 from lampest.runs.terms import FORBID
 from lampest.studies.methods import StudyMethod
-from lampest.studies.study import OnStep, Reported, Study, of_tasks, read_settings, write_rows, write_sequence
+from lampest.studies.study import (
+    Figures,
+    OnStep,
+    Reported,
+    Row,
+    Study,
+    grouped,
+    of_tasks,
+    read_settings,
+    rows_of,
+    table_of,
+    text_of,
+    write_rows,
+    write_sequence,
+)
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
 LOADED_KPA = 0.5  # a cell counts as loaded from here on: below, a film's answer is smaller than its creep
@@ -218,72 +231,24 @@ def repeats_chi_square(recording: Recording) -> float:
     return float((about**2).sum() / ((len(about) - 1) * max(int(plain.sum()), 1)))
 
 
-@dataclass(frozen=True)
-class AuditRow:
-    """One effect with one estimator, all seeds together.
-
-    Parameters
-    ----------
-    recordings, failed : how many, and of how many there is nothing to count.
-    cells, change, pressure : percent of intervals that cover the truth; cells_sd, change_sd : their standard deviation
-        over repetitions of the audit, from that over recordings.
-    silent_cells, silent_change, silent_pressure : the same percentage, of recordings whose results carry no sentence;
-    NaN where all do.
-    chi_square : of the unloaded repeats per degree of freedom, median. width : standard deviation of log r, median.
-    told : recordings whose results carry a sentence. verdict : 'held', 'told', 'wide', 'short' or 'LIES'.
-    sentence : the most frequent one.
-    """
-
-    effect: str
-    estimator: str
-    recordings: int
-    failed: int
-    cells: float
-    cells_sd: float
-    change: float
-    change_sd: float
-    pressure: float
-    silent_cells: float
-    silent_change: float
-    silent_pressure: float
-    chi_square: float
-    width: float
-    told: int
-    verdict: str
-    sentence: str
+def audit_rows(found: Sequence[Audited]) -> list[Row]:
+    """Effects in their order, the estimators of each together, all seeds of both in one row."""
+    return rows_of(grouped(found, lambda one: (one.effect, one.estimator)).values(), FIGURES)
 
 
-def audit_rows(found: Sequence[Audited]) -> list[AuditRow]:
-    """Effects in their order, the estimators of each together."""
-    groups: dict[tuple[str, str], list[Audited]] = {}
-    for one in found:
-        groups.setdefault((one.effect, one.estimator), []).append(one)
-    return [_row(effect, estimator, own) for (effect, estimator), own in groups.items()]
+def _good(own: Sequence[Audited]) -> list[Audited]:
+    return [one for one in own if not one.failed]
 
 
-def _row(effect: str, estimator: str, own: Sequence[Audited]) -> AuditRow:
-    good = [one for one in own if not one.failed]
-    silent = [one for one in good if not one.told]
-    silent_shares = _share(silent, "cells"), _share(silent, "change"), _share(silent, "pressure")
-    said = Counter(_without_digits(one.told) for one in good if one.told)
-    usual = [sentence for sentence, _ in said.most_common(1)]
-    return AuditRow(
-        effect,
-        estimator,
-        len(own),
-        len(own) - len(good),
-        _share(good, "cells"),
-        _spread(good, "cells"),
-        _share(good, "change"),
-        _spread(good, "change"),
-        _share(good, "pressure"),
-        *silent_shares,
-        float(np.median([one.chi_square for one in good])) if good else NAN,
-        float(np.median([one.width for one in good])) if good else NAN,
-        len(good) - len(silent),
-        _verdict(silent_shares),
-        next((one.told for one in good if [_without_digits(one.told)] == usual), ""),
-    )
+def _silent(own: Sequence[Audited]) -> list[Audited]:
+    return [one for one in _good(own) if not one.told]
+
+
+def _usual_sentence(own: Sequence[Audited]) -> str:
+    """The most frequent one that results carry, whatever its numbers."""
+    kinds = grouped(own, lambda one: "".join(letter for letter in one.told if not letter.isdigit()))
+    said = [alike for kind, alike in kinds.items() if kind]
+    return max(said, key=len)[0].told if said else ""
 
 
 def _share(own: Sequence[Audited], what: str) -> float:
@@ -298,49 +263,56 @@ def _spread(own: Sequence[Audited], what: str) -> float:
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else NAN
 
 
-def _verdict(shares: tuple[float, float, float]) -> str:
+def _median(own: Sequence[Audited], what: str) -> float:
+    return float(np.median([getattr(one, what) for one in own])) if own else NAN
+
+
+def _verdict(own: Sequence[Audited]) -> str:
     """Whether recordings without a sentence keep the promise: 90 to 98 percent, and never below 80.
 
     Intervals of pressure may be wider: beyond what the response states they reach as far as it goes.
     """
+    shares = [_share(_silent(own), what) for what in ("cells", "change", "pressure")]
     known = [share for share in shares if not np.isnan(share)]
     if not known:
         return "told"
     if min(known) < LEAST:
         return "LIES" if min(known) < NEVER_BELOW else "short"
-    return "wide" if np.fmax(*shares[:2]) > MOST else "held"
+    return "wide" if np.fmax(shares[0], shares[1]) > MOST else "held"
 
 
-def _without_digits(sentence: str) -> str:
-    return "".join(letter for letter in sentence if not letter.isdigit())
+FIGURES: Figures = {
+    "effect": lambda own: own[0].effect,
+    "estimator": lambda own: own[0].estimator,
+    "recordings": len,
+    "failed": lambda own: len(own) - len(_good(own)),  # of how many there is nothing to count
+    "cells": lambda own: _share(_good(own), "cells"),  # percent of intervals that cover the truth
+    "cells_sd": lambda own: _spread(_good(own), "cells"),
+    "change": lambda own: _share(_good(own), "change"),
+    "change_sd": lambda own: _spread(_good(own), "change"),
+    "pressure": lambda own: _share(_good(own), "pressure"),
+    "silent_cells": lambda own: _share(_silent(own), "cells"),  # of recordings whose results carry no sentence
+    "silent_change": lambda own: _share(_silent(own), "change"),
+    "silent_pressure": lambda own: _share(_silent(own), "pressure"),
+    "chi_square": lambda own: _median(_good(own), "chi_square"),
+    "width": lambda own: _median(_good(own), "width"),
+    "told": lambda own: len(_good(own)) - len(_silent(own)),  # how many carry a sentence
+    "verdict": _verdict,
+    "sentence": lambda own: _usual_sentence(_good(own)),
+}
+SCREEN: dict[str, Callable[[Row], str]] = {
+    "effect": lambda row: row.effect,
+    "estimator": lambda row: row.estimator,
+    "cells [%]": lambda row: " ± ".join(filter(None, (text_of(row.cells, ".1f"), text_of(row.cells_sd, ".1f")))),
+    "change [%]": lambda row: " ± ".join(filter(None, (text_of(row.change, ".1f"), text_of(row.change_sd, ".1f")))),
+    "press. [%]": lambda row: text_of(row.pressure, ".1f"),
+    "chi2": lambda row: text_of(row.chi_square),
+    "told": lambda row: f"{row.told}/{row.recordings - row.failed}",
+    "verdict": lambda row: row.verdict,
+}
 
 
-def _table(rows: Sequence[AuditRow]) -> Table:
-    """Percent of 95 % intervals that cover the truth, effect by effect."""
-    headers = ("effect", "estimator", "cells [%]", "change [%]", "press. [%]", "chi2", "told", "verdict")
-    cells = (
-        (
-            row.effect,
-            row.estimator,
-            _percent(row.cells, row.cells_sd),
-            _percent(row.change, row.change_sd),
-            _percent(row.pressure),
-            "" if np.isnan(row.chi_square) else f"{row.chi_square:.3g}",
-            f"{row.told}/{row.recordings - row.failed}",
-            row.verdict,
-        )
-        for row in rows
-    )
-    return Table(headers, tuple(cells))
-
-
-def _percent(share: float, spread: float = NAN) -> str:
-    if np.isnan(share):
-        return ""
-    return f"{share:.1f}" if np.isnan(spread) else f"{share:.1f} ± {spread:.1f}"
-
-
-def _remarks(rows: Sequence[AuditRow], found: Sequence[Audited]) -> list[str]:
+def _remarks(rows: Sequence[Row], found: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
     broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "LIES")]
     kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
@@ -362,10 +334,10 @@ def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) ->
     rows = audit_rows(found)
     axis = ("case", "recording with an estimator, in order")
     files = (
-        write_rows(folder / "audit.csv", AuditRow, rows),
+        write_rows(folder / "audit.csv", FIGURES, rows),
         write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
     )
-    return Reported([("", _table(rows))], files, _remarks(rows, found))
+    return Reported([("", table_of(rows, SCREEN))], files, _remarks(rows, found))
 
 
 STUDY: Study[AuditFile, Sequence[Audited]] = Study(

@@ -104,5 +104,5 @@ def run_starts(run: Run, random: int, seed: int, out: Path | None, on_step: OnSt
         )
         for one in found
     )
-    files = [] if out is None else [write_rows(out / "starts.csv", Tally, found)]
+    files = [] if out is None else [write_rows(out / "starts.csv", Tally.__dataclass_fields__, found)]
     return Reported([("", Table(headers, rows))], files)

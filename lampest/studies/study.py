@@ -3,15 +3,15 @@
 import csv
 import importlib.util
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from math import isnan
 from operator import attrgetter
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -30,6 +30,8 @@ Found = TypeVar("Found")
 Kind = TypeVar("Kind")
 Task = TypeVar("Task")
 OnStep = Callable[..., None]
+Row = SimpleNamespace  # one line of a study's CSV file
+Figures = Mapping[str, Callable[[Any], Any]]  # column of the CSV file → its value for a group of samples
 Column = tuple[str, str, str] | tuple[str, str, str, str]  # name, unit, meaning; path where it is not the name
 
 
@@ -115,12 +117,35 @@ def published_code(name: str) -> ModuleType:
     return module
 
 
-def write_rows(path: Path, kind: type[Any], rows: Sequence[Any]) -> Path:
-    """Dataclass objects of one kind as CSV, a column for each field; six digits, empty where there is no number.
+def grouped(samples: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Samples by what the key says of them, in the order in which that first appears."""
+    found: dict[Any, list[Any]] = {}
+    for sample in samples:
+        found.setdefault(key(sample), []).append(sample)
+    return found
+
+
+def rows_of(groups: Iterable[Any], figures: Figures) -> list[Row]:
+    """A row for each group of samples: all figures of it."""
+    return [Row(**{name: figure(own) for name, figure in figures.items()}) for own in groups]
+
+
+def table_of(rows: Sequence[Row], columns: Mapping[str, Callable[[Row], str]]) -> Table:
+    """Rows for the screen, by title: the text of a row."""
+    return Table(tuple(columns), tuple(tuple(text(row) for text in columns.values()) for row in rows))
+
+
+def text_of(value: float | None, form: str = ".3g") -> str:
+    """A number as text; nothing for None and NaN."""
+    return "" if value is None or np.isnan(value) else f"{value:{form}}"
+
+
+def write_rows(path: Path, names: Iterable[str], rows: Sequence[Any]) -> Path:
+    """Rows as CSV, a column for each name; six digits, empty where there is no number.
 
     Raises InputError where the place cannot be written.
     """
-    names = [field.name for field in fields(kind)]
+    names = list(names)
     write_whole(path, comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)]))
     return path
 

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
-from lampest.studies.paper.side import LeftBySolver, Weights
+from lampest.studies.paper.sides import LeftBySolver, Weights
 
 TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
 RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length

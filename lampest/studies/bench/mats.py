@@ -17,7 +17,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings
 from lampest.studies.bench.problems import other_solver, timed
 from lampest.studies.bench.settings import Mats
-from lampest.studies.study import published_code
+from lampest.studies.study import Figures, Row, grouped, published_code, rows_of
 from lampest.studies.timing import clocked, inverse_time, undisturbed
 
 LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
@@ -110,53 +110,27 @@ def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, fl
     return float(reading.max()), float(np.median(cells)), float(cells.max()), int(np.sum(answer.conductance < 0))
 
 
-@dataclass(frozen=True)
-class MatRow:
-    """One solver on all mats of a side with the same noise; see `MatSolve`.
-
-    ms : median. inverses : ms in dense inverses of the mat's lines. reading_error : worst. cell_error : median of the
-    mats' medians. worst_cell_error, negative : of all mats; errors in percent.
-    """
-
-    side: int
-    noise_percent: float
-    solver: str
-    ms: float
-    inverses: float
-    iterations: float
-    evaluations: float | None
-    reading_error: float
-    cell_error: float
-    worst_cell_error: float
-    negative: int
-    converged: int
-    count: int
+def _median(value: Callable[[MatSolve], float]) -> Callable[[Sequence[MatSolve]], float]:
+    return lambda own: float(np.median([value(solve) for solve in own]))
 
 
-def mat_rows(solves: Sequence[MatSolve]) -> list[MatRow]:
-    """By side, noise and solver."""
-    keys = dict.fromkeys((solve.side, solve.noise_percent, solve.solver) for solve in solves)
-    return [_mat_row([one for one in solves if (one.side, one.noise_percent, one.solver) == key]) for key in keys]
+MAT_FIGURES: Figures = {
+    "side": lambda own: own[0].side,
+    "noise_percent": lambda own: own[0].noise_percent,
+    "solver": lambda own: own[0].solver,
+    "ms": _median(lambda solve: 1e3 * solve.seconds),
+    "inverses": _median(lambda solve: solve.seconds / solve.inverse_s),  # ms in dense inverses of the mat's lines
+    "iterations": _median(lambda solve: solve.iterations),
+    "evaluations": lambda own: None if own[0].evaluations is None else _median(lambda one: one.evaluations or 0)(own),
+    "reading_error": lambda own: max(solve.reading_error for solve in own),
+    "cell_error": _median(lambda solve: solve.cell_error),  # of the mats' medians, percent
+    "worst_cell_error": lambda own: max(solve.worst_cell_error for solve in own),
+    "negative": lambda own: sum(solve.negative for solve in own),
+    "converged": lambda own: sum(solve.converged for solve in own),
+    "count": len,
+}
 
 
-def _mat_row(solves: Sequence[MatSolve]) -> MatRow:
-    first = solves[0]
-
-    def median(value: Callable[[MatSolve], float]) -> float:
-        return float(np.median([value(solve) for solve in solves]))
-
-    return MatRow(
-        first.side,
-        first.noise_percent,
-        first.solver,
-        ms=1e3 * median(lambda solve: solve.seconds),
-        inverses=median(lambda solve: solve.seconds / solve.inverse_s),
-        iterations=median(lambda solve: solve.iterations),
-        evaluations=None if first.evaluations is None else median(lambda solve: float(solve.evaluations or 0)),
-        reading_error=max(solve.reading_error for solve in solves),
-        cell_error=median(lambda solve: solve.cell_error),
-        worst_cell_error=max(solve.worst_cell_error for solve in solves),
-        negative=sum(solve.negative for solve in solves),
-        converged=sum(solve.converged for solve in solves),
-        count=len(solves),
-    )
+def mat_rows(solves: Sequence[MatSolve]) -> list[Row]:
+    """By side, noise and solver: each on all mats."""
+    return rows_of(grouped(solves, lambda one: (one.side, one.noise_percent, one.solver)).values(), MAT_FIGURES)

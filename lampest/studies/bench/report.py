@@ -10,11 +10,21 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.whole import write_whole
 from lampest.report.compare import Table
-from lampest.studies.bench.mats import MatRow, mat_rows
-from lampest.studies.bench.rows import ALL, GROWTH_FROM, BenchRow, Growth, bench_rows, growth
+from lampest.studies.bench.mats import MAT_FIGURES, mat_rows
+from lampest.studies.bench.rows import ALL, FIGURES, GROWTH_FROM, Growth, bench_rows, growth
 from lampest.studies.bench.run import Bench, run_bench
 from lampest.studies.bench.settings import BenchFile, BenchLimits
-from lampest.studies.study import Reported, Study, read_settings, samples_file, write_columns, write_rows
+from lampest.studies.study import (
+    Reported,
+    Row,
+    Study,
+    read_settings,
+    samples_file,
+    table_of,
+    text_of,
+    write_columns,
+    write_rows,
+)
 
 SHORT = {
     "reduced": "reduced",
@@ -24,7 +34,7 @@ SHORT = {
     "scipy_lbfgsb": "L-BFGS-B",
 }
 NO_GAP = 1e-12  # less is rounding
-Cells = Callable[[BenchRow], str]
+Cells = Callable[[Row], str]
 
 
 def overview_table(bench: Bench) -> Table:
@@ -61,7 +71,7 @@ def solvers_table(bench: Bench) -> Table:
     """All methods together: panel by panel, solver by solver."""
     rows = [row for row in bench_rows(bench) if row.method == ALL]
 
-    def ratio(row: BenchRow) -> str:
+    def ratio(row: Row) -> str:
         return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
 
     return _table(rows, ("solver", lambda row: SHORT[row.solver]), ("ratio", ratio))
@@ -71,32 +81,30 @@ def methods_table(bench: Bench) -> Table:
     """The reduced solver: panel by panel, method by method."""
     rows = [row for row in bench_rows(bench) if row.method != ALL and row.solver == "reduced"]
 
-    def quartiles(row: BenchRow) -> str:
+    def quartiles(row: Row) -> str:
         return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
 
     return _table(rows, ("method", lambda row: row.method), ("quartiles", quartiles))
 
 
-def _table(rows: Sequence[BenchRow], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
+def _table(rows: Sequence[Row], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
     """Columns in which some row has anything."""
-    columns: list[tuple[str, Cells]] = [
-        ("panel", _panel),
-        named,
-        ("frames", lambda row: row.frames),
-        ("ms", lambda row: short(row.ms)),
-        special,
-        ("inverses", lambda row: short(row.inverses)),
-        ("steps", lambda row: short(row.iterations)),
-        ("gap", lambda row: "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}"),
-        ("verified", lambda row: f"{row.verified}/{row.count}"),
-        ("MB", lambda row: "" if row.memory_mb is None else f"{row.memory_mb:.0f}"),
-    ]
-    filled = [(title, [text(row) for row in rows]) for title, text in columns]
-    filled = [(title, texts) for title, texts in filled if any(texts)]
-    return Table(tuple(title for title, _ in filled), tuple(zip(*(texts for _, texts in filled), strict=True)))
+    columns: dict[str, Cells] = {
+        "panel": _panel,
+        named[0]: named[1],
+        "frames": lambda row: row.frames,
+        "ms": lambda row: short(row.ms),
+        special[0]: special[1],
+        "inverses": lambda row: short(row.inverses),
+        "steps": lambda row: short(row.iterations),
+        "gap": lambda row: "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}",
+        "verified": lambda row: f"{row.verified}/{row.count}",
+        "MB": lambda row: text_of(row.memory_mb, ".0f"),
+    }
+    return table_of(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
 
 
-def _panel(row: BenchRow) -> str:
+def _panel(row: Row) -> str:
     return f"{row.rows} × {row.columns}"
 
 
@@ -119,25 +127,18 @@ def growth_table(bench: Bench) -> Table:
     return Table(("solver", "method", "frames", "exponent of the side", "panels"), cells)
 
 
-def mats_table(bench: Bench) -> Table:
-    """Published solvers on random mats."""
-    headers = ("mat", "noise", "solver", "ms", "networks", "misfit %", "cell %", "worst %", "g < 0", "ended")
-    cells = tuple(
-        (
-            f"{row.side} × {row.side}",
-            f"{row.noise_percent:g} %",
-            row.solver,
-            short(row.ms),
-            "" if row.evaluations is None else short(row.evaluations),
-            _percent(row.reading_error),
-            _percent(row.cell_error),
-            _percent(row.worst_cell_error),
-            str(row.negative),
-            f"{row.converged}/{row.count}",
-        )
-        for row in mat_rows(bench.mats)
-    )
-    return Table(headers, cells)
+MAT_SCREEN: dict[str, Cells] = {
+    "mat": lambda row: f"{row.side} × {row.side}",
+    "noise": lambda row: f"{row.noise_percent:g} %",
+    "solver": lambda row: row.solver,
+    "ms": lambda row: short(row.ms),
+    "networks": lambda row: "" if row.evaluations is None else short(row.evaluations),
+    "misfit %": lambda row: _percent(row.reading_error),
+    "cell %": lambda row: _percent(row.cell_error),
+    "worst %": lambda row: _percent(row.worst_cell_error),
+    "g < 0": lambda row: str(row.negative),
+    "ended": lambda row: f"{row.converged}/{row.count}",
+}
 
 
 def _percent(value: float) -> str:
@@ -180,7 +181,7 @@ def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
         ("solvers: all methods together", solvers_table(bench)),
         ("methods: the reduced solver", methods_table(bench)),
         ("growth: time ∝ side^exponent", growth_table(bench)),
-        ("mats: published solvers, no bounds, no penalties", mats_table(bench)),
+        ("mats: published solvers, no bounds, no penalties", table_of(mat_rows(bench.mats), MAT_SCREEN)),
     )
     yield from ((title, table) for title, table in titled if table.cells)
 
@@ -260,11 +261,11 @@ def report_bench(bench: Bench, settings: BenchFile, folder: Path) -> Reported:
     solvers, where they ran. bench.md : tables and remarks for a page. bench.h5 : every sample.
     """
     files = [
-        write_rows(folder / "bench.csv", BenchRow, bench_rows(bench)),
-        write_rows(folder / "growth.csv", Growth, growth(bench)),
+        write_rows(folder / "bench.csv", FIGURES, bench_rows(bench)),
+        write_rows(folder / "growth.csv", Growth.__dataclass_fields__, growth(bench)),
     ]
     if bench.mats:
-        files.append(write_rows(folder / "mats.csv", MatRow, mat_rows(bench.mats)))
+        files.append(write_rows(folder / "mats.csv", MAT_FIGURES, mat_rows(bench.mats)))
     write_whole(folder / "bench.md", page(bench, settings))
     files += [folder / "bench.md", _write_samples(folder / "bench.h5", bench)]
     return Reported(list(tables(bench)), files, bench_remarks(bench, settings))

@@ -8,6 +8,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.studies.bench.run import Bench, Timing
+from lampest.studies.study import Figures, Row, grouped, rows_of
 
 ALL = "all"
 GROWTH_FROM = 32
@@ -15,46 +16,10 @@ Kind = Literal["first", "pair", "later"]  # of frames
 
 
 @dataclass(frozen=True)
-class BenchRow:
-    """One solver on one panel with one method, or with `all` of them, over all recordings.
-
-    Parameters
-    ----------
-    rows, columns, method, solver : what was measured.
-    frames : 'first', cold starts; 'pair', cold starts solved jointly with the baseline; 'later', in sequence. `all`
-        methods have pairs among their first frames.
-    ms, ms_quartile_1, ms_quartile_3 : median and quartiles over the frames; see `Timing.times`.
-    ratio : ms over the reduced solver's on the same panel with the same method; None where that did not run.
-    inverses : ms in dense inverses of size rows + columns − 1.
-    iterations : median.
-    gap : the largest `Timing.gap`, failed frames included; None where the solver was alone.
-    count, verified, solved : number of frames; with a verified optimum; with an estimate.
-    memory_mb : peak of a fresh process, 10⁶ bytes; None where it was not measured.
-    """
-
-    rows: int
-    columns: int
-    method: str
-    solver: str
-    frames: Kind
-    ms: float
-    ms_quartile_1: float
-    ms_quartile_3: float
-    ratio: float | None
-    inverses: float
-    iterations: float
-    gap: float | None
-    count: int
-    verified: int
-    solved: int
-    memory_mb: float | None
-
-
-@dataclass(frozen=True)
 class Growth:
     """Time ∝ side^exponent, side = (rows + columns)/2, on panels of which no side is below 32.
 
-    A least-squares line through the logarithms of `BenchRow.ms`; `all` is that of the methods' geometric mean.
+    A least-squares line through the logarithms of `ms`; `all` is that of the methods' geometric mean.
     standard_error : of the slope, from the scatter about the line; None with two panels. panels : how many. largest :
     the largest side.
     """
@@ -68,22 +33,81 @@ class Growth:
     largest: float
 
 
-def bench_rows(bench: Bench) -> list[BenchRow]:
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Frames of one kind by one solver, with a method or all of them; reduced : ours on the same, empty where it is."""
+
+    bench: Bench
+    method: str
+    own: Sequence[Timing]
+    reduced: Sequence[Timing]
+    first: bool
+
+    def over(self, name: str, timings: Sequence[Timing] | None = None) -> Array:
+        """Values of frames, one for each, of all recordings and methods."""
+        values = [getattr(timing, name) for timing in (self.own if timings is None else timings)]
+        chosen = slice(0, 1) if self.first else slice(1, None)
+        return np.concatenate([(value() if callable(value) else value)[chosen] for value in values])
+
+    @property
+    def frames(self) -> Kind:
+        """Which."""
+        return "later" if not self.first else "pair" if all(timing.pair for timing in self.own) else "first"
+
+    def ms(self, share: float = 0.5) -> float:
+        """A quantile of the frames' times."""
+        return 1e3 * float(np.quantile(self.over("times"), share))
+
+    def ratio(self) -> float | None:
+        """The median over the reduced solver's."""
+        return self.ms() / (1e3 * float(np.median(self.over("times", self.reduced)))) if self.reduced else None
+
+    def gap(self) -> float | None:
+        """The largest, failed frames included; None where the solver was alone."""
+        gap = self.over("gap")
+        return None if np.all(np.isnan(gap)) else float(np.nanmax(gap))
+
+    def memory_mb(self) -> float | None:
+        """Peak of a fresh process, 10⁶ bytes; None where it was not measured."""
+        keys = [(timing.shape, timing.method, timing.solver) for timing in self.own]
+        return max((self.bench.memory_mb[key] for key in keys if key in self.bench.memory_mb), default=None)
+
+
+FIGURES: Figures = {
+    "rows": lambda one: one.own[0].shape[0],
+    "columns": lambda one: one.own[0].shape[1],
+    "method": lambda one: one.method,
+    "solver": lambda one: one.own[0].solver,
+    "frames": lambda one: one.frames,
+    "ms": Sample.ms,  # median over the frames; see `Timing.times`
+    "ms_quartile_1": lambda one: one.ms(0.25),
+    "ms_quartile_3": lambda one: one.ms(0.75),
+    "ratio": Sample.ratio,
+    "inverses": lambda one: one.ms() / 1e3 / one.bench.inverse_s(one.own[0].shape),  # of size rows + columns − 1
+    "iterations": lambda one: float(np.median(one.over("iterations"))),
+    "gap": Sample.gap,
+    "count": lambda one: one.over("times").size,
+    "verified": lambda one: int(np.sum(one.over("verified"))),
+    "solved": lambda one: int(np.sum(one.over("solved"))),
+    "memory_mb": Sample.memory_mb,
+}
+
+
+def bench_rows(bench: Bench) -> list[Row]:
     """By panel, then all methods together and each of them, then by solver, then first and later frames.
 
     Where a method was left out on a panel, there is no row of all: it would be one of other methods than elsewhere.
     """
     methods = list(dict.fromkeys(timing.method for timing in bench.timings))
-    found: list[BenchRow] = []
-    for shape in dict.fromkeys(timing.shape for timing in bench.timings):
-        here = [timing for timing in bench.timings if timing.shape == shape]
-        found += _rows(bench, ALL, methods, here)
-        for method in methods:
-            found += _rows(bench, method, [method], [timing for timing in here if timing.method == method])
+    found: list[Row] = []
+    for here in grouped(bench.timings, lambda timing: timing.shape).values():
+        for name, several in ((ALL, methods), *((method, [method]) for method in methods)):
+            chosen = [timing for timing in here if timing.method in several]
+            found += rows_of(_samples(bench, name, several, chosen), FIGURES)
     return found
 
 
-def _rows(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[BenchRow]:
+def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[Sample]:
     for solver in dict.fromkeys(timing.solver for timing in timings):
         for first in (True, False):
             own, reduced = (
@@ -91,42 +115,7 @@ def _rows(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Tim
                 for one in (solver, "reduced")
             )
             if {timing.method for timing in own} == set(methods):
-                yield _row(bench, name, own, reduced, first)
-
-
-def _row(bench: Bench, method: str, own: Sequence[Timing], reduced: Sequence[Timing], first: bool) -> BenchRow:
-    chosen = slice(0, 1) if first else slice(1, None)
-    ms, gap = (1e3 * over(own, "times", chosen), over(own, "gap", chosen))
-    peaks = [
-        bench.memory_mb[key]
-        for timing in own
-        if (key := (timing.shape, timing.method, timing.solver)) in bench.memory_mb
-    ]
-    shape = own[0].shape
-    low, median, high = (float(part) for part in np.quantile(ms, (0.25, 0.5, 0.75)))
-    return BenchRow(
-        *shape,
-        method,
-        own[0].solver,
-        "later" if not first else "pair" if all(timing.pair for timing in own) else "first",
-        median,
-        low,
-        high,
-        ratio=median / (1e3 * float(np.median(over(reduced, "times", chosen)))) if reduced else None,
-        inverses=median / 1e3 / bench.inverse_s(shape),
-        iterations=float(np.median(over(own, "iterations", chosen))),
-        gap=None if np.all(np.isnan(gap)) else float(np.nanmax(gap)),
-        count=ms.size,
-        verified=int(np.sum(over(own, "verified", chosen))),
-        solved=int(np.sum(over(own, "solved", chosen))),
-        memory_mb=max(peaks) if peaks else None,
-    )
-
-
-def over(timings: Sequence[Timing], name: str, chosen: slice) -> Array:
-    """Values of frames, one for each, of all recordings and methods."""
-    values = [getattr(timing, name) for timing in timings]
-    return np.concatenate([(value() if callable(value) else value)[chosen] for value in values])
+                yield Sample(bench, name, own, reduced, first)
 
 
 def growth(bench: Bench) -> list[Growth]:

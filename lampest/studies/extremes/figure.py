@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from lampest.report.plots.style import RAISED, SMALL_POINT, TEXT_POINT, new_figure, save
-from lampest.studies.extremes.run import Solve, grouped
+from lampest.studies.extremes.run import Solve
 from lampest.studies.extremes.scenes import CASES, GRID
+from lampest.studies.study import grouped
 
 COLOURS = colormaps["YlGnBu"].resampled(256)
 ALARM = "#D55E00"

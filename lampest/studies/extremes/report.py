@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,130 +11,108 @@ import numpy as np
 from lampest.report.compare import Table
 from lampest.solvers.solution import VERIFIED
 from lampest.studies.extremes.figure import plot_extremes
-from lampest.studies.extremes.run import REFUSED, Solve, grouped, run_atlas
+from lampest.studies.extremes.run import REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, AtlasFile
-from lampest.studies.study import Reported, Study, read_settings, write_rows, write_sequence
+from lampest.studies.study import (
+    Figures,
+    Reported,
+    Row,
+    Study,
+    grouped,
+    read_settings,
+    rows_of,
+    table_of,
+    text_of,
+    write_rows,
+    write_sequence,
+)
 
 MILD_DECADES, MILD_NOISE = 6.0, 0.01
-NAN = float("nan")
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
 
 
-@dataclass(frozen=True)
-class AtlasRow:
-    """One cell of the atlas: all solves of a case with a contrast, size, noise, method and formulation.
+def atlas_rows(solves: Sequence[Solve]) -> list[Row]:
+    """A row for each cell of the atlas, in its order: a case with a contrast, size, noise, method and formulation."""
 
-    Parameters
-    ----------
-    solves, verified : how many, and how many ended with an estimate of which the audit says nothing bad.
-    named : ended with a sentence instead. doubtful : estimates that the audit does not confirm. crashed : neither.
-    worse : estimates that cost more than the truth does.
-    forward_digits, model_digits, estimate_digits : the least of `Solve`'s. median_digits : median of the last.
-    residual, audited : the largest of the estimates. iterations, most_iterations : median and largest.
-    statuses : how often each sentence.
-    """
+    def cell(solve: Solve) -> tuple[Any, ...]:
+        own = solve.sample
+        return own.case, own.decades, own.rows, own.columns, own.noise, solve.method, solve.formulation
 
-    case: str
-    decades: float
-    rows: int
-    columns: int
-    noise: float
-    method: str
-    formulation: str
-    solves: int
-    verified: int
-    named: int
-    doubtful: int
-    crashed: int
-    worse: int
-    forward_digits: float
-    model_digits: float
-    estimate_digits: float
-    median_digits: float
-    residual: float
-    audited: float
-    iterations: float
-    most_iterations: int
-    statuses: str
+    return rows_of(grouped(solves, cell).values(), FIGURES)
 
 
-def place(solve: Solve) -> tuple[Any, ...]:
-    """The cell of the atlas that a solve belongs to."""
-    own = solve.sample
-    return own.case, own.decades, own.rows, own.columns, own.noise, solve.method, solve.formulation
+def _count(what: str) -> Callable[[Sequence[Solve]], int]:
+    return lambda own: sum(getattr(solve, what) for solve in own)
 
 
-def atlas_rows(solves: Sequence[Solve]) -> list[AtlasRow]:
-    """All cells of the atlas, in its order."""
-    return [AtlasRow(*cell, **_figures(own)) for cell, own in grouped(solves, place).items()]
+def _of(reduce: Callable[[Any], Any], what: str, estimates: bool = True) -> Callable[[Sequence[Solve]], float]:
+    """The reduction of all numbers, by default of estimates; NaN where there is none."""
+
+    def reduced(own: Sequence[Solve]) -> float:
+        values = [getattr(solve, what) for solve in own if solve.solved or not estimates]
+        known = [value for value in values if np.isfinite(value)]
+        return float(reduce(known)) if known else float("nan")
+
+    return reduced
 
 
-def _figures(own: Sequence[Solve]) -> dict[str, Any]:
-    estimates = [solve for solve in own if solve.solved]
+def _statuses(own: Sequence[Solve]) -> str:
     counted = Counter(solve.status for solve in own)
-    return {
-        "solves": len(own),
-        "verified": sum(solve.verified for solve in own),
-        "named": sum(not solve.solved and not solve.crashed for solve in own),
-        "doubtful": sum(solve.doubtful for solve in own),
-        "crashed": sum(solve.crashed for solve in own),
-        "worse": sum(solve.excess > VERIFIED for solve in estimates),
-        "forward_digits": _of(np.min, [solve.forward_digits for solve in own]),
-        "model_digits": _of(np.min, [solve.model_digits for solve in estimates]),
-        "estimate_digits": _of(np.min, [solve.estimate_digits for solve in estimates]),
-        "median_digits": _of(np.median, [solve.estimate_digits for solve in estimates]),
-        "residual": _of(np.max, [solve.residual for solve in estimates]),
-        "audited": _of(np.max, [solve.audited for solve in estimates]),
-        "iterations": float(np.median([solve.iterations for solve in own])),
-        "most_iterations": max(solve.iterations for solve in own),
-        "statuses": "; ".join(f"{count} × {status}" for status, count in counted.most_common()),
-    }
+    return "; ".join(f"{count} × {status}" for status, count in counted.most_common())
 
 
-def _of(reduce: Callable[[Any], Any], values: Sequence[float]) -> float:
-    """The reduction of all numbers; NaN where there is none."""
-    known = [value for value in values if np.isfinite(value)]
-    return float(reduce(known)) if known else NAN
+FIGURES: Figures = {
+    "case": lambda own: own[0].sample.case,
+    "decades": lambda own: own[0].sample.decades,
+    "rows": lambda own: own[0].sample.rows,
+    "columns": lambda own: own[0].sample.columns,
+    "noise": lambda own: own[0].sample.noise,
+    "method": lambda own: own[0].method,
+    "formulation": lambda own: own[0].formulation,
+    "solves": len,
+    "verified": _count("verified"),  # an estimate of which the audit says nothing bad
+    "named": lambda own: sum(not solve.solved and not solve.crashed for solve in own),  # a sentence instead
+    "doubtful": _count("doubtful"),  # estimates that the audit does not confirm
+    "crashed": _count("crashed"),  # neither
+    "worse": lambda own: sum(solve.solved and solve.excess > VERIFIED for solve in own),  # cost more than the truth
+    "forward_digits": _of(np.min, "forward_digits", False),
+    "model_digits": _of(np.min, "model_digits"),
+    "estimate_digits": _of(np.min, "estimate_digits"),
+    "median_digits": _of(np.median, "estimate_digits"),
+    "residual": _of(np.max, "residual"),
+    "audited": _of(np.max, "audited"),
+    "iterations": lambda own: float(np.median([solve.iterations for solve in own])),
+    "most_iterations": lambda own: max(solve.iterations for solve in own),
+    "statuses": _statuses,
+}
+
+
+def _estimate_digits(row: Row) -> str:
+    least = text_of(row.estimate_digits, ".1f")
+    return least and f"{least} ({text_of(row.median_digits, '.1f')})"
+
+
+SCREEN: dict[str, Callable[[Row], str]] = {
+    "case": lambda row: row.case,
+    "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
+    "verified": lambda row: f"{row.verified}/{row.solves}",
+    "named": lambda row: f"{row.named or ''}",
+    "doubtful": lambda row: f"{row.doubtful or ''}",
+    "crashed": lambda row: f"{row.crashed or ''}",
+    "worse than truth": lambda row: f"{row.worse or ''}",
+    "digits: forward": lambda row: text_of(row.forward_digits, ".1f"),
+    "model": lambda row: text_of(row.model_digits, ".1f"),
+    "estimate (median)": _estimate_digits,
+    "worst KKT": lambda row: text_of(row.residual, ".0e"),
+    "audited": lambda row: text_of(row.audited, ".0e"),
+    "iterations (most)": lambda row: f"{row.iterations:.0f} ({row.most_iterations})",
+}
 
 
 def atlas_table(solves: Sequence[Solve]) -> Table:
     """A line for every number of decades of the random panels and for every other case, all methods together."""
-    headers = (
-        "case",
-        "decades",
-        "verified",
-        "named",
-        "doubtful",
-        "crashed",
-        "worse than truth",
-        "digits: forward",
-        "model",
-        "estimate (median)",
-        "worst KKT",
-        "audited",
-        "iterations (most)",
-    )
-    cells = []
-    for (case, decades), own in grouped(solves, lambda solve: (solve.sample.case, solve.sample.decades)).items():
-        figures = _figures(own)
-        cells.append(
-            (
-                case,
-                f"{decades:g}" if CASES[case].contrasted else "",
-                f"{figures['verified']}/{figures['solves']}",
-                *(f"{figures[name] or ''}" for name in ("named", "doubtful", "crashed", "worse")),
-                *(_digits(figures[name]) for name in ("forward_digits", "model_digits")),
-                _digits(figures["estimate_digits"])
-                and f"{_digits(figures['estimate_digits'])} ({_digits(figures['median_digits'])})",
-                *("" if np.isnan(figures[name]) else f"{figures[name]:.0e}" for name in ("residual", "audited")),
-                f"{figures['iterations']:.0f} ({figures['most_iterations']})",
-            )
-        )
-    return Table(headers, tuple(cells))
-
-
-def _digits(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.1f}"
+    groups = grouped(solves, lambda solve: (solve.sample.case, solve.sample.decades))
+    return table_of(rows_of(groups.values(), FIGURES), SCREEN)
 
 
 def mild(solve: Solve) -> bool:
@@ -199,7 +177,7 @@ def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> R
     path, axis = folder / "extremes.h5", ("solve", "solve, in the order of the atlas")
     plain = [replace(one, sample=replace(one.sample, case=one.sample.case.translate(PLAIN))) for one in found]
     files = (
-        write_rows(folder / "extremes.csv", AtlasRow, atlas_rows(found)),
+        write_rows(folder / "extremes.csv", FIGURES, atlas_rows(found)),
         write_sequence(path, "extremes/1", "solves", "verified", axis, plain, COLUMNS, verified_below=VERIFIED),
         plot_extremes(found, folder / "extremes.png"),
     )

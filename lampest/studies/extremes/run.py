@@ -1,8 +1,7 @@
 """The measurement: every scene by every method, and of each solve what it says and what is true of it."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -76,14 +75,6 @@ class Solve:
     def crashed(self) -> bool:
         """No estimate, and no sentence that says why."""
         return self.status.startswith(CRASHED)
-
-
-def grouped(solves: Iterable[Solve], key: Callable[[Solve], Any]) -> dict[Any, list[Solve]]:
-    """Solves by what the key says of them, in the order in which that first appears."""
-    found: dict[Any, list[Solve]] = {}
-    for solve in solves:
-        found.setdefault(key(solve), []).append(solve)
-    return found
 
 
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:

@@ -18,7 +18,7 @@ from lampest.studies.paper.figures import (
     response_figure,
 )
 from lampest.studies.paper.published import Published
-from lampest.studies.paper.side import Side
+from lampest.studies.paper.sides import Side
 from lampest.studies.paper.tables import Held, counts, csv_rows, sheet
 from lampest.studies.study import comma_separated
 

@@ -1,20 +1,32 @@
-"""The sides that are drawn, from shipped files: which recordings, and how they are solved."""
+"""What stands beside the paper, from shipped files: which scenes, and what the five methods make of them."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.recording.recording import Recording
+from lampest.panel.panel import Array, Panel
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.files import run as simulated
+from lampest.report.compare import Steps, compare, spread
+from lampest.report.plots.contours import percent_change
+from lampest.report.plots.plot import furthest
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
 from lampest.runs.results import Results, read_results
 from lampest.studies.paper.published import Published
-from lampest.studies.paper.side import LeftBySolver, LoadSeen, OptimalSide, Side, SolverSide, Weights, unloaded
 from lampest.studies.study import published_code
 
+MEASURED = "measured"
+EVALUATION_S = 16.45 / 10_100  # table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative
+NAN = float("nan")
 FASTEST = "formulation=reduced"  # finds the optima that a file's formulation finds, sooner
 CLEAN = (
     "The shipped recordings: readings within half a percent of the circuit, series resistance told and taken off for "
@@ -29,44 +41,179 @@ SOLVER = (
     "The same recordings as MATLAB's lsqnonlin leaves them, in kind: bounds, tolerances and limits are its defaults. "
     "Times are its evaluations, at the 1.63 ms that one took the paper if LSM met the limit of 10,000."
 )
+OnCase = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the start over R_m."""
+
+    absolute: float = 1e-3
+    relative: float = 10.0
+    start: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LeftBySolver:
+    """What one method leaves of a recording.
+
+    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm. evaluations : (frames) solves
+    of the forward problem that MATLAB would have needed, derivatives included. why : (frames) what ended it.
+    joint : whether the first frame was solved together with the baseline.
+    """
+
+    baseline: Array
+    cells: Array
+    model: Array
+    measured: Array
+    evaluations: NDArray[np.int64]
+    why: tuple[str, ...]
+    joint: bool
+
+    @property
+    def change(self) -> Array:
+        """100·(r/r₀ − 1), (frames, rows, columns) percent."""
+        return np.asarray(100 * (self.cells / self.baseline - 1))
+
+    @property
+    def data_error(self) -> Array:
+        """100·|f(r) − R_m|/R_m, (frames, rows, columns) percent."""
+        return np.asarray(100 * np.abs(self.model - self.measured) / self.measured)
+
+
 WEIGHTS = Weights(relative=1e-3, start=1.66)
 
 
-def all_sides(
-    shipped: Path, folder: Path, published: Published, jobs: int | None, on_case: Callable[[int, int], None]
-) -> tuple[Side, ...]:
+@dataclass(frozen=True, eq=False)
+class LoadSeen:
+    """What was measured of one load: relative change in percent, (rows, columns); felt : (lowest, highest) kPa."""
+
+    panel: Panel
+    change: Array
+    felt: tuple[float, float]
+
+    @classmethod
+    def of(cls, recording: Recording) -> "LoadSeen":
+        """The frame in which cells have moved furthest; of a simulated recording."""
+        frame = int(recording.measured_frames()[furthest_frame(recording)])
+        assert recording.truth_pressure is not None
+        felt = recording.truth_pressure[frame]
+        change = percent_change(recording.recorded[frame], unloaded(recording))
+        return cls(recording.scene.panel, change, (float(felt.min()), float(felt.max())))
+
+
+class StepsSeen(NamedTuple):
+    """Of some steps: mean and standard deviation of the data error in percent, mean time in s."""
+
+    error: float
+    error_sd: float
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One set of scenes that stands beside the paper.
+
+    name, word, about : for the page, for files, a sentence. mouths : the large and the small one.
+    loads : letter of figure 6 → what was seen. first : whether the first frame is shown, else the strongest one.
+    estimated : (method, number of the mouth) → relative change in percent, (frames, rows, columns).
+    steps : (method, steps) → what they took with the large mouth; NaN where there are no such steps.
+    """
+
+    name: str
+    word: str
+    about: str
+    mouths: tuple[Recording, Recording]
+    loads: Mapping[str, LoadSeen]
+    first: bool
+    estimated: Callable[[str, int], Array]
+    steps: Callable[[str, Steps], StepsSeen]
+
+    @property
+    def panel(self) -> Panel:
+        """Of all its recordings."""
+        return self.mouths[0].scene.panel
+
+    def change(self, method: str, number: int = 0) -> Array:
+        """Relative change in percent of the shown frame, (rows, columns): by a method, or as measured.
+
+        As the paper does, what is measured keeps its series resistance.
+        """
+        recording = self.mouths[number]
+        shown = 0 if self.first else furthest_frame(recording)
+        if method != MEASURED:
+            return np.asarray(self.estimated(method, number)[shown])
+        return percent_change(recording.recorded[recording.measured_frames()[shown]], unloaded(recording))
+
+
+def all_sides(shipped: Path, folder: Path, published: Published, jobs: int | None, on_case: OnCase) -> tuple[Side, ...]:
     """Simulate, solve and read; what was solved in the folder before is taken from it.
 
     shipped : holds `configs/` and `data/`. Raises InputError where a file is missing, a case fails, or the folder
     cannot be written.
     """
-    configs, data = shipped / "configs", shipped / "data"
-    files = {load.letter: data / f"{load.recording}.h5" for load in published.loads.maps}
-    loads = {letter: LoadSeen.of(Recording.load(file)) for letter, file in files.items()}
-    mouths = _both(data / "lamprey_35mm.h5", data / "lamprey_25mm.h5")
+    configs, data, made = shipped / "configs", shipped / "data", folder / "recordings"
+    letters = {load.letter: load.recording for load in published.loads.maps}
+    loads = {letter: LoadSeen.of(Recording.load(data / f"{name}.h5")) for letter, name in letters.items()}
+    mouths = Recording.load(data / "lamprey_35mm.h5"), Recording.load(data / "lamprey_25mm.h5")
     results = _solved(configs / "table1.yaml", (), folder / "clean", jobs, on_case)
-    clean = OptimalSide("clean scenes", "clean", CLEAN, mouths, loads, False, results)
-    return (clean, *_of_panel(configs, folder, published, jobs, on_case))
-
-
-def _of_panel(
-    configs: Path, folder: Path, published: Published, jobs: int | None, on_case: Callable[[int, int], None]
-) -> tuple[Side, Side]:
-    """The paper's panel twice: optima, and what the paper's solver leaves."""
-    made = folder / "recordings"
-    names = ("paper_35mm", "paper_25mm")
-    files = [_made(configs / f"{name}.yaml", made) for name in names]
-    mouths = _both(*files)
-    loads: Mapping[str, LoadSeen] = {
-        load.letter: LoadSeen.of(Recording.load(_made(configs / f"real_{load.recording}.yaml", made)))
-        for load in published.loads.maps
+    clean = Side("clean scenes", "clean", CLEAN, mouths, loads, False, *_optima("clean scenes", results, mouths))
+    files = [_made(configs / f"{name}.yaml", made) for name in ("paper_35mm", "paper_25mm")]
+    mouths = Recording.load(files[0]), Recording.load(files[1])
+    loads = {
+        letter: LoadSeen.of(Recording.load(_made(configs / f"real_{name}.yaml", made)))
+        for letter, name in letters.items()
     }
-    told = (f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]",)
-    results = _solved(configs / "paper_run.yaml", told, folder / "panel", jobs, on_case)
-    optima = OptimalSide("paper's panel", "panel", PANEL, mouths, loads, True, results)
-    solve: Callable[[str, Recording], LeftBySolver] = partial(_left, WEIGHTS)
-    methods, method = tuple(published_code("as_published").METHODS), published.mouths.method
-    return optima, SolverSide("its solver", "solver", SOLVER, mouths, loads, True, solve, methods, method)
+    assigned = (f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]",)
+    results = _solved(configs / "paper_run.yaml", assigned, folder / "panel", jobs, on_case)
+    panel = "paper's panel"
+    optima = Side(panel, "panel", PANEL, mouths, loads, True, *_optima(panel, results, mouths))
+    return clean, optima, Side("its solver", "solver", SOLVER, mouths, loads, True, *_left_by_solver(mouths))
+
+
+def _optima(
+    name: str, results: Results, mouths: tuple[Recording, Recording]
+) -> tuple[Callable[[str, int], Array], Callable[[str, Steps], StepsSeen]]:
+    """Verified optima, from a results file with a case of every method; steps are those of `lampest compare`."""
+
+    def estimated(method: str, number: int) -> Array:
+        for case in results.of(mouths[number].name):
+            if case.estimator == method:
+                return np.asarray(case.relative_change)
+        raise InputError(f"{name}: there are no results of {method}")
+
+    def seen(method: str, steps: Steps) -> StepsSeen:
+        for row in compare(results):
+            if (row.recording, row.estimator, row.steps) == (mouths[0].name, method, steps) and row.data_error:
+                time = NAN if row.solve_time is None else row.solve_time.mean
+                return StepsSeen(row.data_error.mean, row.data_error.sd or NAN, time)
+        return StepsSeen(NAN, NAN, NAN)
+
+    return estimated, seen
+
+
+def _left_by_solver(
+    mouths: tuple[Recording, Recording],
+) -> tuple[Callable[[str, int], Array], Callable[[str, Steps], StepsSeen]]:
+    """What the paper's solver leaves; times are evaluations, at what one of them took the paper."""
+
+    @cache
+    def left(method: str, number: int) -> LeftBySolver:
+        recording = mouths[number]
+        frames, solve = recording.recorded[recording.measured_frames()], published_code("as_published").left_by_solver
+        found: LeftBySolver = solve(method, recording.scene.panel, unloaded(recording), frames, WEIGHTS)
+        return found
+
+    def seen(method: str, steps: Steps) -> StepsSeen:
+        found = left(method, 0)
+        parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
+        if steps not in parts:
+            return StepsSeen(NAN, NAN, NAN)
+        error = spread(found.data_error[parts[steps]])
+        time = EVALUATION_S * float(found.evaluations[parts[steps]].mean())
+        return StepsSeen(NAN, NAN, time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
+
+    return lambda method, number: left(method, number).change, seen
 
 
 def _made(config: Path, folder: Path) -> Path:
@@ -78,22 +225,21 @@ def _made(config: Path, folder: Path) -> Path:
     return file
 
 
-def _both(large: Path, small: Path) -> tuple[Recording, Recording]:
-    return Recording.load(large), Recording.load(small)
-
-
-def _solved(
-    config: Path, told: tuple[str, ...], folder: Path, jobs: int | None, on_case: Callable[[int, int], None]
-) -> Results:
-    run = read_run(config, (FASTEST, *told))
+def _solved(config: Path, assigned: tuple[str, ...], folder: Path, jobs: int | None, on_case: OnCase) -> Results:
+    run = read_run(config, (FASTEST, *assigned))
     report = run_batch(run, folder, local(jobs, len(run.cases)), on_case=on_case)
     if report.results is None or report.failed:
         raise InputError(f"{config}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
     return read_results(report.results)
 
 
-def _left(weights: Weights, method: str, recording: Recording) -> LeftBySolver:
-    frames = recording.recorded[recording.measured_frames()]
-    panel, resting = recording.scene.panel, unloaded(recording)
-    left: LeftBySolver = published_code("as_published").left_by_solver(method, panel, resting, frames, weights)
-    return left
+def unloaded(recording: Recording) -> Array:
+    """The mean of the unloaded frames as recorded, (rows, columns) ohm."""
+    return np.asarray(recording.recorded[recording.role == UNLOADED].mean(axis=0))
+
+
+def furthest_frame(recording: Recording) -> int:
+    """Of the measured frames the one whose cells have moved furthest."""
+    readings = Readings.of(recording.scene, recording.recorded, recording.sigma)
+    resting = readings[recording.role == UNLOADED].mean().value
+    return furthest(readings.value[recording.measured_frames()], resting)

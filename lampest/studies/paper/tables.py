@@ -12,7 +12,7 @@ from lampest.report.page.words import digits
 from lampest.report.plots.style import plain_number
 from lampest.studies.paper.figures import covered
 from lampest.studies.paper.published import Published
-from lampest.studies.paper.side import Side
+from lampest.studies.paper.sides import Side
 
 WITHIN = 0.25  # of the published number: what counts as reproduced
 NAN = float("nan")

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
-from lampest.studies.tradeoff.rows import TradeoffRow, front
+from lampest.studies.study import Row
+from lampest.studies.tradeoff.rows import front
 
 FLOOR = 1e-12
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -21,13 +22,13 @@ Placed = list[tuple[str, tuple[float, float]]]
 Box = tuple[float, float, float, float]
 
 
-def plot_tradeoff(whole: Sequence[TradeoffRow], single: Sequence[TradeoffRow], path: Path) -> Path:
+def plot_tradeoff(whole: Sequence[Row], single: Sequence[Row], path: Path) -> Path:
     """Draw the figure into a .png or .pdf file. Raises InputError where it cannot be written."""
     save(tradeoff_figure(whole, single), path)
     return path
 
 
-def tradeoff_figure(whole: Sequence[TradeoffRow], single: Sequence[TradeoffRow]) -> Figure:
+def tradeoff_figure(whole: Sequence[Row], single: Sequence[Row]) -> Figure:
     """A row of panels for every size: time against the changed cells' error, and against the gap.
 
     whole : the first method's rows, single : those of all methods; all recordings of a size together. The labelled
@@ -61,9 +62,7 @@ def tradeoff_figure(whole: Sequence[TradeoffRow], single: Sequence[TradeoffRow])
     return figure
 
 
-def _draw(
-    axes: Axes, rows: Sequence[TradeoffRow], single: Sequence[TradeoffRow], methods: Sequence[str], gap: bool
-) -> Placed:
+def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Sequence[str], gap: bool) -> Placed:
     """Everything but the names; returns the rungs' names and where they stand."""
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -98,7 +97,7 @@ def _draw(
     return [(row.formulation.replace("_", " "), point) for row, point in placed]
 
 
-def _place(row: TradeoffRow, gap: bool) -> tuple[float, float] | None:
+def _place(row: Row, gap: bool) -> tuple[float, float] | None:
     """Where a row stands; None without a truth, or where it failed."""
     value = row.gap if gap else row.changed_error
     if value is None or not np.isfinite(value):

@@ -3,51 +3,18 @@
 from pathlib import Path
 
 from lampest.files import hdf5
-from lampest.report.compare import Table
 from lampest.studies.study import Reported, Study, samples_file, write_columns, write_rows
 from lampest.studies.tradeoff.figure import plot_tradeoff
 from lampest.studies.tradeoff.rows import (
-    TradeoffRow,
+    FIGURES,
     detailed_rows,
     first_method,
     method_rows,
-    on_front,
     summary_rows,
+    tradeoff_table,
 )
 from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
 from lampest.studies.tradeoff.settings import Plan, read_plan
-
-
-def tradeoff_table(found: Tradeoff) -> Table:
-    """The first method's rows as short texts."""
-    about = ("panel", "method", "formulation", "first [ms]", "frame [ms]", "cell error [%]", "of changed cells [%]")
-    headers = (*about, "gap median / worst", "reached [%]", "failed", "memory [MB]", "front")
-    rows = first_method(found)
-    cells = []
-    for row in rows:
-        here = [other for other in rows if (other.rows, other.columns) == (row.rows, row.columns)]
-        cells.append(
-            (
-                f"{row.rows} × {row.columns}",
-                row.method,
-                row.formulation,
-                f"{row.first_ms:.3g}",
-                f"{row.frame_ms:.3g}",
-                _text(row.cell_error),
-                _text(row.changed_error),
-                f"{row.gap:.0e} / {row.worst_gap:.0e}",
-                f"{100 * row.reached:.0f}",
-                f"{row.failed}/{row.frames}",
-                "" if row.memory_mb is None else f"{row.memory_mb:.0f}",
-                "*" if row.formulation in on_front(here) else "",
-            )
-        )
-    return Table(headers, tuple(cells))
-
-
-def _text(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
-
 
 SAMPLES = {
     "wall": "wall time of the estimate",
@@ -75,17 +42,16 @@ def _write_samples(path: Path, found: Tradeoff) -> Path:
             about = {"formulation": one.formulation, "baseline_s": one.baseline_s}
             one.write(group, SAMPLES, "frame in sequence", **about)
             write_columns(group, one, ERRORS, ("frame",))
-            memory = found.memory_mb.get((one.shape, one.formulation))
-            if memory is not None:
-                hdf5.set_attributes(group, peak_memory_mb=memory)
+            if one.memory_mb is not None:
+                hdf5.set_attributes(group, peak_memory_mb=one.memory_mb)
     return path
 
 
 def report_tradeoff(found: Tradeoff, plan: Plan, folder: Path) -> Reported:
     """Write tradeoff.csv, summary first and then every row, tradeoff.h5 with every sample, and the figure."""
-    rows = (*summary_rows(found), *method_rows(found), *detailed_rows(found))
+    rows = [*summary_rows(found), *method_rows(found), *detailed_rows(found)]
     files = (
-        write_rows(folder / "tradeoff.csv", TradeoffRow, rows),
+        write_rows(folder / "tradeoff.csv", FIGURES, rows),
         _write_samples(folder / "tradeoff.h5", found),
         plot_tradeoff(first_method(found), method_rows(found), folder / "tradeoff.png"),
     )

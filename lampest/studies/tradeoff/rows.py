@@ -1,108 +1,101 @@
 """A trade-off's figures by rung: over everything on a panel, by method, and one by one."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from lampest.panel.panel import Array
+from lampest.report.compare import Table
+from lampest.studies.study import Figures, Row, grouped, rows_of, table_of, text_of
 from lampest.studies.tradeoff.run import Measured, Tradeoff
 
-ALL = "all"
+ALL = "all"  # methods, recordings, scenes or noise taken together
 REACHED = 1e-6  # the gap of a frame that has reached the optimum
 
 
-@dataclass(frozen=True)
-class TradeoffRow:
-    """One rung on panels of one size; `all` where methods, recordings, scenes or noise are taken together.
+def _one(name: Callable[[Measured], str]) -> Callable[[Sequence[Measured]], str]:
+    def only(own: Sequence[Measured]) -> str:
+        different = list(dict.fromkeys(map(name, own)))
+        return different[0] if len(different) == 1 else ALL
 
-    Parameters
-    ----------
-    rows, columns, recording, scene, noise, method, formulation : what was measured.
-    first_ms : median time until the first estimate, baseline included. frame_ms : median of the frames after it.
-    cell_error, changed_error : median over the frames of a frame's median error in percent, of all cells and of those
-        that have changed; None without a truth.
-    gap, worst_gap : median and largest `Measured.gap`; a failed frame's is infinite.
-    reached : share of the frames whose gap is at most 1e-6.
-    frames, failed : number of frames; those without an estimate.
-    memory_mb : peak of a fresh process, libraries included; None where it was not measured.
-    """
-
-    rows: int
-    columns: int
-    recording: str
-    scene: str
-    noise: str
-    method: str
-    formulation: str
-    first_ms: float
-    frame_ms: float
-    cell_error: float | None
-    changed_error: float | None
-    gap: float
-    worst_gap: float
-    reached: float
-    frames: int
-    failed: int
-    memory_mb: float | None
+    return only
 
 
-def detailed_rows(found: Tradeoff) -> list[TradeoffRow]:
+def _all(what: str, own: Sequence[Measured]) -> Any:
+    return np.concatenate([getattr(one, what) for one in own])
+
+
+def _gap(own: Sequence[Measured]) -> Any:
+    """A failed frame's is infinite."""
+    return np.nan_to_num(_all("gap", own), nan=np.inf)
+
+
+def _median(what: str) -> Callable[[Sequence[Measured]], float | None]:
+    def median(own: Sequence[Measured]) -> float | None:
+        values = _all(what, own)
+        values = values[np.isfinite(values)]
+        return float(np.median(values)) if len(values) else None
+
+    return median
+
+
+FIGURES: Figures = {
+    "rows": lambda own: own[0].shape[0],
+    "columns": lambda own: own[0].shape[1],
+    "recording": _one(lambda one: one.subject.recording.name),
+    "scene": _one(lambda one: one.subject.scene),
+    "noise": _one(lambda one: one.subject.noise),
+    "method": _one(lambda one: one.method),
+    "formulation": lambda own: own[0].formulation,
+    "first_ms": lambda own: 1e3 * float(np.median([one.baseline_s + one.times()[0] for one in own])),  # with baseline
+    "frame_ms": lambda own: 1e3 * float(np.median(np.concatenate([one.times()[1:] for one in own]))),
+    "cell_error": _median("cell_error"),  # over frames of a frame's median, percent; None without a truth
+    "changed_error": _median("changed_error"),  # the same of cells that have changed
+    "gap": lambda own: float(np.median(_gap(own))),
+    "worst_gap": lambda own: float(np.max(_gap(own))),
+    "reached": lambda own: float(np.mean(_gap(own) <= REACHED)),  # share of the frames
+    "frames": lambda own: len(_gap(own)),
+    "failed": lambda own: int(np.sum(~_all("solved", own))),
+    "memory_mb": lambda own: own[0].memory_mb,  # peak of a fresh process, libraries included
+}
+SCREEN: dict[str, Callable[[Row], str]] = {
+    "panel": lambda row: f"{row.rows} × {row.columns}",
+    "method": lambda row: row.method,
+    "formulation": lambda row: row.formulation,
+    "first [ms]": lambda row: f"{row.first_ms:.3g}",
+    "frame [ms]": lambda row: f"{row.frame_ms:.3g}",
+    "cell error [%]": lambda row: text_of(row.cell_error),
+    "of changed cells [%]": lambda row: text_of(row.changed_error),
+    "gap median / worst": lambda row: f"{row.gap:.0e} / {row.worst_gap:.0e}",
+    "reached [%]": lambda row: f"{100 * row.reached:.0f}",
+    "failed": lambda row: f"{row.failed}/{row.frames}",
+    "memory [MB]": lambda row: text_of(row.memory_mb, ".0f"),
+}
+
+
+def detailed_rows(found: Tradeoff) -> list[Row]:
     """One row for each rung with each method on each recording."""
-    return [_row(found, [one]) for one in found.measured]
+    return rows_of(([one] for one in found.measured), FIGURES)
 
 
-def summary_rows(found: Tradeoff) -> list[TradeoffRow]:
+def summary_rows(found: Tradeoff) -> list[Row]:
     """By panel size and rung, all methods and recordings together."""
-    return list(_grouped(found, found.measured))
+    return _by_rung(found.measured)
 
 
-def method_rows(found: Tradeoff) -> list[TradeoffRow]:
-    """By panel size, method and rung, all recordings together."""
-    methods = dict.fromkeys(one.method for one in found.measured)
-    return [row for method in methods for row in _grouped(found, [o for o in found.measured if o.method == method])]
+def method_rows(found: Tradeoff) -> list[Row]:
+    """By method, panel size and rung, all recordings together."""
+    return [row for own in grouped(found.measured, lambda one: one.method).values() for row in _by_rung(own)]
 
 
-def _grouped(found: Tradeoff, chosen: Sequence[Measured]) -> Iterable[TradeoffRow]:
-    for shape in dict.fromkeys(one.shape for one in chosen):
-        here = [one for one in chosen if one.shape == shape]
-        for formulation in dict.fromkeys(one.formulation for one in here):
-            yield _row(found, [one for one in here if one.formulation == formulation])
+def _by_rung(own: Sequence[Measured]) -> list[Row]:
+    shapes = grouped(own, lambda one: one.shape).values()
+    return [row for here in shapes for row in rows_of(grouped(here, lambda one: one.formulation).values(), FIGURES)]
 
 
-def _row(found: Tradeoff, parts: Sequence[Measured]) -> TradeoffRow:
-    gap = np.nan_to_num(np.concatenate([part.gap for part in parts]), nan=np.inf)
-    solved = np.concatenate([part.solved for part in parts])
-    shape, formulation = parts[0].shape, parts[0].formulation
-    return TradeoffRow(
-        *shape,
-        _one(part.subject.recording.name for part in parts),
-        _one(part.subject.scene for part in parts),
-        _one(part.subject.noise for part in parts),
-        _one(part.method for part in parts),
-        formulation,
-        first_ms=1e3 * float(np.median([part.baseline_s + part.times()[0] for part in parts])),
-        frame_ms=1e3 * float(np.median(np.concatenate([part.times()[1:] for part in parts]))),
-        cell_error=_median([part.cell_error for part in parts]),
-        changed_error=_median([part.changed_error for part in parts]),
-        gap=float(np.median(gap)),
-        worst_gap=float(np.max(gap)),
-        reached=float(np.mean(gap <= REACHED)),
-        frames=len(gap),
-        failed=int(np.sum(~solved)),
-        memory_mb=found.memory_mb.get((shape, formulation)),
-    )
-
-
-def _one(names: Iterable[str]) -> str:
-    different = list(dict.fromkeys(names))
-    return different[0] if len(different) == 1 else ALL
-
-
-def _median(parts: Sequence[Array]) -> float | None:
-    values = np.concatenate(parts)
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if len(values) else None
+def first_method(found: Tradeoff) -> list[Row]:
+    """The rows of the file's first method, by panel size and rung, all recordings together."""
+    return [row for row in method_rows(found) if row.method == found.measured[0].method]
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -116,14 +109,15 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     return kept
 
 
-def on_front(rows: Sequence[TradeoffRow]) -> list[str]:
+def on_front(rows: Sequence[Row]) -> list[str]:
     """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
     kept = set(front([(row.frame_ms, row.gap) for row in rows]))
-    measured = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
-    return [rows[index].formulation for index in sorted(kept | set(front(measured)))]
+    errors = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
+    return [rows[index].formulation for index in sorted(kept | set(front(errors)))]
 
 
-def first_method(found: Tradeoff) -> list[TradeoffRow]:
-    """The rows of the file's first method, by panel size and rung, all recordings together."""
-    name = found.measured[0].method
-    return [row for row in method_rows(found) if row.method == name]
+def tradeoff_table(found: Tradeoff) -> Table:
+    """The first method's rows, those on a front marked."""
+    rows = first_method(found)
+    fronts = {shape: on_front(here) for shape, here in grouped(rows, lambda row: (row.rows, row.columns)).items()}
+    return table_of(rows, SCREEN | {"front": lambda row: "*" * (row.formulation in fronts[row.rows, row.columns])})

@@ -43,6 +43,7 @@ class Measured(TimedFrames):
     baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
     cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
         the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
+    memory_mb : peak of a fresh process with this rung on such a panel, libraries included; None: not measured.
     """
 
     subject: TradeoffSubject
@@ -51,6 +52,7 @@ class Measured(TimedFrames):
     baseline_s: float
     cell_error: Array
     changed_error: Array
+    memory_mb: float | None = None
 
     @property
     def shape(self) -> Shape:
@@ -78,10 +80,9 @@ def _passage(recording: Recording, estimator: Estimator) -> _Pass:
 
 @dataclass(frozen=True, eq=False)
 class Tradeoff:
-    """measured : of every rung. memory_mb : by (shape, formulation): peak of a fresh process, libraries included."""
+    """measured : of every rung."""
 
     measured: tuple[Measured, ...]
-    memory_mb: dict[tuple[Shape, str], float]
 
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> Tradeoff:
@@ -97,7 +98,7 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> Trad
     for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
         memory[shape, name] = peak_memory(_solve, task)
         on_step(done, len(chosen) + len(fresh))
-    return Tradeoff(tuple(measured), memory)
+    return Tradeoff(tuple(replace(one, memory_mb=memory.get((one.shape, one.formulation))) for one in measured))
 
 
 def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[Measured]:
