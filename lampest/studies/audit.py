@@ -32,7 +32,7 @@ from lampest.studies.study import (
     of_tasks,
     read_settings,
     rows_of,
-    table_of,
+    screen_table,
     text_of,
     write_rows,
     write_sequence,
@@ -337,7 +337,7 @@ def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) ->
         write_rows(folder / "audit.csv", FIGURES, rows),
         write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
     )
-    return Reported([("", table_of(rows, SCREEN))], files, _remarks(rows, found))
+    return Reported([("", screen_table(rows, SCREEN))], files, _remarks(rows, found))
 
 
 STUDY: Study[AuditFile, Sequence[Audited]] = Study(

@@ -20,7 +20,7 @@ from lampest.studies.study import (
     Study,
     read_settings,
     samples_file,
-    table_of,
+    screen_table,
     text_of,
     write_columns,
     write_rows,
@@ -101,7 +101,7 @@ def _table(rows: Sequence[Row], named: tuple[str, Cells], special: tuple[str, Ce
         "verified": lambda row: f"{row.verified}/{row.count}",
         "MB": lambda row: text_of(row.memory_mb, ".0f"),
     }
-    return table_of(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
+    return screen_table(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
 
 
 def _panel(row: Row) -> str:
@@ -181,7 +181,7 @@ def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
         ("solvers: all methods together", solvers_table(bench)),
         ("methods: the reduced solver", methods_table(bench)),
         ("growth: time ∝ side^exponent", growth_table(bench)),
-        ("mats: published solvers, no bounds, no penalties", table_of(mat_rows(bench.mats), MAT_SCREEN)),
+        ("mats: published solvers, no bounds, no penalties", screen_table(mat_rows(bench.mats), MAT_SCREEN)),
     )
     yield from ((title, table) for title, table in titled if table.cells)
 

@@ -34,7 +34,7 @@ class Growth:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class FramesOf:
     """Frames of one kind by one solver, with a method or all of them; reduced : ours on the same, empty where it is."""
 
     bench: Bench
@@ -79,17 +79,17 @@ FIGURES: Figures = {
     "method": lambda one: one.method,
     "solver": lambda one: one.own[0].solver,
     "frames": lambda one: one.frames,
-    "ms": Sample.ms,  # median over the frames; see `Timing.times`
+    "ms": FramesOf.ms,  # median over the frames; see `Timing.times`
     "ms_quartile_1": lambda one: one.ms(0.25),
     "ms_quartile_3": lambda one: one.ms(0.75),
-    "ratio": Sample.ratio,
+    "ratio": FramesOf.ratio,
     "inverses": lambda one: one.ms() / 1e3 / one.bench.inverse_s(one.own[0].shape),  # of size rows + columns − 1
     "iterations": lambda one: float(np.median(one.over("iterations"))),
-    "gap": Sample.gap,
+    "gap": FramesOf.gap,
     "count": lambda one: one.over("times").size,
     "verified": lambda one: int(np.sum(one.over("verified"))),
     "solved": lambda one: int(np.sum(one.over("solved"))),
-    "memory_mb": Sample.memory_mb,
+    "memory_mb": FramesOf.memory_mb,
 }
 
 
@@ -107,7 +107,7 @@ def bench_rows(bench: Bench) -> list[Row]:
     return found
 
 
-def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[Sample]:
+def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[FramesOf]:
     for solver in dict.fromkeys(timing.solver for timing in timings):
         for first in (True, False):
             own, reduced = (
@@ -115,7 +115,7 @@ def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[
                 for one in (solver, "reduced")
             )
             if {timing.method for timing in own} == set(methods):
-                yield Sample(bench, name, own, reduced, first)
+                yield FramesOf(bench, name, own, reduced, first)
 
 
 def growth(bench: Bench) -> list[Growth]:

@@ -21,7 +21,7 @@ from lampest.studies.study import (
     grouped,
     read_settings,
     rows_of,
-    table_of,
+    screen_table,
     text_of,
     write_rows,
     write_sequence,
@@ -112,7 +112,7 @@ SCREEN: dict[str, Callable[[Row], str]] = {
 def atlas_table(solves: Sequence[Solve]) -> Table:
     """A line for every number of decades of the random panels and for every other case, all methods together."""
     groups = grouped(solves, lambda solve: (solve.sample.case, solve.sample.decades))
-    return table_of(rows_of(groups.values(), FIGURES), SCREEN)
+    return screen_table(rows_of(groups.values(), FIGURES), SCREEN)
 
 
 def mild(solve: Solve) -> bool:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lampest.report.compare import Table
-from lampest.studies.study import Figures, Row, grouped, rows_of, table_of, text_of
+from lampest.studies.study import Figures, Row, grouped, rows_of, screen_table, text_of
 from lampest.studies.tradeoff.run import Measured, Tradeoff
 
 ALL = "all"  # methods, recordings, scenes or noise taken together
@@ -120,4 +120,4 @@ def tradeoff_table(found: Tradeoff) -> Table:
     """The first method's rows, those on a front marked."""
     rows = first_method(found)
     fronts = {shape: on_front(here) for shape, here in grouped(rows, lambda row: (row.rows, row.columns)).items()}
-    return table_of(rows, SCREEN | {"front": lambda row: "*" * (row.formulation in fronts[row.rows, row.columns])})
+    return screen_table(rows, SCREEN | {"front": lambda row: "*" * (row.formulation in fronts[row.rows, row.columns])})
