@@ -1,6 +1,9 @@
-"""HDF5 as lampest writes it: whole or not at all, in the oldest format, fixed-length ASCII, units on everything."""
+"""HDF5 as lampest writes it: whole or not at all, under HDF5's own checksums, fixed-length ASCII, units on everything.
 
-import io
+Format v110 has checksums of all metadata, small values among it; larger values are in chunks, packed, with Fletcher-32.
+"""
+
+import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -12,38 +15,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.files.extents import extents_of
 from lampest.files.scales import attach_scales as attach_scales
-from lampest.files.seal import check_seal, seal_of
+from lampest.files.seal import check_seal
 from lampest.files.whole import check_room, whole_file
 
+FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
 MOST_LONG_TEXTS = 100_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
+MOST_PLAIN = 64  # values that are not worth compression
+MOST_COMPACT_BYTES = 60_000  # beside its metadata; HDF5's limit is 64 KiB
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
+PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and in no chunk
 ALL = slice(None)
+FILTER_FAILED = "filter returned failure during read"  # of HDF5
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 
 @contextmanager
 def new_file(path: Path, durable: bool = True) -> Iterator[h5py.File]:
-    """A file that appears under its name only when it is complete and on the disk, with the checksums of `seal`.
+    """A file that appears under its name only when it is complete and on the disk.
 
     durable : False where nobody waits for the disk, see `whole_file`. Raises InputError where the folder cannot be
     written or the disk is full; nothing is left behind then.
     """
     # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
-    with h5py.File(str(path), "w", driver="core", backing_store=False, block_size=2**20) as file:
+    with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
         yield file
         file.flush()
         image = file.id.get_file_image()
-        seal = seal_of(io.BytesIO(image), extents_of(file))
     with whole_file(path, durable) as unfinished:
         unfinished.write_bytes(image)
-        with unfinished.open("ab") as stream:
-            stream.write(seal)
 
 
 @contextmanager
@@ -54,22 +59,13 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
     """
     with whole_file(path) as unfinished:
         check_room(path, size)
-        with h5py.File(unfinished, "w") as file:
+        with h5py.File(unfinished, "w", libver=FORMAT) as file:
             yield file
-            file.flush()
-            extents = extents_of(file)
-        with unfinished.open("r+b") as stream:
-            seal = seal_of(stream, extents)
-            stream.seek(0, 2)
-            stream.write(seal)
 
 
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
-    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged.
-
-    Its checksums are held against it before HDF5 sees it: damage has no chance to be taken for sizes.
-    """
+    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
     if not _is_file(path):
         raise InputError(f"{path}: no such file")
     try:
@@ -91,11 +87,54 @@ def _opened(path: Path) -> h5py.File:
     try:
         return h5py.File(path, "r")
     except OSError as error:
-        # One that is being recorded, or whose recorder was killed, opens only as what it is. For others that would
-        # switch off the library's checks of sizes, and let a damaged file claim memory.
-        if not any(words in str(error) for words in OPEN_FOR_WRITING):
+        # One that is being recorded, or whose recorder was killed, opens only as that; it says so in its superblock.
+        # For others that would switch off the checks of sizes, and wait without end for a checksum that is right.
+        with path.open("rb") as stream:
+            flags = stream.read(12)[11:]
+        if flags <= b"\3" or not any(words in str(error) for words in OPEN_FOR_WRITING):
             raise
         return h5py.File(path, "r", swmr=True)
+
+
+def checked(path: Path) -> tuple[int, int]:
+    """(bytes, datasets) of a file that checksums vouch for, read to the last value; (0, 0) of one without.
+
+    Raises InputError with the path of the dataset that is not what was written.
+    """
+    with existing_file(path) as file:
+        vouched, datasets = [], 0
+        for name, node in _all_below(file, "/"):
+            with located(file, name):
+                vouched.append(h5py.h5o.get_info(node.id).hdr.version > 1)
+                if isinstance(node, h5py.Dataset) and node.size:
+                    vouched.append(bool(_read_through(node)))
+                    datasets += 1
+    sealed = check_seal(path, everything=True)
+    return (path.stat().st_size, datasets) if sealed or all(vouched) else (0, 0)
+
+
+def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
+    """(path, group or dataset) of a group and all that it holds, but for what lies in other files."""
+    with located(file, path):
+        group = file[path]
+        links = {name: group.get(name, getlink=True) for name in group}
+    yield path, group
+    for name in (name for name, link in links.items() if isinstance(link, h5py.HardLink)):
+        inner = f"{path.rstrip('/')}/{name}"
+        with located(file, inner):
+            node = file[inner]
+        if isinstance(node, h5py.Group):
+            yield from _all_below(file, inner)
+        else:
+            yield inner, node
+
+
+def _read_through(dataset: h5py.Dataset) -> bool:
+    """Read all values, part by part; whether a checksum vouches for them."""
+    for part in dataset.iter_chunks() if dataset.chunks else ((),):
+        _check_digest(dataset, dataset[part])
+    compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
+    return compact or dataset.fletcher32 or DIGEST in dataset.attrs
 
 
 def ascii_array(values: Any) -> Any:
@@ -124,22 +163,33 @@ def write_dataset(
     further : attributes, such as what flags mean.
     """
     data = np.asarray(data)
-    if data.size > 64:
-        dataset: Any = group.create_dataset(name, data=data, compression="gzip", shuffle=True, fletcher32=True)
+    if data.shape and data.size > MOST_PLAIN:
+        dataset: Any = group.create_dataset(name, data=data, **PACKED)
     else:
-        dataset = _small_dataset(group, name, data)
+        dataset = write_plain(group, name, data)
     set_attributes(dataset, units=units, long_name=long_name, **further)
     if any(scales):
         attach_scales(group, {name: scales})
 
 
-def _small_dataset(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
-    """What `create_dataset` makes of a few values, in a fifth of the time."""
-    kind, space = _kind(data.dtype), _space(data.shape)
-    made = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, _plain_creation(), _with_groups())
+def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
+    """A dataset that nothing packs, written in a fifth of the time: in the metadata, or beside them with a digest."""
+    kind, compact = _kind(data.dtype), data.nbytes <= MOST_COMPACT_BYTES
+    made = h5py.h5d.create(group.id, name.encode("utf-8"), kind, _space(data.shape), _creation(compact), _with_groups())
     if data.size:
         made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data), kind)
-    return h5py.Dataset(made)
+    dataset = h5py.Dataset(made)
+    if not compact:
+        set_attributes(dataset, **{DIGEST: hashlib.sha256(data.tobytes()).hexdigest()})
+    return dataset
+
+
+def _check_digest(dataset: h5py.Dataset, values: Any) -> None:
+    """Raise ValueError where all values of a dataset are not those of its digest; those in chunks have none."""
+    if dataset.chunks is None and DIGEST in dataset.attrs:
+        found = hashlib.sha256(np.asarray(values, dataset.dtype).tobytes()).hexdigest()
+        if found.encode() != dataset.attrs[DIGEST]:
+            raise ValueError("values and checksum differ")
 
 
 @lru_cache(maxsize=256)
@@ -153,10 +203,12 @@ def _space(shape: tuple[int, ...]) -> h5py.h5s.SpaceID:
 
 
 @cache
-def _plain_creation() -> h5py.h5p.PropDCID:
+def _creation(compact: bool) -> h5py.h5p.PropDCID:
     """How datasets are made that nothing packs: without the time, which would make the same cases other bytes."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
+    if compact:
+        properties.set_layout(h5py.h5d.COMPACT)
     return properties
 
 
@@ -176,7 +228,7 @@ def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: 
 
 def write_text(group: h5py.Group, name: str, text: str) -> None:
     """A text as a fixed-length ASCII scalar."""
-    group.create_dataset(name, data=ascii_array(text))
+    write_plain(group, name, np.asarray(ascii_array(text)))
 
 
 @contextmanager
@@ -196,7 +248,8 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
         ArithmeticError,
         MemoryError,
     ) as error:
-        raise InputError(f"{file.filename}: {path} is damaged ({' '.join(str(error).split())})") from error
+        said = " ".join(str(error).split()).replace(FILTER_FAILED, "checksum or packing of its values is wrong")
+        raise InputError(f"{file.filename}: {path} is damaged ({said})") from error
 
 
 def has(file: h5py.File, path: str) -> bool:
@@ -242,7 +295,10 @@ def read_array(
         stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
         if claimed > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
             raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
-        return dataset[part]
+        values = dataset[part]
+        if part == ALL:
+            _check_digest(dataset, values)
+        return values
 
 
 def read_whole(
@@ -269,7 +325,9 @@ def read_text(file: h5py.File, path: str) -> str:
             raise InputError(f"{file.filename}: {path} is missing or no text")
         if dataset.dtype.itemsize > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
-        return _text(dataset[()])
+        value = dataset[()]
+        _check_digest(dataset, value)
+        return _text(value)
 
 
 def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
@@ -351,9 +409,8 @@ def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
         if not isinstance(group, h5py.Group):
             raise InputError(f"{file.filename}: {path} is no group")
         nodes = {name: _found(file, f"{path}/{name}") for name in group}
-        if None in nodes.values():
-            lost = next(name for name, node in nodes.items() if node is None)
-            raise InputError(f"{file.filename}: {path} is damaged ({lost} leads nowhere)")
+        for name in (name for name, node in nodes.items() if node is None):
+            raise InputError(f"{file.filename}: {path} is damaged ({name} leads nowhere)")
         return [name for name, node in nodes.items() if isinstance(node, kind)]
 
 
@@ -368,14 +425,16 @@ def _found(file: h5py.File, path: str, links: int = MOST_LINKS) -> Any:
     """The group or dataset at a path, or None; what the file says of other files of the machine is not followed."""
     node: Any = file
     for part in filter(None, path.split("/")):
-        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        # Raises where the group is damaged, where `get` alone would say that there is nothing.
+        there = isinstance(node, h5py.Group) and node.id.links.exists(part.encode("utf-8"))
+        link = node.get(part, getlink=True) if there else None
         if isinstance(link, h5py.ExternalLink):
             raise InputError(f"{file.filename}: {path} is a link to another file, which is not followed")
         if isinstance(link, h5py.SoftLink):
             target = link.path if link.path.startswith("/") else f"{node.name}/{link.path}"
             node = _found(file, target, links - 1) if links else None
         else:
-            node = None if link is None else node.get(part)
+            node = None if link is None else node[part]
     return node
 
 

@@ -69,7 +69,7 @@ class Acquisition:
         if self.event_label:
             hdf5.write_dataset(group, "event_time", self.event_time, "s", "time of the event")
             labels = hdf5.ascii_array([label or "?" for label in self.event_label])
-            group.create_dataset("event_label", data=labels)
+            hdf5.write_dataset(group, "event_label", labels, "1", "what was marked")
 
     def start(self, first: float) -> str | None:
         """Date and time at 0 s by the host's clock, ISO 8601 in UTC; None where it told none.

@@ -91,44 +91,50 @@ def _recording(folder: Path) -> bytes:
 
 
 def _unsealed(folder: Path) -> bytes:
-    return without_checksums(_recording(folder), folder)
+    return bytes(without_checksums(good_recordings, folder)[0])
 
 
 def _older_files(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
-    """Files without checksums, or changed by another program, are read; `check` says that nothing vouches for them."""
+    """Files with datasets of another program are read; `check` says that nothing vouches for them."""
     made = small_folder(folder / "work")
     for name in ("small.h5", "results.h5"):
         ended = called("check", name, folder=made)
         yield HELD if ended.code == 0 and "as written" in ended.out else ended.said(f"{name} is not as written")
         with h5py.File(made / name, "a") as file:
-            file.attrs["note"] = "mine"
+            file["note"] = "mine"
         ended = called("check", name, folder=made)
         yield HELD if ended.code == 0 and "without checksums" in ended.out else ended.said(f"{name} is not read")
         yield HELD if called("info", name, folder=made).code == 0 else f"{name}: info refuses"
 
 
 def _named(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
-    """A turned bit in each dataset: the sentence names that dataset, in `check` and wherever the file is opened."""
+    """A turned bit in each dataset: `check` names it, and whatever reads it; what does not, says what was written."""
     made = small_folder(folder / "work")
     with h5py.File(made / "small.h5") as file:
         places: dict[str, int] = {}
         file.visititems(
             lambda name, node: places.update({f"/{name}": place}) if (place := _place(node)) is not None else None
         )
-    whole = (made / "small.h5").read_bytes()
+    whole, meant = (made / "small.h5").read_bytes(), called("info", "small.h5", folder=made)
     for name, place in places.items():
         damaged = bytearray(whole)
         damaged[place] ^= 16
         (made / "small.h5").write_bytes(damaged)
-        for verb in ("check", "info"):
-            yield called(verb, "small.h5", folder=made).refused("small.h5", f"{name} is damaged", "checksum")
+        yield called("check", "small.h5", folder=made).refused("small.h5", f"{name} is damaged", "checksum")
+        told = called("info", "small.h5", folder=made)
+        yield HELD if told.out == meant.out else told.refused("small.h5", f"{name} is damaged", "checksum")
 
 
 def _place(node: Any) -> int | None:
     """Where the values of a dataset begin in its file."""
     if not isinstance(node, h5py.Dataset):
         return None
-    return node.id.get_chunk_info(0).byte_offset + 9 if node.chunks else node.id.get_offset()
+    if node.chunks:
+        return node.id.get_chunk_info(0).byte_offset + 9
+    if (begin := node.id.get_offset()) is not None:
+        return begin
+    header = h5py.h5o.get_info(node.id).addr  # the values are in the metadata
+    return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
 
 
 def _allocations(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:

@@ -14,12 +14,14 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from unittest.mock import patch
 
 import h5py
 import numpy as np
 import openpyxl
 from support import invented_case
 
+from lampest.files import hdf5
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene
 from lampest.recording.acquisition import Acquisition
@@ -150,8 +152,8 @@ def corpus(folder: Any) -> Corpus:
             "scene": (text(SCENE), text({"scene": SCENE})),
             "simulation": (text(SIMULATION),),
             "setting": tuple(setting.encode() for setting in SETTINGS),
-            "recording": (recording, without_checksums(recording, folder), unfinished),
-            "results": (good_results(folder), without_checksums(good_results(folder), folder)),
+            "recording": (recording, without_checksums(good_recordings, folder)[0], unfinished),
+            "results": (good_results(folder), without_checksums(good_results, folder)),
             "table": good_tables(),
             "numpy": (numpy_file(frames()), numpy_file(frames().reshape(3, 12).astype(">i4"))),
             "matlab": (matlab_file(frames(), packed=False), matlab_file(frames(), packed=True)),
@@ -216,14 +218,10 @@ def good_results(folder: Any) -> bytes:
     return whole
 
 
-def without_checksums(whole: bytes, folder: Any) -> bytes:
-    """The same file as an older version wrote it, or as any other program leaves it."""
-    (folder / "good.h5").write_bytes(whole)
-    with h5py.File(folder / "good.h5", "a"):
-        pass
-    unsealed = bytes((folder / "good.h5").read_bytes())
-    (folder / "good.h5").unlink()
-    return unsealed
+def without_checksums(make: Callable[[Any], Any], folder: Any) -> Any:
+    """What `make` writes in a folder, in the format of older versions or as other programs have it."""
+    with patch.object(hdf5, "FORMAT", ("earliest", "v110")):
+        return make(folder)
 
 
 def good_tables() -> tuple[bytes, ...]:
