@@ -12,8 +12,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest.recording.board.framing import message, unstuffed
-from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Result, answer_body, frame_body, hello_body
+from lampest.recording.board.protocol import (
+    Answer,
+    Frame,
+    Hello,
+    Kind,
+    Result,
+    answer_body,
+    frame_body,
+    hello_body,
+    message,
+    unstuffed,
+)
 
 IDLE = Hello(3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False)
 SETTINGS = {Kind.SET_ROWS: "rows", Kind.SET_COLUMNS: "columns", Kind.SET_READINGS: "readings"}

@@ -113,8 +113,8 @@ def calibrate(
     """
     from lampest.files.whole import write_whole
     from lampest.recording.calibration.calibrate import calibrate as calibrate_recordings
-    from lampest.recording.calibration.known import known_resistors
-    from lampest.recording.calibration.text import calibrated_scene_text, summary
+    from lampest.recording.calibration.calibrate import calibrated_scene_text, summary
+    from lampest.recording.calibration.repeats import known_resistors
     from lampest.recording.recording import Recording
 
     if not 0 <= tolerance <= 0.5:

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, TypeVar
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds
 from lampest.loads.shapes import OralDisc
-from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import Course
 from lampest.runs.terms import FORBID, Terms, terms_of
 
 LARGEST_SIDE = 1000  # of a simulated panel

@@ -17,8 +17,7 @@ from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
 from lampest.recording.board import patience
-from lampest.recording.board.framing import message
-from lampest.recording.board.protocol import Hello, hello_body
+from lampest.recording.board.protocol import Hello, hello_body, message
 from lampest.recording.board.record import record
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View

@@ -13,8 +13,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.recording.board.record import record
-from lampest.recording.calibration.calibrate import Calibration, calibrate
-from lampest.recording.calibration.text import calibrated_scene
+from lampest.recording.calibration.calibrate import Calibration, calibrate, calibrated_scene
 
 OPEN = 1e15
 

@@ -16,10 +16,9 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.panel.panel import Array
-from lampest.recording.board.framing import message
-from lampest.recording.board.identity import scene_of, told_readout
-from lampest.recording.board.protocol import Hello, Receiver, hello_body
+from lampest.recording.board.protocol import Hello, Receiver, hello_body, message
 from lampest.recording.board.record import record
+from lampest.recording.board.stream import scene_of, told_readout
 from lampest.recording.recording import UNLOADED
 from lampest.report.live.run import recorded_from_board
 

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lampest.recording.board import protocol
-from lampest.recording.board.framing import crc16, message, unstuffed
 from lampest.recording.board.protocol import (
     Answer,
     Frame,
@@ -21,8 +20,11 @@ from lampest.recording.board.protocol import (
     Receiver,
     Result,
     command,
+    crc16,
     frame_body,
     hello_body,
+    message,
+    unstuffed,
 )
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)

@@ -12,8 +12,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
 from lampest.panel.readouts.loaded_columns import Diode
 from lampest.panel.readouts.wiring import Lines
-from lampest.recording.calibration.calibrate import Calibration, calibrate
-from lampest.recording.calibration.text import calibrated_scene, calibrated_scene_text
+from lampest.recording.calibration.calibrate import Calibration, calibrate, calibrated_scene, calibrated_scene_text
 from tests.oracles.netlist import Resistor, potentials
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0

@@ -14,7 +14,7 @@ from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 

@@ -15,7 +15,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, simulate
-from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.live.state import SecondLook

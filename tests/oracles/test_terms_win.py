@@ -38,7 +38,7 @@ from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.search import best_solution

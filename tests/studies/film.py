@@ -26,7 +26,7 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.course import Course
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.detection import Detection, GivenRecording, detected

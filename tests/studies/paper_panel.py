@@ -23,8 +23,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED
-from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.files import read_simulations
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.studies.paper.published import published_numbers

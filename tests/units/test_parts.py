@@ -20,7 +20,7 @@ from lampest.panel.panel import Array
 from lampest.recording import stored
 from lampest.recording.board.journal import Journal
 from lampest.recording.board.record import repair
-from lampest.recording.board.sample import Sample
+from lampest.recording.board.stream import Sample
 from lampest.recording.recording import Recording
 from lampest.report.checked import checked_sentence
 from lampest.runs import long_case, watched

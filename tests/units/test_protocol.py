@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest.recording.board.framing import crc16, message, stuffed, stuffed_length, unstuffed
 from lampest.recording.board.protocol import (
     MOST_CODE,
     MOST_STUFFED,
@@ -21,8 +20,13 @@ from lampest.recording.board.protocol import (
     Result,
     answer_body,
     command,
+    crc16,
     frame_body,
     hello_body,
+    message,
+    stuffed,
+    stuffed_length,
+    unstuffed,
 )
 
 HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)

@@ -12,11 +12,9 @@ from wild_board import IDLE, Script, wild_board, wire
 
 from lampest import InputError, Recording
 from lampest.recording.board import patience
-from lampest.recording.board.framing import message
-from lampest.recording.board.protocol import Frame, Hello, hello_body
+from lampest.recording.board.protocol import Frame, Hello, hello_body, message
 from lampest.recording.board.record import Recorded, record
-from lampest.recording.board.sample import Sample, Scanning
-from lampest.recording.board.stream import board_samples
+from lampest.recording.board.stream import Sample, Scanning, board_samples
 
 Sent = Iterator[tuple[float, bytes]]
 

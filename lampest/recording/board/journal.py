@@ -25,7 +25,7 @@ from lampest.files.whole import check_output, opened_for_locking
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
-from lampest.recording.board.sample import Sample
+from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
 CHUNK_FRAMES = 16

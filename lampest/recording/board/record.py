@@ -18,8 +18,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.sample import Sample
-from lampest.recording.board.stream import Samples, agreed_and_recorded, board_samples
+from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened, save_parts
 

@@ -14,7 +14,7 @@ from lampest.files.interrupts import deaf
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal
 from lampest.recording.board.record import appended, finished, journal_of
-from lampest.recording.board.sample import Sample
+from lampest.recording.board.stream import Sample
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
 

@@ -1,15 +1,226 @@
 """Frames from a board in the order of time, through lost frames, resets and unplugging."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
 
-from lampest.panel.panel import Array
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
-from lampest.recording.board.identity import scene_of
-from lampest.recording.board.patience import Patience
 from lampest.recording.board.port import Board, NoBoardError
-from lampest.recording.board.protocol import Frame, Hello, Message
-from lampest.recording.board.sample import Sample, Scanning
+from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
+
+# What a board and a scene must say alike, by the board's wiring.
+SHARED = {
+    "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
+    "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits"),
+}
+# A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
+LOAD_TOLERANCE = 0.1
+
+
+def scene_of(hello: Hello, scene: Scene | None) -> Scene:
+    """The scene that the board's HELLO and the user's scene agree on; without a scene, what the board says.
+
+    Raises InputError where they contradict each other.
+    """
+    told = told_readout(hello)
+    if scene is None:
+        return Scene(Panel(hello.rows, hello.columns), told)
+    if scene.readout is None:
+        return replace(scene, readout=told)
+    if scene.readout.kind != hello.wiring:
+        raise InputError(
+            f"the scene's readout.kind is {scene.readout.kind}, but the board says that it is wired as {hello.wiring} "
+            f"(firmware pins.h)"
+        )
+    for name in SHARED[hello.wiring]:
+        ours, theirs = getattr(scene.readout, name), getattr(told, name)
+        if ours != theirs:
+            raise InputError(f"the scene's readout.{name} is {ours}, but the board says {theirs} (firmware pins.h)")
+    _check_loads(scene.readout, told)
+    panel = scene.panel
+    most = (hello.most_rows, hello.most_columns, hello.most_readings)
+    asked = (panel.rows, panel.columns, scene.readout.readings)
+    for name, ours, theirs in zip(("panel.rows", "panel.columns", "readout.readings"), asked, most, strict=True):
+        if ours > theirs:
+            raise InputError(f"the scene's {name} is {ours}, but the board can do at most {theirs}")
+    return scene
+
+
+def told_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
+    """The circuit and the converter as the board declares them."""
+    supply, reference = hello.supply_millivolt / 1000, hello.reference_milliohm / 1000
+    if hello.wiring == "loaded_columns":
+        return LoadedColumnsReadout(
+            supply_volt=supply,
+            load_ohm=reference,
+            drive_ohm=hello.drive_milliohm / 1000,
+            adc_bits=hello.adc_bits,
+            readings=hello.readings,
+        )
+    return TwoPointReadout(
+        supply_volt=supply,
+        reference_ohm=reference,
+        measured_across=hello.measured_across,
+        adc_bits=hello.adc_bits,
+        readings=hello.readings,
+    )
+
+
+def _check_loads(ours: Readout, told: Readout) -> None:
+    """Raise InputError where a load is not what the board says, give or take what resistors differ by."""
+    if not (isinstance(ours, LoadedColumnsReadout) and isinstance(told, LoadedColumnsReadout)):
+        return
+    (nominal,) = as_tuple(told.load_ohm)
+    for load in as_tuple(ours.load_ohm):
+        if abs(load / nominal - 1) > LOAD_TOLERANCE:
+            raise InputError(
+                f"the scene's readout.load_ohm is {load:g}, but the board says {nominal:g} (firmware pins.h)"
+            )
+
+
+ROUND = 2**32  # numbers and the board's clock begin anew after so many
+# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
+FASTEST, AHEAD_SECONDS = 1000.0, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A frame with its place in the recording.
+
+    time : s since the first frame, by the board's clock; across a restart of the board by the host's.
+    host_time : s since 1970-01-01 UTC.
+    lost : frames missing before this one.
+    session : number of restarts and reconnections before it, and of times the board's numbers began anew.
+    """
+
+    frame: Frame
+    hello: Hello
+    time: float
+    host_time: float
+    lost: int
+    session: int
+
+
+@dataclass(frozen=True, eq=False)
+class Scanning:
+    """A board that was started, and how far it came: numbers grow and the clock at least as they do, modulo 2³².
+
+    What came before is sent again by some lines; that is no frame. Where two frames in a row do not follow the newest
+    one, but each other, and the clock went on, the numbers have begun anew.
+
+    hello : how the board is set. session : of its next frame. last : the recording's newest sample.
+    before, earlier : the two newest samples of this run. stray : a frame that followed none. since : s since 1970-01-01
+    UTC, when the board was started.
+    """
+
+    hello: Hello
+    session: int
+    last: Sample | None
+    before: Sample | None = None
+    earlier: Sample | None = None
+    stray: Frame | None = None
+    since: float = field(default_factory=time.time)
+
+    def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
+        """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
+        if self.before is None or self._follows(frame, self.before.frame, self.before.host_time):
+            return self._with(self._placed(frame))
+        stray = self.stray
+        if (
+            stray is not None
+            and (frame.sequence - stray.sequence) % ROUND == 1
+            and self._follows(frame, stray, time.time())
+        ):
+            elapsed_ms = (stray.device_ms - self.before.frame.device_ms) % ROUND
+            if 0 < elapsed_ms < ROUND // 2:
+                run, samples = self._with(self._renumbered(stray, elapsed_ms))
+                run, more = run.taking(frame)
+                return run, samples + more
+        return replace(self, stray=frame), ()
+
+    def doubted(self) -> "Scanning":
+        """After a silence: should a wrong frame have been believed, nothing else would ever follow it."""
+        return replace(self, before=self.earlier, stray=None)
+
+    def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
+        run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
+        return run, (sample,)
+
+    def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
+        steps = (frame.sequence - before.sequence) % ROUND
+        elapsed_ms = (frame.device_ms - before.device_ms) % ROUND
+        most_ms = 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3e-6 * self.hello.period_us)
+        return 0 < steps < ROUND // 2 and 0.99e-3 * steps * self.hello.period_us - 2 <= elapsed_ms <= most_ms
+
+    def _placed(self, frame: Frame) -> Sample:
+        now, period, last = time.time(), self.hello.period_us * 1e-6, self.last
+        if last is None:
+            return Sample(frame, self.hello, 0.0, now, self._lost_at_first(frame), self.session)
+        moved = max(now - last.host_time, period)
+        if self.before is None:
+            return Sample(frame, self.hello, last.time + moved, now, max(round(moved / period) - 1, 0), self.session)
+        at = self.before.time + (frame.device_ms - self.before.frame.device_ms) % ROUND / 1000
+        lost = (frame.sequence - self.before.frame.sequence) % ROUND - 1
+        return Sample(frame, self.hello, at if at > last.time else last.time + moved, now, lost, self.session)
+
+    def _lost_at_first(self, frame: Frame) -> int:
+        """Numbers begin with 0, unless the clock says that there was no time for so many frames."""
+        least = 0.99e-6 * frame.sequence * self.hello.period_us
+        most = FASTEST * max(time.time() - self.since, 0.0) + AHEAD_SECONDS
+        return frame.sequence if least <= min(1e-3 * frame.device_ms + 2e-3, most) else 0
+
+    def _renumbered(self, frame: Frame, elapsed_ms: int) -> Sample:
+        """The first frame whose number began anew; the clock that went less far says how many are missing."""
+        assert self.before is not None and self.last is not None
+        now, period = time.time(), self.hello.period_us * 1e-6
+        moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(now - self.last.host_time, period))
+        at = max(self.before.time, self.last.time) + moved
+        return Sample(frame, self.hello, at, now, max(round(moved / period) - 1, 0), self.session + 1)
+
+
+UNFIT_SECONDS = 30.0
+
+
+class UnfitError(InputError):
+    """The line talks and talks, but no frame that fits comes."""
+
+
+class Patience:
+    """Since when nothing has fitted, and what came instead; that is its only state.
+
+    A line that is silent, or a port that is gone, may be waited for; one that talks may not without end.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._since = time.monotonic()
+        self._heard = Counter[str]()
+
+    def renew(self) -> None:
+        """A frame fitted, or nobody is there."""
+        self._since = time.monotonic()
+        self._heard.clear()
+
+    def hear(self, item: Message, out_of_order: bool) -> None:
+        """Something came that is no frame that fits."""
+        if isinstance(item, Frame):
+            kind = "frames out of order" if out_of_order else "frames of another size"
+        else:
+            kind = "pieces that are no message" if isinstance(item, Garbage) else "answers"
+        self._heard[kind] += 1
+
+    def check(self, period_us: int = 0) -> None:
+        """Raise UnfitError where the line has talked for 30 s and three periods, and nothing fitted."""
+        waited = time.monotonic() - self._since
+        if self._heard and waited > UNFIT_SECONDS + 3e-6 * period_us:
+            came = ", ".join(f"{number} {kind}" for kind, number in self._heard.most_common())
+            raise UnfitError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
+
 
 RETRY_SECONDS = 0.2
 SILENCE_SECONDS = 2.5

@@ -12,7 +12,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.panel.scene import Scene
-from lampest.recording.calibration.trial import SHORT_OHM
+from lampest.recording.calibration.repeats import SHORT_OHM
 
 # Channels near nothing: R + ln(1 + exp(-R)) is R from some ohm on, never below zero, and always tells which way to go.
 CONTACT_OHM = 1.0

@@ -1,15 +1,17 @@
-"""What the frames of one recording say of fixed resistors: mean voltages, each driven line's noise, steadiness."""
+"""Recordings of known resistors: what was read, and what stood in place of the cells."""
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.lines import PerLine
+from lampest.panel.readouts.lines import PerLine, Side
 from lampest.recording.recording import Recording
 
 ENDLESS = 65535  # readings: what is then left of σ does not average out
@@ -123,3 +125,77 @@ def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
         raise InputError(
             f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
+
+
+SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording of known resistors: means of its readings, and what stood in place of the cells.
+
+    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of
+    lines without a resistor count too, because something of the channel before may be in them.
+    """
+
+    name: str
+    readings: Repeats
+    known: Array
+    everywhere: bool = False
+
+    @cached_property
+    def cells(self) -> Array:
+        """(rows, columns) ohm with shorts and gaps as resistances."""
+        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
+        rows, columns = self.led("rows")[:, None], self.led("columns")[None, :]
+        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.readings.volt))
+
+    def led(self, side: Side) -> NDArray[np.bool_]:
+        """(lines) of a side that lead to a resistor."""
+        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
+
+    @cached_property
+    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
+        """Where each resistor stands, by its value and its number among those of that value.
+
+        Resistors of one name in two recordings are taken for one that was moved.
+        """
+        count: dict[float, int] = {}
+        found = {}
+        for row, column in np.argwhere(np.isfinite(self.known) & (self.known > 0)):
+            value = float(self.known[row, column])
+            count[value] = count.get(value, -1) + 1
+            found[value, count[value]] = (int(row), int(column))
+        return found
+
+
+def known_resistors(text: str, panel: Panel) -> Array:
+    """What stands in place of the cells, (rows, columns) ohm, from a number or the name of a .csv or .npy file.
+
+    In a file every row is a line of the panel; inf, nan or nothing between two commas stands for no resistor. Raises
+    InputError where it is neither a number nor such a table.
+    """
+    try:
+        return np.full(panel.shape, float(text))
+    except ValueError:
+        path = Path(text)
+    try:
+        if path.suffix == ".npy":
+            table = np.load(path, allow_pickle=False)
+        else:
+            table = np.genfromtxt(path.read_text(encoding="utf-8-sig").splitlines(), delimiter=",", ndmin=2)
+    except FileNotFoundError as error:
+        raise InputError(f"--known: '{text}' is neither a number of ohm nor a file") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: no table of resistances ({' '.join(str(error).split())})") from error
+    if not np.issubdtype(table.dtype, np.number) or np.iscomplexobj(table) or table.shape != panel.shape:
+        found = " × ".join(str(size) for size in table.shape)
+        raise InputError(
+            f"{path}: the panel has {panel.rows} × {panel.columns} cells, but the table holds {found} numbers"
+        )
+    known: Array = table.astype(float)
+    return known

@@ -10,8 +10,7 @@ import numpy as np
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.foreign.frames import Clock
-from lampest.recording.foreign.headers import bracketed
-from lampest.recording.foreign.numerals import Numerals
+from lampest.recording.foreign.words import Numerals, bracketed
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 WORDS = {

@@ -1,5 +1,6 @@
-"""A file as lines of fields, and the table of those lines that hold readings."""
+"""The lines of a file that hold readings, what their columns are called, what is left out and why."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.foreign.numerals import Numerals
+from lampest.recording.foreign.clock import UNIT_OF_WORD, is_stamp
+from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,3 +114,142 @@ class ForeignTable:
             line, number = (int(part) for part in np.argwhere(chosen)[0])
             shown, field = self.fields[line, columns[number]][:40], columns[number]
             raise InputError(f"{self.place(line, field)}: {shown!r} is no number (field {field + 1} of the line)")
+
+
+MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
+
+
+def table_of_rows(rows: Rows) -> ForeignTable:
+    """The lines with readings, the header before them, and sentences on what was left out.
+
+    Raises InputError where there are none, or a line has more fields than the others.
+    """
+    if rows.fields.size == 0 or np.all(rows.comment):
+        raise InputError(f"{rows.source}: holds no values")
+    numerals = Numerals.of([text for text in rows.fields[~rows.comment].ravel()[:MOST_SAMPLED] if text])
+    numbers, missing, words = numerals.numbers(rows.fields)
+    data = _data_lines(rows, missing, words)
+    if not np.any(data):
+        raise InputError(f"{rows.source}: holds a header but no values")
+    usual = _usual(rows.counts[data])
+    width = _width(rows, data, usual)
+    header = _header_lines(rows, data, ~missing & ~words, width)
+    if header:
+        width = max(width, min(usual, 1 + int(np.flatnonzero(rows.fields[header[0]] != "")[-1])))
+    else:
+        data[: int(np.argmax(data & (rows.counts == usual)))] = False  # a terminal opened in the middle of a line
+    for line in header:  # repeated where a board began anew
+        data &= np.any(rows.fields != rows.fields[line], axis=1)
+    _refuse_long(rows, data, width)
+    names = _names(rows, header, width)
+    notes = [*rows.notes, *(["decimal commas"] if numerals.comma else [])]
+    notes = [", ".join(notes)] if notes else []
+    if header:
+        notes.append(f"{' and '.join(rows.called(line) for line in header)} taken as header")
+    notes += _left_out(rows, data, header)
+    every = ForeignTable(
+        rows.source,
+        rows.fields[:, :width],
+        numbers[:, :width],
+        missing[:, :width],
+        words[:, :width],
+        np.minimum(rows.counts, width),
+        None,
+        rows.blank,
+        ("",) * len(rows.fields),
+        rows.stamps,
+        numerals,
+        rows.place,
+        rows.called,
+        tuple(notes),
+    )
+    return every.only(data, names)
+
+
+def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Lines that hold a number or a word for a missing one, and fewer other words than these."""
+    filled = rows.fields != ""
+    reading = filled & ~words
+    unread = rows.fields[words]
+    told = {text: is_stamp(text) or line_of(text) is not None for text in set(unread)}
+    others = words.copy()
+    others[words] = [not told[text] for text in unread]
+    strange = others.sum(axis=1)
+    most = filled.sum(axis=1)
+    few: NDArray[np.bool_] = ((strange <= 1) & (2 * strange < most)) | (4 * strange < most)
+    few &= (rows.counts > 1) | ~missing[:, 0] | (rows.counts.max() == 1)  # a line of dashes alone
+    return np.asarray(few & ~rows.comment & reading.any(axis=1))
+
+
+def _header_lines(rows: Rows, data: NDArray[np.bool_], plain: NDArray[np.bool_], width: int) -> list[int]:
+    """The line before the first data where it names as many fields, and one of units below it; column numbers."""
+    first = int(np.argmax(data))
+    if _counts_up(rows.fields[first, : rows.counts[first]]):
+        return [first]
+    above = []
+    for line in range(max(0, first - 2), first):
+        names = np.flatnonzero(rows.fields[line] != "")
+        if width > 1 and len(names) >= width - 1 and names[-1] >= width - 1 and not np.any(plain[line]):
+            above.append(line)
+    if len(above) == 2 and _are_units(rows.fields[above[1]]):
+        return above
+    return above[-1:] if above and above[-1] == first - 1 else []
+
+
+def _counts_up(fields: NDArray[Any]) -> bool:
+    """Whether a word or nothing is followed by 0, 1, 2 ... or 1, 2, 3 ...: column numbers."""
+    numbers = [text for text in fields[1:] if text]
+    if len(numbers) < 2 or fields[0][:1].isdigit() or fields[0][:1] in ("-", "+", "."):
+        return False
+    return any(numbers == [str(first + number) for number in range(len(numbers))] for first in (0, 1))
+
+
+def _are_units(fields: NDArray[Any]) -> bool:
+    texts = [text.strip("[](){} ").lower() for text in fields if text]
+    return bool(texts) and all(text in UNITS_OF_WORD or text in UNIT_OF_WORD or text in ("v", "-") for text in texts)
+
+
+def _usual(counts: NDArray[np.intp]) -> int:
+    """The most frequent number of fields, the larger of two."""
+    often: list[tuple[int, int]] = [(times, count) for count, times in Counter(counts.tolist()).items()]
+    return max(often)[1]
+
+
+def _width(rows: Rows, data: NDArray[np.bool_], usual: int) -> int:
+    """The usual number of fields without those at the end that are empty in all lines."""
+    lines, width = data & (rows.counts == usual), usual
+    while width > 1 and np.all(rows.fields[lines, width - 1] == ""):
+        width -= 1
+    return width
+
+
+def _refuse_long(rows: Rows, data: NDArray[np.bool_], width: int) -> None:
+    long = data & np.any(rows.fields[:, width:] != "", axis=1)
+    if np.any(long):
+        line, usual = int(np.argmax(long)), int(np.argmax(data & ~long))
+        said = f"{rows.counts[line]} fields, where {rows.called(usual)} has {width}"
+        raise InputError(f"{rows.place(line, None)}: {said}")
+
+
+def _names(rows: Rows, header: list[int], width: int) -> tuple[str, ...] | None:
+    """The columns' names, with the units of a second line in brackets."""
+    if not header:
+        return None
+    first = [text.lstrip("#% ") for text in rows.fields[header[0], :width]]
+    if len(header) == 1:
+        return tuple(first)
+    units = (text.strip("[](){} ") for text in rows.fields[header[1], :width])
+    return tuple(f"{name} [{unit}]" if unit and unit != "-" else name for name, unit in zip(first, units, strict=True))
+
+
+def _left_out(rows: Rows, data: NDArray[np.bool_], header: list[int]) -> list[str]:
+    """What was passed over, but for comments and what is empty."""
+    passed = ~data & ~rows.comment & np.any(rows.fields != "", axis=1)
+    for line in header:
+        passed &= np.any(rows.fields != rows.fields[line], axis=1)
+    lines = np.flatnonzero(passed)
+    if len(lines) == 0:
+        return []
+    shown = " ".join(rows.fields[lines[0]]).strip()[:40]
+    more = f" and {len(lines) - 1} other{'s' if len(lines) > 2 else ''}" if len(lines) > 1 else ""
+    return [f"left out: {rows.called(int(lines[0]))} ({shown!r}){more}, no readings or cut off"]

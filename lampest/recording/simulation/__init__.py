@@ -1,7 +1,7 @@
 """Simulated recordings: loads on a panel, their course, the electronics, and what the estimator is not told."""
 
-from lampest.recording.simulation.course import Course
 from lampest.recording.simulation.files import read_simulations, run
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
 

@@ -12,8 +12,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
-from lampest.recording.simulation.disturbance import disturbed, static_factors, with_wire
-from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
+from lampest.recording.simulation.unmodelled import Unmodelled, disturbed, random_stream, static_factors, with_wire
 
 AT_ONCE = 64
 MOST_RAW = np.iinfo(np.uint16).max

@@ -17,10 +17,8 @@ from lampest.panel.panel import Array
 from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.course import Course
-from lampest.recording.simulation.film import remembered_ratio
 from lampest.recording.simulation.measure import measured, raw_sums
-from lampest.recording.simulation.pressure import pressure_on_cells, travelled
+from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 MOST_VALUES = 20_000_000

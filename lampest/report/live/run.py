@@ -19,8 +19,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
 from lampest.recording.board.record import Progress, Recorded, record
 from lampest.recording.board.recorder import Recorder
-from lampest.recording.board.sample import Sample
-from lampest.recording.board.stream import agreed_and_recorded, board_samples
+from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource, Scan
 from lampest.report.live.publish import publish_at

@@ -1,10 +1,12 @@
-"""Text files as lines of fields: their encoding, the stamps of a terminal, comments, and what keeps fields apart."""
+"""Text files and sheets of Excel files as lines of fields."""
 
 import csv
+import datetime
 import io
 import re
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.recording.foreign.numerals import Numerals
+from lampest.recording.foreign.arrays import check_archive
 from lampest.recording.foreign.table import Rows
+from lampest.recording.foreign.words import Numerals
 
 MOST_FIELDS = 10_000_000
 LONGEST_LINE = 1_000_000
@@ -46,7 +49,7 @@ def rows_of_text(path: Path) -> Rows:
     Fields are apart by the sign that gives most numbers. Raises InputError with the line where the file is no text,
     a line is too long, or a quotation mark is not closed.
     """
-    text, notes = _text(path)
+    text, notes = _decoded(path)
     lines = _lines(path, text)
     if any(line.stamp for line in lines):
         notes.append("a terminal's time before the lines")
@@ -78,7 +81,7 @@ def _cut(text: str, counts: NDArray[np.intp]) -> bool:
     return len(counts) > 1 and not text.endswith(("\r", "\n")) and bool(counts[-1] < np.median(counts))
 
 
-def _text(path: Path) -> tuple[str, list[str]]:
+def _decoded(path: Path) -> tuple[str, list[str]]:
     """UTF-8, UTF-16 by its mark or its zero bytes, and what older Windows programs write into headers."""
     _check_lines(path)
     data = path.read_bytes()
@@ -197,3 +200,97 @@ def _check_size(path: Path, lines: Sequence[_Line], counts: Sequence[int]) -> No
     if not np.all(within) or len(counts) * max(counts) > 2 * MOST_FIELDS:
         number = lines[int(np.argmin(within))].number
         raise InputError(f"{path}:{number}: more than {MOST_FIELDS} values are not imported")
+
+
+def sheets_of(path: Path, wanted: str | None) -> dict[str, Rows]:
+    """Name → lines of every sheet that holds anything, or of the wanted one, in the file's order.
+
+    Read row by row: pandas' reader fills a sheet up to its last corner, of which a few bytes may claim 10¹⁰ cells.
+    Raises InputError where the file is no readable .xlsx, or has no such sheet.
+    """
+    check_archive(path, ".xlsx")
+    with _workbook(path) as book:
+        names = [str(sheet.title) for sheet in book.worksheets]
+        if wanted is not None and wanted not in names:
+            raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(names) or 'none'}")
+        chosen = [sheet for sheet in book.worksheets if wanted in (None, sheet.title)]
+        sheets = {str(sheet.title): _rows(path, sheet) for sheet in chosen}
+    return {name: rows for name, rows in sheets.items() if len(rows.counts)}
+
+
+@contextmanager
+def _workbook(path: Path) -> Iterator[Any]:
+    import openpyxl  # takes 0.2 s
+
+    try:
+        with path.open("rb") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles and extensions that it does not keep
+            with closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as book:
+                yield book
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # its readers of parts and of XML raise whatever they meet
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no readable .xlsx file ({said})") from error
+
+
+def _rows(path: Path, sheet: Any) -> Rows:
+    """The rows that hold anything; what comes after the last value of a row counts for nothing."""
+    sheet.reset_dimensions()  # what a file says of its size may be wrong
+    lines: list[list[str]] = []
+    numbers: list[int] = []
+    cells = 0
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        texts = [_text_of_cell(value) for value in row]
+        while texts and not texts[-1]:
+            texts.pop()
+        if texts:
+            cells += len(texts)
+            lines.append(texts)
+            numbers.append(number)
+        if cells > MOST_FIELDS or number > MOST_FIELDS:
+            raise InputError(f"{path}: sheet {sheet.title}: more than {MOST_FIELDS} values are not imported")
+    width = max(map(len, lines), default=0)
+    if len(lines) * width > 2 * MOST_FIELDS:
+        raise InputError(f"{path}: sheet {sheet.title}: {len(lines)} × {width} values are not imported")
+    fields = np.full((len(lines), width), "", dtype=object)
+    for line, texts in enumerate(lines):
+        fields[line, : len(texts)] = texts
+
+    def place(line: int, field: int | None) -> str:
+        return f"{path}: {sheet.title}!{'' if field is None else _letters(field)}{numbers[line]}"
+
+    return Rows(
+        f"{path}: sheet {sheet.title}",
+        fields,
+        np.array([len(texts) for texts in lines], dtype=np.intp),
+        np.array([texts[0].startswith(("#", "%")) and len(texts) == 1 for texts in lines], dtype=bool),
+        np.diff(np.array([0, *numbers])) > 1,
+        ("",) * len(lines),
+        place,
+        lambda line: f"row {numbers[line]}",
+        (f"sheet {sheet.title}",),
+    )
+
+
+def _text_of_cell(value: Any) -> str:
+    """A cell as a text file would have it; all digits of a number."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value).removesuffix(".0")
+    if isinstance(value, datetime.datetime):
+        return value.isoformat(sep=" ")
+    if isinstance(value, datetime.timedelta):
+        return repr(value.total_seconds())
+    return str(value).strip()
+
+
+def _letters(field: int) -> str:
+    """0 → A, 25 → Z, 26 → AA: what Excel calls a column."""
+    letters = ""
+    while field >= 0:
+        letters, field = chr(ord("A") + field % 26) + letters, field // 26 - 1
+    return letters
