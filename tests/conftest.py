@@ -42,7 +42,7 @@ def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
     """Installs a package of one module, `addon`, which names something in a group of entry points."""
-    from lampest.files.plugins import installed
+    from lampest.files.tagged import installed
 
     def install(group: str, named: str, module: str) -> None:
         about = tmp_path / "site" / "addon-1.dist-info"

@@ -21,8 +21,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
-from lampest.recording.readings import AT_MOST, Readings
-from lampest.recording.stand_in import StandIn
+from lampest.recording.readings import AT_MOST, Readings, StandIn
 from lampest.solvers.solution import Settings, Solver
 
 FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6

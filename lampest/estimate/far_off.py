@@ -19,8 +19,7 @@ from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import errors_of
-from lampest.recording.readings import Readings
-from lampest.recording.stand_in import StandIn
+from lampest.recording.readings import Readings, StandIn
 
 if TYPE_CHECKING:
     from lampest.estimate.stream import Stream

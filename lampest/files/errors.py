@@ -1,6 +1,7 @@
 """The one exception that stands for a user's mistake."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -38,3 +39,12 @@ def in_words(value: Any) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Imports of an extra's libraries. Raises InputError where one is not installed, with how to install it."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{error.name} is not installed; pip install lampest[{name}] brings it") from error

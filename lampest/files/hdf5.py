@@ -3,7 +3,6 @@
 Format v110 has checksums of all metadata, small values among it; larger values are in chunks, packed, with Fletcher-32.
 """
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -14,9 +13,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.checksums import DIGEST, check_digest, check_seal, digest_of, located, read_through
 from lampest.files.errors import InputError
 from lampest.files.scales import attach_scales as attach_scales
-from lampest.files.seal import check_seal
 from lampest.files.whole import check_room, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
@@ -29,9 +28,7 @@ MOST_COMPACT_BYTES = 60_000  # beside its metadata; HDF5's limit is 64 KiB
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
 PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and in no chunk
 ALL = slice(None)
-FILTER_FAILED = "filter returned failure during read"  # of HDF5
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 
@@ -102,39 +99,9 @@ def checked(path: Path) -> tuple[int, int]:
     Raises InputError with the path of the dataset that is not what was written.
     """
     with existing_file(path) as file:
-        vouched, datasets = [], 0
-        for name, node in _all_below(file, "/"):
-            with located(file, name):
-                vouched.append(h5py.h5o.get_info(node.id).hdr.version > 1)
-                if isinstance(node, h5py.Dataset) and node.size:
-                    vouched.append(bool(_read_through(node)))
-                    datasets += 1
+        datasets, vouched = read_through(file)
     sealed = check_seal(path, everything=True)
-    return (path.stat().st_size, datasets) if sealed or all(vouched) else (0, 0)
-
-
-def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
-    """(path, group or dataset) of a group and all that it holds, but for what lies in other files."""
-    with located(file, path):
-        group = file[path]
-        links = {name: group.get(name, getlink=True) for name in group}
-    yield path, group
-    for name in (name for name, link in links.items() if isinstance(link, h5py.HardLink)):
-        inner = f"{path.rstrip('/')}/{name}"
-        with located(file, inner):
-            node = file[inner]
-        if isinstance(node, h5py.Group):
-            yield from _all_below(file, inner)
-        else:
-            yield inner, node
-
-
-def _read_through(dataset: h5py.Dataset) -> bool:
-    """Read all values, part by part; whether a checksum vouches for them."""
-    for part in dataset.iter_chunks() if dataset.chunks else ((),):
-        _check_digest(dataset, dataset[part])
-    compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
-    return compact or dataset.fletcher32 or DIGEST in dataset.attrs
+    return (path.stat().st_size, datasets) if sealed or vouched else (0, 0)
 
 
 def ascii_array(values: Any) -> Any:
@@ -180,16 +147,8 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
         made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data), kind)
     dataset = h5py.Dataset(made)
     if not compact:
-        set_attributes(dataset, **{DIGEST: hashlib.sha256(data.tobytes()).hexdigest()})
+        set_attributes(dataset, **{DIGEST: digest_of(data)})
     return dataset
-
-
-def _check_digest(dataset: h5py.Dataset, values: Any) -> None:
-    """Raise ValueError where all values of a dataset are not those of its digest; those in chunks have none."""
-    if dataset.chunks is None and DIGEST in dataset.attrs:
-        found = hashlib.sha256(np.asarray(values, dataset.dtype).tobytes()).hexdigest()
-        if found.encode() != dataset.attrs[DIGEST]:
-            raise ValueError("values and checksum differ")
 
 
 @lru_cache(maxsize=256)
@@ -229,27 +188,6 @@ def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: 
 def write_text(group: h5py.Group, name: str, text: str) -> None:
     """A text as a fixed-length ASCII scalar."""
     write_plain(group, name, np.asarray(ascii_array(text)))
-
-
-@contextmanager
-def located(file: h5py.File, path: str) -> Iterator[None]:
-    """Turns what the library says of a damaged place into one InputError that names it."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (
-        OSError,
-        RuntimeError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-        MemoryError,
-    ) as error:
-        said = " ".join(str(error).split()).replace(FILTER_FAILED, "checksum or packing of its values is wrong")
-        raise InputError(f"{file.filename}: {path} is damaged ({said})") from error
 
 
 def has(file: h5py.File, path: str) -> bool:
@@ -297,7 +235,7 @@ def read_array(
             raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
         values = dataset[part]
         if part == ALL:
-            _check_digest(dataset, values)
+            check_digest(dataset, values)
         return values
 
 
@@ -326,7 +264,7 @@ def read_text(file: h5py.File, path: str) -> str:
         if dataset.dtype.itemsize > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
         value = dataset[()]
-        _check_digest(dataset, value)
+        check_digest(dataset, value)
         return _text(value)
 
 

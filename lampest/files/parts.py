@@ -13,7 +13,6 @@ from lampest.files import hdf5
 TIME = "time"  # the axis along which parts follow each other
 CHUNK_VALUES = 100_000
 OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5 ties axes to datasets
-PACKED = ("compression", "compression_opts", "shuffle", "fletcher32")
 
 
 @dataclass(frozen=True)
@@ -45,19 +44,12 @@ class DatasetPlan:
 
 
 def copy_group(source: h5py.Group, target: h5py.Group) -> None:
-    """All of a group as it is stored, nothing unpacked, with its attributes and axes."""
+    """All of a group as it is stored, nothing unpacked, with its attributes and axes."""  # HDF5 would copy no axes
     for path, node in _below(source):
         if isinstance(node, h5py.Group):
             target.require_group(path)
-            continue
-        packed = {name: getattr(node, name) for name in PACKED} if node.chunks else {}
-        made = target.create_dataset(path, node.shape, node.dtype, chunks=node.chunks, **packed)
-        if node.chunks is None:
-            made[()] = node[()]
-        for number in range(node.id.get_num_chunks() if node.chunks else 0):
-            at = node.id.get_chunk_info(number).chunk_offset
-            mask, values = node.id.read_direct_chunk(at)
-            made.id.write_direct_chunk(at, values, mask)
+        else:
+            source.copy(node, target, path, without_attrs=True)
     _finish(target, str(source.name), _planned(source), _groups(source))
 
 
@@ -68,6 +60,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     an empty text there. Raises InputError where a file cannot be read.
     """
     plans: dict[str, DatasetPlan] = {}
+    owners: dict[str, Path] = {}
     groups: dict[str, dict[str, Any]] = {}
     begins: list[dict[str, int]] = []
     for part in parts:
@@ -77,13 +70,22 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             for path, found in _planned(file[group]).items():
                 before = plans.get(path)
                 plans[path] = before.longer(found) if before is not None and found.along else found
+                owners[path] = part
     ends = {_parent(path): plan.shape[0] for path, plan in plans.items() if _is_time(path)}
+    for path in filter(None, groups):
+        target.require_group(path)
     for path, plan in plans.items():
-        whole = replace(plan, shape=(ends[_parent(path)], *plan.shape[1:])) if plan.along else plan
-        _make(target, path, whole, max(1, plan.shape[0] // len(parts)) if plan.along else 1)
+        if plan.along:
+            whole = replace(plan, shape=(ends[_parent(path)], *plan.shape[1:]))
+            _make(target, path, whole, max(1, plan.shape[0] // len(parts)))
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
-            _fill(file[group], target, begin)
+            for path, node in _below(file[group]):
+                if path in plans and plans[path].along:
+                    first = begin.get(_parent(path), 0)
+                    target[path][first : first + len(node)] = node[()]
+                elif owners.get(path) == part:
+                    file.copy(node, target, path, without_attrs=True)
     _finish(target, group, plans, groups)
 
 
@@ -103,22 +105,10 @@ def _attributes(node: Any) -> dict[str, Any]:
 
 def _make(target: h5py.Group, path: str, plan: DatasetPlan, frames: int) -> None:
     """frames : of a part: a chunk that holds more is unpacked and packed again for every one of them."""
-    if not plan.along:
-        target.create_dataset(path, plan.shape, plan.dtype)
-        return
     length = max(1, CHUNK_VALUES // int(np.prod(plan.shape[1:], initial=1)))
     chunks = (min(length, frames), *plan.shape[1:])
     nothing = np.nan if plan.dtype.kind == "f" else None
-    packed = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-    target.create_dataset(path, plan.shape, plan.dtype, chunks=chunks, fillvalue=nothing, **packed)
-
-
-def _fill(source: h5py.Group, target: h5py.Group, begin: dict[str, int]) -> None:
-    """The values of one part where they belong."""
-    for path, node in _below(source):
-        if isinstance(node, h5py.Dataset):
-            along, first = DatasetPlan.of(node).along, begin.get(_parent(path), 0)
-            target[path][slice(first, first + len(node)) if along else ()] = node[()]
+    target.create_dataset(path, plan.shape, plan.dtype, chunks=chunks, fillvalue=nothing, **hdf5.PACKED)
 
 
 def _finish(target: h5py.Group, root: str, plans: dict[str, DatasetPlan], groups: dict[str, dict[str, Any]]) -> None:

@@ -1,12 +1,35 @@
-"""Unions told apart by `kind`, so that a misspelt key is reported for the kind that was meant."""
+"""Unions told apart by `kind`, with what installed packages add to them."""
 
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, TypeVar
 
 from lampest.files.errors import InputError
-from lampest.files.plugins import installed
+
+Kind = TypeVar("Kind")
+
+
+@cache
+def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
+    """The objects of a kind that installed packages name in a group, in the order of the names.
+
+    Raises InputError where one cannot be loaded or is of another kind.
+    """
+    objects = []
+    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        try:
+            thing = point.load()
+        except Exception as error:  # whatever the package does when it is imported
+            raise InputError(
+                f"{group}: {point.name} = {point.value} of an installed package cannot be loaded ({error})"
+            ) from error
+        if not isinstance(thing, kind):
+            raise InputError(f"{group}: {point.name} = {point.value} of an installed package is no {kind.__name__}")
+        objects.append(thing)
+    return tuple(objects)
 
 
 @dataclass(frozen=True)

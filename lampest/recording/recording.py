@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -121,60 +122,49 @@ class Recording:
         """The same; None where it holds more than so many readings."""
         path = Path(path)
         with hdf5.existing_file(path) as file:
-            scene = validated(parse_document(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene"), Scene)
-            base = f"/entry/{group_of(scene.circuit)}/"
-            optional = {name: hdf5.has(file, base + name) for name in ("sigma", "time", "role")}
-            if most is not None and prod(hdf5.shape_of(file, base + scene.circuit.signal)) > most:
+            scene, group, signal = head_of(file, path)
+            if most is not None and prod(hdf5.shape_of(file, f"{group}/{signal}")) > most:
                 return None
-            kept = whole_frames(file, base, scene.circuit.signal) if part == hdf5.ALL else part
+            kept = part
             if part == hdf5.ALL:
-                _check_held(file, base + scene.circuit.signal, base + "sigma", *TRUTHS)
+                kept = whole_frames(file, group, signal)
+                _check_held(file, f"{group}/{signal}", f"{group}/sigma", *TRUTHS)
 
-            def read(path: str) -> Array | None:
-                """Of the frames kept, (frames, rows, columns); None where the file has none."""
-                there = hdf5.has(file, path)
-                return np.asarray(hdf5.read_array(file, path, 3, part=kept), dtype=float) if there else None
+            def read(path: str, dimensions: int | tuple[int, int] = 3) -> Array | None:
+                """Of the frames kept; None where the file has none."""
+                if not hdf5.has(file, path):
+                    return None
+                flat = dimensions == (2, 3) and len(hdf5.shape_of(file, path)) == 2
+                return np.asarray(hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else kept))
 
-            recorded = np.asarray(hdf5.read_array(file, base + scene.circuit.signal, 3, part=kept), dtype=float)
-            frames, sigma = len(recorded), None
-            if optional["sigma"]:
-                flat = len(hdf5.shape_of(file, base + "sigma")) == 2
-                values = hdf5.read_array(file, base + "sigma", (2, 3), part=hdf5.ALL if flat else kept)
-                sigma = np.asarray(values, dtype=float)
-            begin = kept.start or 0
-            number = None if part == hdf5.ALL else np.arange(begin, begin + frames)
-            time, role = np.arange(begin, begin + frames), np.ones(frames)
-            if optional["time"]:
-                time = hdf5.read_array(file, base + "time", 1, part=kept)
-            if optional["role"]:
-                role = hdf5.read_array(file, base + "role", 1, part=kept)
-            truth = {path.rsplit("/", 1)[-1]: read(path) for path in TRUTHS}
+            def text(path: str) -> str | None:
+                return hdf5.read_text(file, path) if hdf5.has(file, path) else None
+
+            recorded = np.asarray(hdf5.read_array(file, f"{group}/{signal}", 3, part=kept), dtype=float)
+            sigma, time = read(f"{group}/sigma", (2, 3)), read(f"{group}/time", 1)
+            role: Any = read(f"{group}/role", 1)
+            number = (kept.start or 0) + np.arange(len(recorded))
+            cells, pressure = (None if found is None else found.astype(float) for found in map(read, TRUTHS))
             raw = hdf5.has(file, "/entry/raw/sums")
-            sums = hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None
-            readings = int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if sums is not None else None
-            simulated = hdf5.has(file, "/entry/truth/simulation")
-            simulation = hdf5.read_text(file, "/entry/truth/simulation") if simulated else None
-            acquisition = Acquisition.read(file, kept)
-            started = hdf5.has(file, "/entry/start_time")
-            start_time = hdf5.read_text(file, "/entry/start_time") if started else None
-            if acquisition is not None and not started and frames and optional["time"]:
+            acquisition, start_time = Acquisition.read(file, kept), text("/entry/start_time")
+            if acquisition is not None and start_time is None and len(recorded) and time is not None:
                 start_time = acquisition.start(float(time[0]))
-        return cls(
-            scene,
-            recorded,
-            np.asarray(time, dtype=float),
-            np.asarray(role),
-            sigma,
-            truth["cell_resistance"],
-            truth["pressure"],
-            sums,
-            readings,
-            path.stem,
-            simulation,
-            acquisition,
-            start_time,
-            number,
-        )
+            return cls(
+                scene,
+                recorded,
+                np.asarray(number if time is None else time, dtype=float),
+                np.ones(len(recorded), dtype=np.uint8) if role is None else role,
+                None if sigma is None else sigma.astype(float),
+                cells,
+                pressure,
+                hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None,
+                int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if raw else None,
+                path.stem,
+                text("/entry/truth/simulation"),
+                acquisition,
+                start_time,
+                None if part == hdf5.ALL else number,
+            )
 
     def save(self, path: str | Path) -> None:
         """Write the recording, whole or not at all. Raises InputError where the place cannot be written."""
@@ -238,6 +228,13 @@ class Recording:
         return frames
 
 
+def head_of(file: h5py.File, path: Path) -> tuple[Scene, str, str]:
+    """(scene, group of the frames, its signal). Raises InputError where there is no valid scene."""
+    text = hdf5.read_text(file, "/entry/scene")
+    scene: Scene = validated(parse_document(text, f"{path}:/entry/scene"), Scene)
+    return scene, f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
+
+
 def _check_held(file: h5py.File, signal: str, *others: str) -> None:
     """Raise InputError where a recording is more than the machine can hold, with what the readings become at work."""
     shape = hdf5.shape_of(file, signal)
@@ -251,15 +248,15 @@ def group_of(circuit: Readout) -> str:
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
-def whole_frames(file: h5py.File, base: str, signal: str) -> slice:
+def whole_frames(file: h5py.File, group: str, signal: str) -> slice:
     """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
     acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    paths = (f"{base}time", f"{base}role", "/entry/raw/sums", *acquired, base + signal)
+    paths = (*(f"{group}/{name}" for name in ("time", "role", signal)), "/entry/raw/sums", *acquired)
     frames, kept = min(hdf5.shape_of(file, path)[0] for path in paths), 0
     for begin in range(0, frames, AT_ONCE):
-        recorded = hdf5.read_array(file, base + signal, 3, part=slice(begin, min(begin + AT_ONCE, frames)))
+        recorded = hdf5.read_array(file, f"{group}/{signal}", 3, part=slice(begin, min(begin + AT_ONCE, frames)))
         # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
         unwritten = np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))
         if len(unwritten):

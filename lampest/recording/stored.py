@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
-from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
 from lampest.files.whole import remove_own
 from lampest.panel.scene import Scene
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, whole_frames
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of, whole_frames
 
 WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more
@@ -34,20 +33,14 @@ class StoredRecording:
     def of(cls, path: Path) -> "StoredRecording":
         """What stands at the head of a file. Raises InputError where it is no recording, or its frames disagree."""
         with hdf5.existing_file(path) as file:
-            text = hdf5.read_text(file, "/entry/scene")
-            scene: Scene = validated(parse_document(text, f"{path}:/entry/scene"), Scene)
-            base = f"/entry/{group_of(scene.circuit)}"
-            shape = hdf5.shape_of(file, f"{base}/{scene.circuit.signal}")
+            scene, group, signal = head_of(file, path)
+            shape = hdf5.shape_of(file, f"{group}/{signal}")
             if len(shape) != 3 or not shape[0]:
-                raise InputError(f"{path}: {base}/{scene.circuit.signal} must be frames × rows × columns")
-            kept = whole_frames(file, f"{base}/", scene.circuit.signal).stop
-            for name in ("time", "role"):
-                if (
-                    kept is None
-                    and hdf5.has(file, f"{base}/{name}")
-                    and hdf5.shape_of(file, f"{base}/{name}") != shape[:1]
-                ):
-                    raise InputError(f"{path}: {base}/{name} does not have one value for each of the {shape[0]} frames")
+                raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
+            kept = whole_frames(file, group, signal).stop
+            for axis in (f"{group}/time", f"{group}/role") if kept is None else ():
+                if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
+                    raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")
         return cls(path, scene, shape[0] if kept is None else kept, Recording.load(path, slice(0, 1)).start_time)
 
     @property
@@ -73,37 +66,25 @@ class StoredRecording:
 
 def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
     """Some frames of a part (frames); what a board adds, and raw sums, are left out."""
-    assert recording.number is not None
-    sigma, truth, pressure = recording.sigma, recording.truth_cell_resistance, recording.truth_pressure
-    return replace(
-        recording,
-        recorded=recording.recorded[frames],
-        time=recording.time[frames],
-        role=recording.role[frames],
-        sigma=sigma if sigma is None or sigma.ndim == 2 else sigma[frames],
-        truth_cell_resistance=None if truth is None else truth[frames],
-        truth_pressure=None if pressure is None else pressure[frames],
-        raw_sums=None,
-        raw_readings=None,
-        acquisition=None,
-        number=recording.number[frames],
-    )
+    each: dict[str, Any] = {name: getattr(recording, name)[frames] for name in _of_each_frame(recording)}
+    return replace(recording, **each, raw_sums=None, raw_readings=None, acquisition=None)
 
 
 def of_parts(parts: Sequence[Recording]) -> Recording:
     """Parts of one recording in the order of its frames, each frame once."""
     numbers = np.concatenate([part.number for part in parts if part.number is not None])
     _, order = np.unique(numbers, return_index=True)
-    first = parts[0]
+    each: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])[order] for name in _of_each_frame(parts[0])
+    }
+    return replace(parts[0], **each)
 
-    def joined(name: str) -> Any:
-        return np.asarray(np.concatenate([getattr(part, name) for part in parts])[order])
 
-    each = ["recorded", "time", "role", "number"]
-    each += [name for name in ("truth_cell_resistance", "truth_pressure") if getattr(first, name) is not None]
-    each += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
-    whole: dict[str, Any] = {name: joined(name) for name in each}
-    return replace(first, **whole)
+def _of_each_frame(recording: Recording) -> list[str]:
+    """The fields that hold something for each frame, but for raw sums."""
+    names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
+    names += ["sigma"] if recording.sigma is not None and recording.sigma.ndim == 3 else []
+    return [name for name in names if getattr(recording, name) is not None]
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.extras import extra
+from lampest.files.errors import extra
 from lampest.panel.scene import scene_text
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, TIME, Column
 

@@ -105,7 +105,7 @@ def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
 
 
 def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) -> None:
-    assert written.read_bytes()[8] == 0, "superblock of the oldest format"
+    assert written.read_bytes()[8] == 3, "superblock of the format 1.10, the oldest with checksums of its own"
     seen = []
 
     def look(name: str, node: h5py.Group | h5py.Dataset) -> None:

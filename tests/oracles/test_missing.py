@@ -8,7 +8,7 @@ import pytest
 import lampest
 from lampest.posterior.along import Along
 from lampest.posterior.dense import DenseErrors
-from lampest.recording.stand_in import StandIn
+from lampest.recording.readings import StandIn
 
 SHAPE = (6, 7)
 READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)

@@ -189,25 +189,9 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
 
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
-    body = _HELLO.pack(
-        PROTOCOL_VERSION,
-        Kind.HELLO,
-        hello.rows,
-        hello.columns,
-        hello.readings,
-        hello.most_rows,
-        hello.most_columns,
-        hello.most_readings,
-        hello.firmware[0] << 8 | hello.firmware[1],
-        hello.period_us,
-        hello.shortest_period_us,
-        hello.settle_us,
-        hello.supply_millivolt,
-        hello.reference_milliohm,
-        hello.adc_bits,
-        ACROSS.index(hello.measured_across),
-        hello.running,
-    )
+    fields = list(vars(hello).values())[:15]
+    fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
+    body = _HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields)
     if hello.wiring == "two_point":
         return body
     return body + _HELLO_WIRING.pack(WIRINGS.index(hello.wiring), hello.drive_milliohm)

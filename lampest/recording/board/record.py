@@ -13,12 +13,12 @@ from lampest.files.errors import InputError
 from lampest.files.interrupts import deaf, ending_signals
 from lampest.files.whole import check_output
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_being_written, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
+from lampest.recording.calibration.repeats import noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
@@ -221,7 +221,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
-    """noise with readings·Var(mean code) = noise² + 1/12 − b²(noise), from differences of successive unloaded frames.
+    """The noise of one reading, LSB, from differences of mean codes of successive unloaded frames.
 
     Slow drift and readings at either end of the converter do not count. None below 50 differences.
     """
@@ -231,7 +231,7 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
         total, count = total + float(np.sum(squares)), count + len(squares)
     if readout is None or count < FEWEST_REPEATS:
         return None
-    return _noise_of_variance(readout, total / count / 2)
+    return noise_of_variance(readout, total / count / 2)
 
 
 def _repeats(recording: Recording) -> Array:
@@ -246,14 +246,3 @@ def _repeats(recording: Recording) -> Array:
     inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
     difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
     return np.asarray(difference**2)
-
-
-def _noise_of_variance(readout: Readout, variance: float) -> float:
-    """The noise with that variance = σ²(readings) − b², where b² = σ²(endlessly many readings); by bisection."""
-    low, high = 0.0, 2.0**readout.adc_bits
-    while high - low > 1e-6:
-        middle = (low + high) / 2
-        noisy = dataclasses.replace(readout, noise_lsb=middle)
-        bias = dataclasses.replace(noisy, readings=65535).sigma_code() ** 2
-        low, high = (middle, high) if noisy.sigma_code() ** 2 - bias < variance else (low, middle)
-    return low

@@ -1,24 +1,23 @@
 """Weighted least squares through a circuit's equations: its numbers, how well they are known, whether they can be."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
 from lampest.files.errors import InputError
+from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.recording.calibration.circuit import MEMORY, STEP, WIRE, Circuit, LineUnknowns
 from lampest.recording.calibration.repeats import Trial, within_rails
 
-# Of the cost, at which each round ends. Tolerances are weighed where the round before ended, which need not be exact;
-# the last round is off by less than a hundredth of σ.
-ROUNDS = (1e-2, 1e-6)
+SETTLED = (1.0, 1e-4)  # of ½ χ² in each round: the last one is off by a hundredth of σ
 MOST_STEPS = 25  # good calibrations end after some 5 from the scene's numbers, 10 from those ten times too large
+DIFFERENCE = 2.0**-26  # of an unknown, or of 1: half of the digits
 NONLINEAR_LSB = 0.5  # σ of a converter's own error; ATmega2560: integral non-linearity 0.5 LSB, its data sheet
 UNTOLD = 1e-9  # of the largest singular value: directions that no reading tells anything of
 
@@ -97,25 +96,66 @@ class CircuitFit:
     readings: int
 
 
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """½ (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + ½ Σ e² about θ. root : Cholesky factor of C."""
+
+    problem: Problem
+    root: Array
+    unknowns: Array
+
+    def residual_at(self, unknowns: Array) -> Array:
+        """(readings + lines): what is left in units of its standard deviation, and e."""
+        left = solve_triangular(self.root, self.problem.measured - self.problem.expected(unknowns), lower=True)
+        return np.concatenate([left, unknowns[len(self.problem.circuit.numbers) :]])
+
+    @cached_property
+    def residual(self) -> Array:
+        """At θ."""
+        return self.residual_at(self.unknowns)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """By forward differences."""
+        steps = DIFFERENCE * np.maximum(1.0, np.abs(self.unknowns))
+        moved = (self.residual_at(self.unknowns + step) for step in np.diag(steps))
+        return np.stack([(there - self.residual) / step for there, step in zip(moved, steps, strict=True)], axis=1)
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return float(self.residual @ self.residual) / 2
+
+    @property
+    def gradient(self) -> Array:
+        """Jᵀ f."""
+        return np.asarray(self.jacobian.T @ self.residual)
+
+    @property
+    def normal(self) -> Array:
+        """JᵀJ."""
+        return np.asarray(self.jacobian.T @ self.jacobian)
+
+
 def fit(problem: Problem) -> CircuitFit:
-    """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum."""
-    circuit = problem.circuit
-    unknowns, commons = circuit.start, len(circuit.numbers)
-    for precision in ROUNDS:
+    """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum.
+
+    C depends on θ: a first round ends where its tolerances are known well enough.
+    """
+    circuit, unknowns = problem.circuit, problem.circuit.start
+    for settled in SETTLED:
         root = np.linalg.cholesky(problem.covariance(unknowns))
-
-        def whitened(at: Array, root: Array = root) -> Array:
-            rest = solve_triangular(root, problem.measured - problem.expected(at), lower=True)
-            return np.concatenate([rest, at[commons:]])
-
-        found = least_squares(whitened, unknowns, bounds=(circuit.least, np.inf), ftol=precision, max_nfev=MOST_STEPS)
-        unknowns = found.x
+        found = LevenbergMarquardt(MOST_STEPS, settled).minimum(
+            partial(Whitened, problem, root), unknowns, (circuit.least, np.inf)
+        )
+        unknowns = found.position
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)
-    values = int(problem.within(unknowns).sum())
+    values, commons = int(problem.within(unknowns).sum()), len(circuit.numbers)
     chi_square = float(left @ left + unknowns[commons:] @ unknowns[commons:])
+    covariance = _inverse(found.at.jacobian)
     return CircuitFit(
-        problem, unknowns, _inverse(found.jac), chi_square, values - commons, rest, np.sqrt(np.diag(whole)), values
+        problem, unknowns, covariance, chi_square, values - commons, rest, np.sqrt(np.diag(whole)), values
     )
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.foreign.clock import UNIT_OF_WORD, is_stamp
-from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of
+from lampest.recording.foreign.clock import UNIT_OF_WORD, clock_of, is_stamp
+from lampest.recording.foreign.frames import Clock
+from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,3 +254,31 @@ def _left_out(rows: Rows, data: NDArray[np.bool_], header: list[int]) -> list[st
     shown = " ".join(rows.fields[lines[0]]).strip()[:40]
     more = f" and {len(lines) - 1} other{'s' if len(lines) > 2 else ''}" if len(lines) > 1 else ""
     return [f"left out: {rows.called(int(lines[0]))} ({shown!r}){more}, no readings or cut off"]
+
+
+def timing_of(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
+    """Times of frames from columns (a date and a time of day may be two), taken in these lines, else from stamps."""
+    if columns:
+        return lambda: _clock_of_columns(table, columns, lines)
+    if all(table.stamps[line] for line in lines):
+        return lambda: _clock_of_stamps(table, lines)
+    return None
+
+
+def _clock_of_columns(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Clock:
+    names = table.names or ("",) * table.width
+    dates = [column for column in columns if role_of(names[column]) == "date"]
+    clocks = [column for column in columns if column not in dates]
+    chosen = [*dates[:1], *clocks[:1]]
+    texts = [" ".join(table.fields[line, column] for column in chosen) for line in lines]
+    name, at = names[chosen[-1]], chosen[-1]
+    clock = clock_of(texts, name, lambda number: table.place(lines[number], at), table.numerals)
+    return Clock(
+        clock.seconds, clock.start, f"time: {f'column {name!r}' if name else 'first field'} in {clock.sentence}"
+    )
+
+
+def _clock_of_stamps(table: ForeignTable, lines: Sequence[int]) -> Clock:
+    texts = [table.stamps[line] for line in lines]
+    clock = clock_of(texts, "", lambda number: table.place(lines[number], None), table.numerals)
+    return Clock(clock.seconds, clock.start, f"time: the terminal's, {clock.sentence}")

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from lampest.files.errors import InputError
-from lampest.files.plugins import installed
+from lampest.files.tagged import installed
 from lampest.files.whole import refuse_input, sparing, whole_file
 from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export

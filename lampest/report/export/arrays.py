@@ -8,8 +8,7 @@ from zipfile import ZipFile, ZipInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.report.export.export import Export, series_of
 from lampest.runs.case import CaseResult
 from lampest.runs.labelled import about

@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.panel.scene import Scene
 from lampest.report.export.export import Export, Series, series_of
 from lampest.runs.case import CaseResult

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lampest.files.extras import extra
+from lampest.files.errors import extra
 from lampest.report.export.export import Export
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import all_columns

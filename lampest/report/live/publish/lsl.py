@@ -9,8 +9,7 @@ from urllib.parse import SplitResult
 
 import numpy as np
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.report.live.message import FORMAT, VERDICTS, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 

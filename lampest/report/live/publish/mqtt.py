@@ -9,8 +9,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult, unquote
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.report.live.message import Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.report.live.message import Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 

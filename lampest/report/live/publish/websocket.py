@@ -12,8 +12,7 @@ from threading import Thread
 from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult
 
-from lampest.files.errors import InputError
-from lampest.files.extras import extra
+from lampest.files.errors import InputError, extra
 from lampest.report.live.handover import Newest
 from lampest.report.live.publish.publish import Publish, Say, Send
 from lampest.report.live.server import MOST_STREAMS, Access
