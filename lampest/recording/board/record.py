@@ -18,11 +18,9 @@ from lampest.recording.board.journal import Journal, is_being_written, is_finish
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
-from lampest.recording.calibration.repeats import noise_of_variance
+from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened, save_parts
-
-FEWEST_REPEATS = 50
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,10 @@ from lampest.recording.calibration.fit import (
     fit,
     found_number,
 )
-from lampest.recording.calibration.repeats import Repeats, Trial, repeats
+from lampest.recording.calibration.repeats import FEWEST_REPEATS, Repeats, Trial, repeats
 from lampest.recording.recording import Recording
 
 TOLERANCE = 0.01  # of resistors as they are sold
-FEWEST_REPEATS = 50  # of a line: they tell its noise to a tenth
 LEAST_VARIANCE = 1 / 12  # LSB²: below quantisation's own, lines that differ make no difference
 DIGITS = 3  # of an ohm and of a code: below what any contact or converter repeats to
 

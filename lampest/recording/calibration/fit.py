@@ -12,7 +12,7 @@ from lampest.files.errors import InputError
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, Side
-from lampest.recording.calibration.circuit import MEMORY, STEP, WIRE, Circuit, LineUnknowns
+from lampest.recording.calibration.circuit import MEMORY, STEP, TYPICAL_OHM, WIRE, Circuit, LineUnknowns
 from lampest.recording.calibration.repeats import Trial, within_rails
 
 SETTLED = (1.0, 1e-4)  # of ½ χ² in each round: the last one is off by a hundredth of σ
@@ -246,7 +246,7 @@ def _measured(fit: CircuitFit, side: Side) -> NDArray[np.bool_]:
 
 BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
 # A channel of a CD74HC4067 at 5 V; typical and worst are its data sheet's.
-BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0
+BEST_OHM, WORST_OHM = 40.0, 160.0
 MOST_OF_RESISTORS = 0.1  # by which a load may differ from the others: twice the 5 % of ordinary resistors
 LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
 OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below

@@ -14,6 +14,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import PerLine, Side
 from lampest.recording.recording import Recording
 
+FEWEST_REPEATS = 50  # they tell a noise to a tenth
 ENDLESS = 65535  # readings: what is then left of σ does not average out
 BELIEF = 4.0  # the scene's noise counts as much as so many repeats: few frames with equal codes do not mean no noise
 WILD, FEWEST_FRAMES = 7.0, 5  # robust σ of a reading that is left out, and from how many frames on one can be told

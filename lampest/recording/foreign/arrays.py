@@ -106,9 +106,6 @@ def _reading(path: Path, kind: str) -> Iterator[None]:
         raise InputError(f"{path}: no readable {kind} file ({said})") from error
 
 
-MOST_AXES = 3
-
-
 def arrays_of_level_7(path: Path) -> dict[str, NDArray[Any]]:
     """Name → array in MATLAB's shape (HDF5 has its axes in reverse); texts, structures and cells are left out.
 
@@ -120,7 +117,7 @@ def arrays_of_level_7(path: Path) -> dict[str, NDArray[Any]]:
             for name in hdf5.child_datasets(file, "/"):
                 dataset = file[name]
                 kind = hdf5.read_attribute(file, f"/{name}", "MATLAB_class")
-                if dataset.dtype.kind not in "iuf" or kind == "char" or not 1 <= len(dataset.shape or ()) <= MOST_AXES:
+                if dataset.dtype.kind not in "iuf" or kind == "char" or not dataset.shape:
                     continue
                 if hdf5.read_attribute(file, f"/{name}", "MATLAB_empty"):
                     continue
@@ -131,7 +128,6 @@ def arrays_of_level_7(path: Path) -> dict[str, NDArray[Any]]:
 
 
 MAT_HEADER = 128
-MOST_UNPACKED = 400_000_000
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 NUMERIC_CLASSES = range(6, 16)  # double, single, int8 ... uint64
@@ -150,7 +146,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     order = {b"IM": "<", b"MI": ">"}.get(data[MAT_HEADER - 2 : MAT_HEADER])
     if order is None:
         raise InputError(f"{path}: no readable .mat file (save it with the option -v7)")
-    arrays, rest = {}, MOST_UNPACKED
+    arrays, rest = {}, MOST_BYTES
     try:
         for kind, body in _elements(memoryview(data)[MAT_HEADER:], order):
             if kind == COMPRESSED:

@@ -45,7 +45,7 @@ COLUMN_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(\d+){GAP}{ROW}{GAP}(
 TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
-LONGEST_NAME = 100  # signs of a name that are looked at
+LONGEST = 100  # signs of a name or a number that are looked at: patterns would take long over more
 
 
 class CellName(NamedTuple):
@@ -68,7 +68,7 @@ def role_of(name: str) -> str | None:
 
 def cell_of(name: str) -> CellName | None:
     """The cell in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in any other name."""
-    text = _without_unit(name[:LONGEST_NAME]).strip().lower()
+    text = _without_unit(name[:LONGEST]).strip().lower()
     for pattern, turned in ((ROW_FIRST, False), (COLUMN_FIRST, True), (TWO_NUMBERS, False)):
         match = pattern.fullmatch(text)
         if match and len(match[1]) + len(match[2]) < 12:
@@ -79,7 +79,7 @@ def cell_of(name: str) -> CellName | None:
 
 def line_of(name: str) -> tuple[str, int] | None:
     """Word and number of R3, 'row 3', 3, col_3: ('r', 3); None in any other name."""
-    match = ONE_NUMBER.fullmatch(_without_unit(name[:LONGEST_NAME]).strip().lower())
+    match = ONE_NUMBER.fullmatch(_without_unit(name[:LONGEST]).strip().lower())
     return (match[1], int(match[2])) if match and len(match[2]) < 10 else None
 
 
@@ -164,8 +164,6 @@ INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#i
 POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d*)?)([eE][+-]?\d+)?", re.ASCII)
 COMMA = re.compile(r"[+-]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+(,\d+)?)([eE][+-]?\d+)?", re.ASCII)
 
-LONGEST_NUMBER = 100  # signs of a number: more are none, and the patterns would take long to say so
-
 
 @dataclass(frozen=True)
 class Numerals:
@@ -196,7 +194,7 @@ class Numerals:
 
         texts = fields.ravel()
         # With commas, points may set thousands apart: those are left to `_read`.
-        plain = ["" if len(text) > LONGEST_NUMBER or (self.comma and "." in text) else text for text in texts]
+        plain = ["" if len(text) > LONGEST or (self.comma and "." in text) else text for text in texts]
         if self.comma:
             plain = [text.replace(",", ".") for text in plain]
         values = pandas.to_numeric(pandas.Series(plain, dtype=object), errors="coerce").to_numpy(float).copy()
@@ -219,8 +217,8 @@ class Numerals:
 
 
 def _is_comma(field: str) -> bool:
-    return len(field) <= LONGEST_NUMBER and COMMA.fullmatch(field) is not None
+    return len(field) <= LONGEST and COMMA.fullmatch(field) is not None
 
 
 def _is_point(field: str) -> bool:
-    return len(field) <= LONGEST_NUMBER and POINT.fullmatch(field) is not None
+    return len(field) <= LONGEST and POINT.fullmatch(field) is not None
