@@ -23,8 +23,7 @@ from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Water
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import AT_LEAST, VALUE, Readings
-from lampest.recording.stand_in import StandIn
+from lampest.recording.readings import AT_LEAST, VALUE, Readings, StandIn
 from lampest.runs.case import SHARED
 from lampest.runs.executors import each_of
 from lampest.runs.frame_noise import frame_noise_of

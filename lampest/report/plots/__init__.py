@@ -3,7 +3,6 @@
 A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
 
-<<<<<<< HEAD
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,15 +11,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError, in_words
-from lampest.files.plugins import installed
+from lampest.files.tagged import installed
 from lampest.recording.stored import too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
-=======
-from lampest.files.errors import InputError
-from lampest.files.tagged import installed
-from lampest.report.plots.certainty import CertaintyPlot
-from lampest.report.plots.contours import ContourPlot
->>>>>>> 0affb23 (Recordings are read by one reader of slices; calibration by the shared least squares; checksums of a file in one place)
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
 from lampest.report.plots.style import SUFFIXES, verbatim, write_all
