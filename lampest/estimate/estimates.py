@@ -326,7 +326,7 @@ class Estimates:
         change = np.log(self._ratio) - (0.0 if warmth is None else warmth.logarithm)
         with np.errstate(divide="ignore"):
             width = np.log(self._bars.ratio_upper) - np.log(self._bars.ratio_lower)
-        return FilmKnown.told(film).estimated(change, width / (2 * NORMAL_95), self.time)
+        return FilmKnown.specified(film).estimated(change, width / (2 * NORMAL_95), self.time)
 
     @property
     def misfit(self) -> dict[str, Array]:

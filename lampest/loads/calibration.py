@@ -49,10 +49,6 @@ class Loaded:
     water: Array
     base: Response = PUBLISHED
 
-    def pieces(self, pressure: Array) -> Array:
-        """a (loads, cells, pieces) of a load's pressures (loads, cells)."""
-        return falls(pressure + self.water, self.base) - falls(self.water, self.base)
-
 
 def falls(pressure: Array, base: Response) -> Array:
     """How much of −ln f_base(p) lies in each piece, (..., pieces); signed as the pressure."""
@@ -66,7 +62,7 @@ def falls(pressure: Array, base: Response) -> Array:
 class Fitted:
     """ln κ (cells), ψ (pieces), the covariance of both together, spread and scatter.
 
-    touched : (cells) whether any load was felt. answers : how many of loads and cells took part.
+    touched : (cells) whether any load was felt.
     """
 
     gains: Array
@@ -75,24 +71,18 @@ class Fitted:
     spread: float
     scatter: float
     touched: NDArray[np.bool_]
-    answers: int
-
-    @property
-    def centred(self) -> Array:
-        """(cells, cells + pieces): ln κ_i minus the mean over touched cells, which belongs to the curve."""
-        cells = len(self.gains)
-        return np.eye(cells, cells + len(self.pieces)) - self._mean
 
     @property
     def _mean(self) -> Array:
-        """(cells + pieces): the mean of ln κ over touched cells."""
+        """(cells + pieces): the mean of ln κ over touched cells, which belongs to the curve."""
         return np.concatenate([self.touched / max(self.touched.sum(), 1), np.zeros(len(self.pieces))])
 
     def gain(self) -> tuple[Array, Array]:
         """κ and its relative standard deviation, from load to load included; (cells)."""
-        logarithm = self.centred @ np.concatenate([self.gains, self.pieces])
-        own = np.einsum("ij,jk,ik->i", self.centred, self.covariance, self.centred)
-        return np.exp(logarithm), np.sqrt(own + self.scatter**2)
+        cells = len(self.gains)
+        centred = np.eye(cells, cells + len(self.pieces)) - self._mean
+        own = np.einsum("ij,jk,ik->i", centred, self.covariance, centred)
+        return np.exp(centred @ np.concatenate([self.gains, self.pieces])), np.sqrt(own + self.scatter**2)
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
         """ln f and its relative standard deviation at pressures (n) kPa but 0."""
@@ -109,10 +99,12 @@ def fit_loads(loaded: Loaded) -> Fitted:
     Where nothing was felt, touched is all False.
     """
     felt = np.isfinite(loaded.change) & np.isfinite(loaded.sd) & ((loaded.pressure != 0) | (loaded.pressure_sd > 0))
-    problem = _Answers(loaded, felt, *np.nonzero(felt))
-    found = Fitted(
-        np.zeros(loaded.change.shape[1]), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *BEGIN, felt.any(axis=0), 0
-    )
+    on_film, sd, base = loaded.pressure + loaded.water, loaded.pressure_sd, loaded.base
+    here = (falls(on_film, base) - falls(loaded.water, base))[felt]
+    place = (falls(on_film + sd, base) - falls(on_film - sd, base))[felt] / 2
+    problem = _Answers(loaded.change[felt], np.maximum(loaded.sd[felt], LEAST_SD), np.nonzero(felt)[1], here, place)
+    cells = loaded.change.shape[1]
+    found = Fitted(np.zeros(cells), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *BEGIN, felt.any(axis=0))
     for _ in range(ROUNDS):
         found = problem.supposed(problem.solved(found))
     return problem.solved(found)
@@ -120,23 +112,25 @@ def fit_loads(loaded: Loaded) -> Fitted:
 
 @dataclass(frozen=True, eq=False)
 class _Answers:
-    """felt : (loads, cells) what takes part; load, cell : (answers) its indices."""
+    """The answers (n) that take part: ln(r/r0), its standard deviation and its cell.
 
-    loaded: Loaded
-    felt: NDArray[np.bool_]
-    load: NDArray[np.intp]
+    falls, open_falls : (n, pieces) a of the load, and what its place leaves open of that.
+    """
+
+    change: Array
+    sd: Array
     cell: NDArray[np.intp]
+    falls: Array
+    open_falls: Array
 
-    def answer(self, found: Fitted, pressure: Array) -> tuple[Array, Array]:
-        """x (answers) under pressures (loads, cells), and its slopes by ψ (answers, pieces)."""
-        parts = -self.loaded.pieces(pressure)[self.felt] * np.exp(found.gains[self.cell, None] + found.pieces)
-        return parts.sum(axis=1), parts
+    def parts(self, found: Fitted, falls: Array) -> Array:
+        """Summands of x by pieces, (n, pieces): also the slopes of x by ψ."""
+        return np.asarray(-falls * np.exp(found.gains[self.cell, None] + found.pieces))
 
     def variance(self, found: Fitted) -> tuple[Array, Array]:
-        """(answers) of the estimate and of the load's place; and x², of which the scatter is a multiple."""
-        more, less = (self.answer(found, self.loaded.pressure + sign * self.loaded.pressure_sd)[0] for sign in (1, -1))
-        known = np.maximum(self.loaded.sd[self.felt], LEAST_SD) ** 2 + ((more - less) / 2) ** 2
-        return known, self.answer(found, self.loaded.pressure)[0] ** 2
+        """(n) of the estimate and of the load's place; and x², of which the scatter is a multiple."""
+        known = self.sd**2 + self.parts(found, self.open_falls).sum(axis=1) ** 2
+        return known, self.parts(found, self.falls).sum(axis=1) ** 2
 
     def solved(self, found: Fitted) -> Fitted:
         """The least squares at spread, scatter and weights of what was found before."""
@@ -148,26 +142,27 @@ class _Answers:
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / found.spread
         prior[cells:, cells:] = np.vstack([walk, level])
-        change, rows = self.loaded.change[self.felt], np.arange(len(self.cell))
+        rows = np.arange(len(self.cell))
 
         def split(state: Array) -> Fitted:
             return replace(found, gains=state[:cells], pieces=state[cells:])
 
         def model(state: Array) -> SumOfSquares:
-            answer, parts = self.answer(split(state), self.loaded.pressure)
+            parts = self.parts(split(state), self.falls)
+            answer = parts.sum(axis=1)
             own = np.zeros((len(rows), cells))
             own[rows, self.cell] = weight * answer
-            residual = np.concatenate([weight * (answer - change), prior @ state])
+            residual = np.concatenate([weight * (answer - self.change), prior @ state])
             return SumOfSquares(residual, np.vstack([np.hstack([own, weight[:, None] * parts]), prior]))
 
         ended = LEAST_SQUARES.minimum(model, np.concatenate([found.gains, found.pieces]))
-        return replace(split(ended.position), covariance=np.linalg.inv(ended.at.normal), answers=len(rows))
+        return replace(split(ended.position), covariance=np.linalg.inv(ended.at.normal))
 
     def supposed(self, found: Fitted) -> Fitted:
         """With spread and scatter of the largest evidence, cell by cell: residuals are N(0, V + spread² x xᵀ)."""
         known, square = self.variance(found)
-        answer = self.answer(found, self.loaded.pressure)[0]
-        left = self.loaded.change[self.felt] - answer + answer * found.gains[self.cell]
+        answer = self.parts(found, self.falls).sum(axis=1)
+        left = self.change - answer + answer * found.gains[self.cell]
         cells = len(found.gains)
 
         def cost(logarithms: Array) -> float:
@@ -176,7 +171,7 @@ class _Answers:
             most = np.bincount(self.cell, answer**2 / variance, cells)
             shared = np.bincount(self.cell, answer * left / variance, cells)
             volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
-            # One cell knows nothing of the spread; its own size keeps it from running away.
+            # One cell leaves the spread open; the last summand keeps it finite.
             return float((left**2 / variance).sum() - (shared**2 / (1 / spread**2 + most)).sum() + volume + spread)
 
         ended = minimize(cost, np.log([found.spread, found.scatter]), method="Nelder-Mead")

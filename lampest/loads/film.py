@@ -196,7 +196,7 @@ class FilmMemory:
 class FilmKnown:
     """What is known of a film's strengths.
 
-    hysteresis, creep : strengths of a cell. film : what the scene says. sentence : where they come from, or ''.
+    hysteresis, creep : strengths of a cell. film : as the scene has it. sentence : where they come from, or ''.
     cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
     """
 
@@ -207,7 +207,7 @@ class FilmKnown:
     cells: tuple[Array, Array] | None = None
 
     @classmethod
-    def told(cls, film: Film) -> "FilmKnown":
+    def specified(cls, film: Film) -> "FilmKnown":
         """As the scene specifies; what it leaves open as is usual."""
         found = cls(film, film.told_hysteresis, film.told_creep)
         return replace(found, sentence=found._said("assumed"))
@@ -313,10 +313,7 @@ class FilmTrack:
         return 1.0 if self.time is None else max(time - self.time, SOONEST)
 
     def memory(self, time: float) -> Array:
-        """ln(r/r_rest) (rows, columns) that is left of loads where nothing has touched the panel since the last frame,
-
-        without the zero.
-        """
+        """ln(r/r_rest) (rows, columns) that is left of loads if nothing came since the last frame; without the zero."""
         return self.films[0].fading(self.seconds(time))
 
     def observed(self, change: Array, time: float) -> "FilmTrack":

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -58,7 +59,7 @@ class KnownLoad:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
 
     def check(self) -> None:
-        """Raise ValueError unless what is told makes one load."""
+        """Raise ValueError unless these numbers make one load."""
         if sum(one is not None for one in (self.mass_g, self.force_newton, self.pressure_kpa)) != 1:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = (self.diameter_mm is not None, self.length_mm is not None, self.width_mm is not None)
@@ -69,36 +70,21 @@ class KnownLoad:
         if not any(given) and self.pressure_kpa is None:
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
-    @property
-    def foot(self) -> Shape | None:
-        """A unit weight on the foot; None: the whole panel."""
-        if self.x_mm is None or self.y_mm is None:
-            return None
-        place = {"centre_mm": (self.x_mm, self.y_mm), "mass_g": 1.0}
-        if self.diameter_mm is not None:
-            return Rod(diameter_mm=self.diameter_mm, **place)  # type: ignore[arg-type]
-        assert self.length_mm is not None and self.width_mm is not None
-        return Block(length_mm=self.length_mm, width_mm=self.width_mm, angle_deg=self.angle_deg, **place)  # type: ignore[arg-type]
-
-    @property
-    def area_mm2(self) -> float:
-        """Of the foot."""
-        if self.diameter_mm is not None:
-            return float(np.pi / 4 * self.diameter_mm**2)
-        return (self.length_mm or 0.0) * (self.width_mm or 0.0)
-
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
         """Mean on every patch, (rows, columns) kPa; of the foot elsewhere by so much."""
-        foot = self.foot
-        if foot is None:
+        if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
-        kpa = self.pressure_kpa
-        if kpa is None:
-            newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
-            kpa = newton / self.area_mm2 * 1e3
-        moved = type(foot)(**{**vars(foot), "centre_mm": (foot.centre_mm[0] + along_mm, foot.centre_mm[1] + down_mm)})
-        contact, _ = moved.mean_pressure(panel, patch_mm)
-        return np.asarray(kpa * contact / (GRAVITY / self.area_mm2))
+        centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
+        foot: Shape  # under a weight of 1 g
+        if self.diameter_mm is not None:
+            foot, area = Rod(centre_mm=centre, diameter_mm=self.diameter_mm, mass_g=1.0), pi / 4 * self.diameter_mm**2
+        else:
+            foot = Block(centre_mm=centre, length_mm=length, width_mm=width, angle_deg=self.angle_deg, mass_g=1.0)
+            area = length * width
+        newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
+        kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
+        contact, _ = foot.mean_pressure(panel, patch_mm)
+        return np.asarray(kpa * contact / (GRAVITY / area))
 
 
 @dataclass(frozen=True, kw_only=True)

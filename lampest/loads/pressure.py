@@ -23,11 +23,9 @@ NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in stan
 class Pressure:
     """What presses on the cells or sucks at them, against the surroundings: without the pressure of the water.
 
-    Parameters
-    ----------
     pressure : (frames, rows, columns) kPa; NaN where the estimate is.
     lower, upper : ends of the 95 % interval, kPa. `lower` is never below an empty space; `upper` may be infinite.
-    errors : half the 68 % interval, kPa: one standard deviation where the response is straight.
+    errors : half the 68 % interval, kPa: one standard deviation where the response is linear.
     saturated : 1 where the response leaves the pressure open: the interval reaches beyond `told_kpa` of the response,
         water included; of the published one −10 and 40 kPa. Without any error of the estimate this begins at 31 kPa.
     tared : (frames) why zero was taken anew after a frame; '' where it was not.
@@ -56,12 +54,10 @@ def pressure_of(
     that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
     names a film, its memory of earlier frames is taken off; see `PressureTrack`.
 
-    Parameters
-    ----------
     ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed.
     lower, upper : ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
     scene : panel, and water and temperature where it names them; the water stood there in the unloaded frames too.
-    time : (frames) s; a second apart where it is None. known : of the film; None: what the scene says.
+    time : (frames) s; a second apart where it is None. known : of the film; None: as the scene has it.
     tare : when zero is taken anew; None: never.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
@@ -95,10 +91,10 @@ class PressureTrack:
 
     @classmethod
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
-        """Before the first frame. known : of the film; None: what the scene says. tare : when zero is taken anew."""
+        """Before the first frame. known : of the film; None: as the scene has it. tare : when zero is taken anew."""
         if scene.film is None and tare is None:
             return cls(scene, None)
-        known = known or FilmKnown.told(scene.film or Film())
+        known = known or FilmKnown.specified(scene.film or Film())
         film = FilmTrack.begin(known, water_pressure(scene.panel, scene.water), scene.response or PUBLISHED)
         return cls(scene, film, None if tare is None else TareWatch(tare))
 

@@ -3,12 +3,11 @@
 In each of the last so many frames every cell must lie where noise, drift and the film's memory may have brought it;
 their mean no farther than MOST, that of four neighbours MOST_OF_FOUR. Then the mean of the first half of them is the
 new zero; the other half is a guard, so that a load that begins to come is not in it. Noise is what cells scatter by
-from frame to frame: a load that comes or goes counts as departure and not as noise. Zero waits while the memory of a
-load fades by more than FADES over the frames: it would hold what was wrong of that memory. What grows more slowly than
-films drift cannot be told from drift by anybody, and is taken off.
+from frame to frame. Zero waits while the memory of a load fades by more than FADES over the frames: it would hold the
+memory's error. What grows more slowly than films drift cannot be told from drift, and is taken off.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,62 +50,54 @@ class Tare:
 
 @dataclass(frozen=True, eq=False)
 class TareWatch:
-    """What has been seen since the last frame that was not at rest.
+    """The frames since the last one that was not at rest.
 
-    tare : when. zeroed : s, of the last zero; None before the first frame. left : (frames, rows, columns) ln r/r_zero
-    without the film's memory. memories : (frames, rows, columns) that memory. times : (frames) s.
+    tare : when. zeroed : s, of the last zero; None before the first frame. frames : at most as many as `tare` asks for:
+    (rows, columns) ln r/r_zero without the film's memory, (rows, columns) that memory, and s.
     """
 
     tare: Tare
     zeroed: float | None = None
-    left: tuple[Array, ...] = ()
-    memories: tuple[Array, ...] = ()
-    times: tuple[float, ...] = ()
+    frames: tuple[tuple[Array, Array, float], ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
         """(the watch after a frame, mean that is the new zero or None, why in a sentence or '').
 
         left : (rows, columns) ln r/r_zero without the memory, NaN where a cell is not known. memory : (rows, columns).
         """
-        watch = replace(self, zeroed=time if self.zeroed is None else self.zeroed)
+        zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
         if not np.isfinite(left).any():
-            return TareWatch(self.tare, watch.zeroed), None, ""
-        count = self.tare.frames
-        watch = TareWatch(
-            self.tare,
-            watch.zeroed,
-            (*self.left, left)[-count:],
-            (*self.memories, memory)[-count:],
-            (*self.times, time)[-count:],
-        )
-        fades = float(np.abs(watch.memories[0] - memory).max())
-        mean = watch._zero(memory) if len(watch.left) == count and fades < FADES else None
+            return TareWatch(self.tare, zeroed), None, ""
+        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, memory, time))[-count:])
+        _, first_memory, first_time = watch.frames[0]
+        steady = np.abs(first_memory - memory).max() < FADES
+        mean = watch._zero(memory, (time - zeroed) / 60) if len(watch.frames) == count and steady else None
         if mean is None:
             return watch, None, ""
-        seconds, most = time - watch.times[0], 100 * np.expm1(np.nanmax(np.abs(mean)))
+        most = 100 * np.expm1(np.nanmax(np.abs(mean)))
         said = (
-            f"nothing touched the panel for {count} frames ({seconds:.3g} s): no cell was off by more than {most:.2g} %"
-            ", as drift and the film's memory allow"
+            f"nothing touched the panel for {count} frames ({time - first_time:.3g} s): no cell was off by more than "
+            f"{most:.2g} %, as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, said
 
-    def _zero(self, memory: Array) -> Array | None:
-        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero."""
-        frames = np.stack(self.left)
+    def _zero(self, memory: Array, minutes: float) -> Array | None:
+        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero.
+
+        minutes : since the last zero.
+        """
+        frames = np.stack([left for left, _, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
         noise = OF_DIFFERENCES * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
-        minutes = (self.times[-1] - (self.zeroed or 0.0)) / 60
         moved = np.sqrt(SETTLED**2 + (self.tare.drift_per_minute * minutes) ** 2 + (OWN * memory[known]) ** 2)
         half = len(frames) // 2
-        mean, error = frames[:half, known].mean(axis=0), noise / np.sqrt(half)
-        alone, together = frames[:, known] / np.hypot(noise, moved), mean / np.hypot(2 * error, moved)
-        quiet = (
-            np.abs(alone).max() < FAR and (alone**2).mean(axis=1).max() < TOGETHER and np.abs(together).max() < FAR_MEAN
-        )
-        if not quiet or np.mean(mean**2) < WORTH**2 * np.mean(error**2):
+        mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
+        each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
+        quiet = np.abs(each).max() < FAR and (each**2).mean(axis=1).max() < TOGETHER
+        worth = np.mean(mean[known] ** 2) >= WORTH**2 * np.mean(error**2)
+        if not (quiet and worth and np.abs(all_in_all).max() < FAR_MEAN) or stands_out(frames.mean(axis=0)):
             return None
-        zero = np.where(known, frames[:half].mean(axis=0), np.nan)
-        return None if stands_out(frames.mean(axis=0)) else zero
+        return np.where(known, mean, np.nan)
 
 
 def stands_out(change: Array) -> bool:

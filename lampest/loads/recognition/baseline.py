@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.film import Creep
@@ -50,8 +49,8 @@ class Baseline:
     def alike(self) -> Array:
         """Correlation of the cells' departures from the response curve, (cells, cells).
 
-        A film that is bent answers less everywhere, a rim presses harder on one side: parts of it are common to all
-        cells, shared by neighbours, and each cell's own.
+        Parts of it are common to all cells (a bent film), shared by neighbours (a rim that presses harder on one side),
+        and each cell's own.
         """
         common, near = COMMON
         return np.asarray(common + near * self.near + (1 - common - near) * np.eye(len(self.near)))
@@ -69,7 +68,7 @@ class Baseline:
     ) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², by Gauss-Newton steps.
 
-        measured, sigma : (rows, columns) ohm. A reading that stands alone against all others does not count.
+        measured, sigma : (rows, columns) ohm. An outlier does not count.
         scene : what they were taken in. common : (cells, n) ohm, a root of the covariance of what they share by chance;
         None: nothing. Raises ValueError unless its readout is a two-point one.
         """
@@ -96,28 +95,17 @@ class Baseline:
             innovation = residual + slope @ (state - mean)
             factor = cho_factor(slope @ across + np.diag(noise) + shared)
             if step == ROUGHLY:
-                noise = np.where(_alone(factor, innovation), (FAR_OFF * measured.ravel()) ** 2, noise)
+                inverse = cho_solve(factor, np.eye(cells))
+                outlier = np.abs(inverse @ innovation) > ALONE * np.sqrt(np.diag(inverse))  # as in `frame.outliers`
+                noise = np.where(outlier, (FAR_OFF * measured.ravel()) ** 2, noise)
                 factor = cho_factor(slope @ across + np.diag(noise) + shared)
             move = mean + across @ cho_solve(factor, innovation) - state
             state = state + move * min(1.0, 1.0 / np.abs(move[:cells]).max(initial=1e-300))
             if step > ROUGHLY and np.abs(move).max() < SETTLED:
                 break
         covariance = prior - across @ cho_solve(factor, across.T)
-        return cls(
-            state[:cells].reshape(rows, columns),
-            state[cells:],
-            covariance,
-            series_ohm,
-            model_errors,
-            scene.response or PUBLISHED,
-        )
-
-
-def _alone(factor: tuple[Array, bool], innovation: Array) -> NDArray[np.bool_]:
-    """Which readings are outliers by all others and the spread of cells; see `frame.outliers`."""
-    inverse = cho_solve(factor, np.eye(len(innovation)))
-    alone: NDArray[np.bool_] = np.abs(inverse @ innovation) > ALONE * np.sqrt(np.diag(inverse))
-    return alone
+        logarithm, response = state[:cells].reshape(rows, columns), scene.response or PUBLISHED
+        return cls(logarithm, state[cells:], covariance, series_ohm, model_errors, response)
 
 
 def network_of(logarithm: Array) -> Network:

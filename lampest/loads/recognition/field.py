@@ -53,7 +53,7 @@ def _prior(frame: Observation, states: NDArray[np.intp]) -> Array:
 
 
 def _expected(frame: Observation, change: Array, prior: Array) -> tuple[Array, Array]:
-    """(covariance of the readings, what they are off by from a panel at rest), straight about ln r/r0 = `change`."""
+    """(covariance of the readings, their distance from a panel at rest), both linearised about ln r/r0 = `change`."""
     residual, slope = frame.missed(change, np.arange(change.size))
     return frame.covariance(change) + slope @ prior @ slope.T, residual + slope @ change.ravel()
 

@@ -20,7 +20,6 @@ FARTHEST = 5.0  # standard deviations of the prior: the bounds of a fit
 TRIAL = 4  # evaluations before a fit may be given up
 LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 PATCHES = (0.9, 1.1)  # times a patch's edge, for a difference
-HELD = 1e-3  # standard deviation of a parameter that stays where it is
 LOST = 18.0  # of ln P below `hopeless`: the evidence of such a fit hardly counts, and its widths are not measured
 # The profile of ln d: its step, 0.9 mm at 30 mm; steps to either side; evaluations at each.
 STEP, MOST, TRIES = 0.03, 24, 6
@@ -78,23 +77,20 @@ class Linearisation(SumOfSquares):
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A candidate on a panel with patches, before a frame with the whitening of its errors.
-
-    held : number of a parameter that stays, in place of its prior, and where; None: none does.
-    """
+    """A candidate on a panel with patches, before a frame with the whitening of its errors."""
 
     panel: Panel
     patch_mm: float
     candidate: Candidate
     frame: Observation
     whitening: Whitening
-    held: tuple[int, float] | None = None
 
     def cost(self, parameters: Array) -> float:
         """Half the square of errors of unit variance, of readings and priors."""
         pressure, _ = self.candidate.pressure(self.panel, self.patch_mm, parameters)
         errors = self.whitening @ self.frame.missed(self.frame.change(pressure)[0], NONE)[0]
-        prior = (parameters - self._prior[0]) / self._prior[1]
+        mean, sd = self._prior
+        prior = (parameters - mean) / sd
         return float(errors @ errors + prior @ prior) / 2
 
     def at(self, parameters: Array) -> Linearisation:
@@ -119,10 +115,7 @@ class Fitting:
     @cached_property
     def _prior(self) -> tuple[Array, Array]:
         """Mean and standard deviation of φ."""
-        mean, sd = self.candidate.mean(self.panel), self.candidate.sd(self.panel)
-        if self.held is not None:
-            mean[self.held[0]], sd[self.held[0]] = self.held[1], HELD
-        return mean, sd
+        return self.candidate.mean(self.panel), self.candidate.sd(self.panel)
 
     @cached_property
     def centred(self) -> NDArray[np.bool_]:
@@ -144,27 +137,31 @@ class Fitting:
         return Explained(here.change, np.abs(ends[0] - ends[1]) / 2, patches)
 
     def best(self, start: Array, steps: int = STEPS, hopeless: float = np.inf, rough: bool = False) -> Fit:
-        """The most probable φ that `descended` finds. rough : troughs are as wide as slopes at their bottom promise;
-        see `widened`.
-        """
+        """The most probable φ that `descended` finds. rough : widths are those of the curvature; see `widened`."""
         here, count = self.descended(start, steps, hopeless)
         return self._fit(here, count, rough or here.cost > hopeless - self.whitening.volume - LOST)
 
-    def descended(self, start: Array, steps: int, hopeless: float = np.inf) -> tuple[Linearisation, int]:
+    def descended(
+        self, start: Array, steps: int, hopeless: float = np.inf, held: int | None = None
+    ) -> tuple[Linearisation, int]:
         """(the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
 
         They end where they gain less than ENOUGH, after `steps`, and soon where the score stays above `hopeless`.
+        held : the number of a parameter that stays.
         """
-        mean, reach = self._prior[0], FARTHEST * self._prior[1]
+        mean, sd = self._prior
+        low, high = mean - FARTHEST * sd, mean + FARTHEST * sd
+        if held is not None:
+            low[held] = high[held] = start[held]
         longest = np.array([prior.step for prior in self.candidate.priors(self.panel).values()])
         most = hopeless - self.whitening.volume
         found = LevenbergMarquardt(steps, ENOUGH, longest=longest).minimum(
-            self.at, start, (mean - reach, mean + reach), lambda here, count: count > TRIAL and here.cost > most
+            self.at, start, (low, high), lambda here, count: count > TRIAL and here.cost > most
         )
         return found.at, found.evaluations
 
     def widened(self, fit: Fit) -> Fit:
-        """A rough fit, with troughs as wide as they are."""
+        """A rough fit with widths that are measured."""
         return self._fit(self.at(fit.parameters), fit.steps + 1, False)
 
     def _fit(self, here: Linearisation, count: int, rough: bool) -> Fit:
@@ -195,8 +192,8 @@ class Fitting:
     def _widths(self, here: Linearisation, widths: Array, axes: Array) -> tuple[Array, int]:
         """Standard deviations along the axes of the posterior, in those of the prior, and evaluations.
 
-        Where the slopes see nothing, because a rim runs between patches, they would promise the width of the prior.
-        There the cost one such width away on either side tells how wide the trough is: a parabola through that point.
+        Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such
+        width away on either side gives the width, of a parabola through that point.
         """
         loose = np.flatnonzero(widths > LOOSE)
         widths = widths.copy()
@@ -221,7 +218,7 @@ def with_errors(frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
 
 
 def linear_evidence(fit: Fit, whitening: Whitening, mean: Array, sd: Array) -> float:
-    """ln N(e; A (mean − φ̂), C + A Σ Aᵀ): the frame's probability with the model straight about φ̂, for other errors C.
+    """ln N(e; A (mean − φ̂), C + A Σ Aᵀ): the frame's probability with the model linear about φ̂, for other errors C.
 
     mean, sd : of the priors of φ.
     """
@@ -288,10 +285,9 @@ def _point(fitting: Fitting, start: Array, place: int, held: float) -> AtDiamete
     """The most probable φ with ln d held there; a centre a pitch further on would have touched other patches."""
     begin = start.copy()
     begin[place] = held
-    here, _ = replace(fitting, held=(place, held)).descended(begin, TRIES)
-    mean, sd = fitting.candidate.mean(fitting.panel)[place], fitting.candidate.sd(fitting.panel)[place]
-    precision = here.normal + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
-    cost = here.cost + ((held - mean) / sd) ** 2 / 2
-    covariance = np.linalg.inv(precision)
-    covariance[place, place] += STEP**2 / 12 - HELD**2  # of ln d within a step
-    return AtDiameter(here.parameters, held, cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
+    here, _ = fitting.descended(begin, TRIES, held=place)
+    others = np.ix_(*2 * [np.arange(len(begin)) != place])
+    precision = (here.normal + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2))[others]
+    covariance = np.diag((np.arange(len(begin)) == place) * STEP**2 / 12)  # of ln d within a step
+    covariance[others] = np.linalg.inv(precision)
+    return AtDiameter(here.parameters, held, here.cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)

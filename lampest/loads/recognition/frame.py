@@ -231,7 +231,7 @@ def whitenings(frame: Observation, explained: Explained, scatters: Iterable[floa
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
-    """Numbers of the readings that lie far from what all the others say of them; residual (cells) ohm.
+    """Numbers of the readings that lie far from what all the others predict; residual (cells) ohm.
 
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
     is taken out before the next is looked for.

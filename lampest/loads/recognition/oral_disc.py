@@ -1,4 +1,4 @@
-"""An oral disc fitted straight to two-point resistances; from it and them the cells follow.
+"""An oral disc fitted to two-point resistances without an estimate between; the cells follow from both.
 
 Given a load, ln r = ln r0 + x + d: cells depart by d from what it makes of them, by bent films, edges and an error of
 the baseline. Readings R = f(r) + E δ + noise hold d (cells) and the offsets δ, Gaussian before the measurement with the

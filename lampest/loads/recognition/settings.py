@@ -67,9 +67,9 @@ class ModelErrors:
             errors = replace(errors, creep=creep.mean, creep_sd=creep.sd)
         if scene.systematic is None:
             return errors
-        told = scene.told_systematic or Systematic()
-        reference = told.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
-        return replace(errors, channel_ohm=told.channel_spread_ohm, reference=reference)
+        named = scene.told_systematic or Systematic()
+        reference = named.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
+        return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
         """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""

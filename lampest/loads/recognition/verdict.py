@@ -32,7 +32,7 @@ HIDDEN = 60.0
 # show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 SHOWN, SHARE = 0.2, 0.35
 OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
-SURE, SURE_OF_TARGET = 0.99, 0.999  # P that a label shares; a false alarm costs more than one that says "or"
+SURE, SURE_OF_TARGET = 0.99, 0.999  # P that a label shares; a false alarm costs more than an "or"
 OR = " or "
 AS_GOOD = 3.0  # of ln P
 # By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
@@ -205,7 +205,7 @@ def bounded(panel: Panel, fit: Fit) -> float:
 
 @dataclass(frozen=True, eq=False)
 class OverTime:
-    """What frames of one load say together. With q_t(l) the probability of label l in frame t
+    """The evidence of all frames of one load. With q_t(l) the probability of label l in frame t
 
         ln P(l) = Σ_t AGE^age max(ln q_t(l), −MOST) / Σ_t AGE^age + const.
 
@@ -214,7 +214,6 @@ class OverTime:
     where what only touched begins to suck; a first frame alone is no alarm.
 
     odds : label → Σ AGE^age max(ln q, −MOST). frames : Σ AGE^age, how many frames count.
-
     touches : whether the last one alone showed a load of some shape that does not suck.
     """
 

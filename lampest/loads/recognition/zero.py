@@ -1,13 +1,11 @@
-"""The panel at rest, taken anew where nothing touches it: what films drift by does not pile up over hours.
+"""The unloaded panel taken anew where nothing touches it, so that drift of hours does not pile up.
 
 Where so many frames in a row are called nothing (a flat load at most, and less likely), the median of the first half of
 them is the unloaded panel from then on; the other half is a guard, so that a load that begins to come is not in it. It
-is not, where cells on the way there stand out as a load might: drift that has grown for long could hide a weak one; nor
-while the memory of a load still fades fast, because what comes after would be compared with what it was.
+is not, where cells on the way there stand out as a load might, nor while the memory of a load still fades.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +16,10 @@ from lampest.loads.recognition.frame import Direct
 from lampest.loads.recognition.search import cell_map
 from lampest.loads.recognition.verdict import OR, Verdict
 from lampest.loads.tare import FADES, stands_out
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 CALM = frozenset(candidate.label for candidate in UNIFORM)
 OF_MEDIAN = 1.2533  # standard deviation of a median over that of a mean
-
-
-class _Calm(NamedTuple):
-    """A frame in which nothing was there; seconds : since the baseline. remembered : after it."""
-
-    frame: Direct
-    remembered: Remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +27,8 @@ class Zero:
     """What frames are compared with.
 
     scene : they were taken in. count : frames that are needed in a row; 0: zero stays. baseline : the panel at rest.
-    since : s of it, on the axis of the frames' seconds. calm : frames since something was there. said : why zero was
+    since : s of it, on the axis of the frames' seconds. calm : frames since something was
+    there, each with what the film remembers after it. said : why zero was
     taken anew after the last frame, or ''.
     """
 
@@ -45,7 +36,7 @@ class Zero:
     count: int
     baseline: Baseline
     since: float = 0.0
-    calm: tuple[_Calm, ...] = ()
+    calm: tuple[tuple[Direct, Remembered], ...] = ()
     said: str = ""
 
     def seen(self, frame: Direct) -> Direct:
@@ -61,7 +52,7 @@ class Zero:
         quiet = frozenset(verdict.label.split(OR)) <= CALM and verdict.best.candidate is NOTHING
         if not (self.count and quiet):
             return self.broken(), detector
-        here = replace(self, calm=(*self.calm, _Calm(frame, detector.remembered)), said="")
+        here = replace(self, calm=(*self.calm, (frame, detector.remembered)), said="")
         if len(here.calm) < self.count:
             return here, detector
         if here._fades():
@@ -70,23 +61,23 @@ class Zero:
 
     def _fades(self) -> bool:
         """Whether the film still changes by its memory."""
-        errors, (first, last) = self.baseline.model_errors, (self.calm[0], self.calm[-1])
-        crept = [one.remembered.patterns(one.frame.seconds)[0] for one in (first, last)]
-        return bool(np.hypot(errors.creep, errors.creep_sd) * np.abs(crept[0] - crept[1]).max() > FADES)
+        errors, ends = self.baseline.model_errors, (self.calm[0], self.calm[-1])
+        first, last = (remembered.patterns(frame.seconds)[0] for frame, remembered in ends)
+        return bool(np.hypot(errors.creep, errors.creep_sd) * np.abs(first - last).max() > FADES)
 
     def _anew(self, detector: Detector) -> tuple["Zero", Detector]:
         """With the baseline that the first half of the calm frames makes; as it was where that might be a load."""
         first = self.calm[: max(len(self.calm) // 2, 1)]
-        middle, remembered = first[len(first) // 2].frame, first[len(first) // 2].remembered
-        measured = np.median([one.frame.measured for one in first], axis=0)
-        sigma = OF_MEDIAN * _mean_error([one.frame.sigma for one in first])
+        middle, remembered = first[len(first) // 2]
+        measured = np.median([frame.measured for frame, _ in first], axis=0)
+        sigma = OF_MEDIAN / np.sqrt(np.sum([1 / np.square(frame.sigma) for frame, _ in first], axis=0))
         rest = remembered.rest(self.baseline, middle.seconds)
         change = cell_map(replace(middle, measured=measured, sigma=sigma, baseline=rest))
         if stands_out(change):
             return self.broken(), detector
         common = None if middle.common is None else OF_MEDIAN / np.sqrt(len(first)) * middle.common
         baseline = Baseline.of(measured, sigma, self.scene, self.baseline.model_errors, common)
-        seconds = self.calm[-1].frame.seconds - self.calm[0].frame.seconds
+        seconds = self.calm[-1][0].seconds - self.calm[0][0].seconds
         said = (
             f"nothing was there for {len(self.calm)} frames ({seconds:.3g} s): no cell was off by more than "
             f"{100 * np.expm1(np.abs(change).max()):.2g} %, as drift and the film's memory allow"
@@ -95,8 +86,3 @@ class Zero:
         starts, first_frame = detector.starts, here.seen(replace(middle, seconds=here.since))
         fresh = Detector.of(starts.panel, starts.patch_mm, first_frame, starts.loads)
         return here, replace(fresh, remembered=detector.remembered.against(remembered, middle.seconds))
-
-
-def _mean_error(sigmas: list[Array]) -> Array:
-    """σ of a mean, of readings whose σ differ."""
-    return np.asarray(1 / np.sqrt(np.sum(1 / np.square(sigmas), axis=0)))

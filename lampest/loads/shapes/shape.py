@@ -1,4 +1,4 @@
-"""What a shape must say: its pressure at a point for simulation, and its parameters with priors for recognition."""
+"""A shape: its pressure at a point for simulation, and its parameters with priors for recognition."""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -113,10 +113,6 @@ class Candidate(ABC):
         """Prior standard deviation of φ, (parameters)."""
         return np.array([prior.sd for prior in self.priors(panel).values()])
 
-    def steps(self, panel: Panel) -> Array:
-        """The longest step of φ, (parameters)."""
-        return np.array([prior.step for prior in self.priors(panel).values()])
-
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
@@ -129,7 +125,7 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 class Shape(ABC):
     """A load somewhere on the panel, of any footprint.
 
-    A subclass adds its numbers and `kind`, and says `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
+    A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
     is how recognition fits it, None: it is only simulated. `positive` names the numbers that must be above zero.
 
     Parameters
