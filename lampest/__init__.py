@@ -173,7 +173,8 @@ def reconstruct(
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
     Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
     """
-    from lampest.estimate.estimator import AutoWeight, Bounds, Estimator, checked_terms
+    from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+    from lampest.estimate.objective import checked_terms
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.solution import Settings
 

@@ -132,8 +132,8 @@ class RandomProblem:
     def data(self) -> Data:
         """What that solve is given."""
         if self.asked is None:
-            stream = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
-            return stream.given(self._readings[0])[0]
+            state = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
+            return self.estimator.method.given(state, self._readings[0])[0]
         stream, readings = self.asked
         return stream.given(readings)[0]
 

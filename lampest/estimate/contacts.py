@@ -11,12 +11,15 @@ c as known but for cov c, an error that all readings share (`lampest.panel.syste
 contacts, so they stay at their prior there. Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
 
+from lampest.estimate.state import S, State
 from lampest.estimate.step import Step
+from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.readouts.wiring import Contacts
@@ -24,39 +27,73 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings
 
-if TYPE_CHECKING:
-    from lampest.estimate.stream import Stream
-
-MOST_ROUNDS, MOST_HALVINGS = 10, 5  # a step or two suffice: readings are nearly linear in contacts
-SETTLED = 1e-3  # of a contact's standard deviation
-ROUNDING = 1e-9  # of what is minimised: cells are solved no better
+# Two or three steps suffice: readings are nearly linear in contacts. Cells are solved no better than the last gain.
+FIT = LevenbergMarquardt(evaluations=20, settled=1e-6, damping=0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class ContactStep:
-    """move : (lines) ohm, from here to where the cost is least. covariance : (lines, lines) ohm². scale : s²."""
+class SolvedContacts:
+    """The cells solved for contacts `ohm`, as a sum of squares over the contacts; all (lines) ohm.
 
-    move: Array
-    covariance: Array
+    scale : s². mean, deviation : of the prior. Its normal matrix is S/s².
+    """
+
+    step: Step
+    ohm: Array
     scale: float
+    mean: Array
+    deviation: Array
 
-    @classmethod
-    def of(cls, model: LinearModel, ohm: Array, mean: Array, deviation: Array) -> "ContactStep":
-        """At cells that are solved for contacts `ohm`; all (lines) ohm. Contacts without a deviation stay."""
-        at = model.at
-        response = contact_responses(at.networks)
-        rows = model.through @ response
-        follow = errors_of(model, None).answer(rows, *np.zeros((2, at.cell_resistance[0].size, len(ohm))))
+    @property
+    def _prior(self) -> tuple[Array, Array]:
+        """(1/sd², (c − mean)/sd²); contacts without a deviation stay where bounds hold them."""
+        precision = np.where(self.deviation > 0, self.deviation, 1.0) ** -2.0
+        return precision, precision * (self.ohm - self.mean)
+
+    @property
+    def cost(self) -> float:
+        """½ (φ/s² + the prior's part); infinite where the cells have no optimum."""
+        if self.step.surroundings() is None:
+            return np.inf
+        return float(self.step.solution.objective / self.scale + self._prior[1] @ (self.ohm - self.mean)) / 2
+
+    @cached_property
+    def _model(self) -> LinearModel:
+        model = self.step.surroundings()
+        assert model is not None
+        return model
+
+    @cached_property
+    def _response(self) -> Array:
+        """E."""
+        return contact_responses(self._model.at.networks)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Of the cost by the contacts."""
+        model = self._model
+        slope = self._response.T @ model.at.partials(np.clip(model.dual, -1, 1))[1].ravel()
+        return np.asarray(slope / (2 * self.scale) + self._prior[1])
+
+    @cached_property
+    def normal(self) -> Array:
+        """S/s²."""
+        model = self._model
+        at, rows = model.at, model.through @ self._response
+        follow = errors_of(model, None).answer(rows, *np.zeros((2, at.cell_resistance[0].size, len(self.ohm))))
         left = rows - model.through @ _forward(model, follow)
         charged = model.penalty_jacobian[:, model.free] @ follow
-        sought = deviation > 0
-        precision = model.scale / np.where(sought, deviation, 1.0) ** 2
-        slope = response.T @ at.partials(np.clip(model.dual, -1, 1))[1].ravel() / 2 + precision * (ohm - mean)
-        schur = left.T @ (model.data_curvature[:, None] * left) + np.diag(precision)
-        schur += charged.T @ (model.penalty_curvature[:, None] * charged) + IGNORANCE * model.scale * follow.T @ follow
-        inverse = np.zeros(schur.shape)
-        inverse[np.ix_(sought, sought)] = np.linalg.inv(schur[np.ix_(sought, sought)])
-        return cls(-inverse @ slope, model.scale * inverse, model.scale)
+        schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
+        schur += charged.T @ (model.penalty_curvature[:, None] * charged)
+        return np.asarray(schur / self.scale + np.diag(self._prior[0]))
+
+    @property
+    def covariance(self) -> Array:
+        """(lines, lines) ohm²."""
+        sought = self.deviation > 0
+        inverse = np.zeros(self.normal.shape)
+        inverse[np.ix_(sought, sought)] = np.linalg.inv(self.normal[np.ix_(sought, sought)])
+        return inverse
 
 
 def _forward(model: LinearModel, follow: Array) -> Array:
@@ -70,50 +107,34 @@ def _forward(model: LinearModel, follow: Array) -> Array:
     return np.stack(forward, axis=1).reshape(count, -1).T
 
 
-def with_contacts(stream: "Stream", readings: Readings, solved: Step) -> tuple["Stream", Step]:
-    """The stream that knows its contacts, and the step that was solved for them.
+def with_contacts(
+    state: S, readings: Readings, solved: Step, solve: Callable[[State, Readings, Array], Step]
+) -> tuple[S, Step]:
+    """The state that knows its contacts, and the step that was solved for them.
 
-    readings : what `solved` was solved from. As they are where the scene names no contacts, or the estimate gets no
-    error bars, which are what tells how well they are known.
+    readings : what `solved` was solved from. solve : the same for another state, begun at cells. As they are where the
+    scene names no contacts, or the estimate gets no error bars, which say how well they are known.
     """
-    prior, shape = stream.scene.contacts, stream.scene.panel.shape
-    if prior is None or stream.track is None:
-        return stream, solved
+    prior, shape, model = state.scene.contacts, state.scene.panel.shape, solved.surroundings()
+    if prior is None or state.track is None or model is None:
+        return state, solved
     mean, deviation = prior.mean(shape), prior.deviation(shape)
-    ohm, found, covariance = mean, solved, np.diag(deviation**2)
+    scale, seconds = model.scale, [solved.seconds]
 
-    def excess(trial: Step, there: Array, scale: float) -> float:
-        """φ/s² with the prior's part."""
-        far = (there - mean) / np.where(deviation > 0, deviation, 1.0)
-        return trial.solution.objective / scale + float(far @ far)
+    def at(ohm: Array) -> SolvedContacts:
+        if np.array_equal(ohm, mean):
+            return SolvedContacts(solved, mean, scale, mean, deviation)
+        trying = replace(state, scene=replace(state.scene, contacts=Contacts.of(ohm, deviation, shape[0])))
+        trial = solve(trying, readings, solved.solution.cell_resistance)
+        seconds.append(trial.seconds)
+        return SolvedContacts(trial, ohm, scale, mean, deviation)
 
-    for _ in range(MOST_ROUNDS):
-        model = found.surroundings()
-        if model is None:
-            return stream, solved
-        step = ContactStep.of(model, ohm, mean, deviation)
-        covariance = step.covariance
-        if np.all(np.abs(step.move) <= SETTLED * deviation):
-            break
-        for halving in range(MOST_HALVINGS):
-            there = np.maximum(ohm + step.move * 0.5**halving, 0.0)
-            trial = _solved(stream, readings, Contacts.of(there, deviation, shape[0]), found)
-            before = excess(found, ohm, step.scale)
-            if trial.solution.solved and excess(trial, there, step.scale) <= before + ROUNDING * (1 + before):
-                break
-        else:
-            break
-        ohm, found = there, replace(trial, seconds=found.seconds + trial.seconds)
-    told = Contacts.of(ohm, np.sqrt(np.diag(covariance)), shape[0])
-    scene = replace(stream.scene, contacts=told)
+    bounds = np.where(deviation > 0, 0.0, mean), np.where(deviation > 0, np.inf, mean)
+    found = FIT.minimum(at, mean, bounds).at
+    covariance = found.covariance
+    scene = replace(state.scene, contacts=Contacts.of(found.ohm, np.sqrt(np.diag(covariance)), shape[0]))
     vectors, squares = np.linalg.eigh(covariance)[::-1]
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
-    shared = stream.track.shared and replace(stream.track.shared, scene=scene, contact_root=root)
-    return replace(stream, scene=scene, track=replace(stream.track, shared=shared)), found
-
-
-def _solved(stream: "Stream", readings: Readings, contacts: Contacts, near: Step) -> Step:
-    """The cells for other contacts, begun at those that are known."""
-    trying = replace(stream, scene=replace(stream.scene, contacts=contacts))
-    data, _ = trying.given(readings)
-    return trying.solve(data, near.solution.cell_resistance)
+    shared = state.track.shared and replace(state.track.shared, scene=scene, contact_root=root)
+    known = replace(state, scene=scene, track=replace(state.track, shared=shared))
+    return known, replace(found.step, seconds=sum(seconds))

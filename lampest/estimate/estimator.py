@@ -1,126 +1,25 @@
 """One method of estimation: which terms, which formulation, which bounds."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lampest.cost.cost import Cost
-from lampest.cost.given import Background, Given
-from lampest.cost.problem import Data
-from lampest.cost.terms import Term, term_kind
+from lampest.cost.terms import Term
 from lampest.estimate.methods import Method, MethodName, named_method
+from lampest.estimate.objective import AutoWeight as AutoWeight
+from lampest.estimate.objective import Bounds as Bounds
+from lampest.estimate.objective import Objective, checked_terms
 from lampest.files.errors import InputError, in_words
 from lampest.loads.tare import Tare
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import Readout
-from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.posterior.spectrum import Rule
-from lampest.recording.readings import AT_MOST, Readings, StandIn
+from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings, Solver
 
-FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
-MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
-UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
-MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (10⁻⁶·R_a,
-    a dead short).
-
-    upper : 'resolution' (beyond which a cell cannot be told from an open one: R²/σ of two-point readings, though never
-    below twice the cell of a uniform panel; as 'none' where σ is unknown), a resistance in ohm, or 'none' (10⁹·R_a,
-    where double precision sees no difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
-
-    Raises ValueError where a number is not positive and finite.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    lower: Literal["measured", "none"] | float = "measured"
-    upper: Literal["resolution", "none"] | float = "resolution"
-
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if not isinstance(value, str) and not (isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be a word or a positive, finite number of ohm")
-
-    def limits(
-        self, readout: Readout, measured: Array, sigma: Array | None, wiring: Wiring | None = None
-    ) -> tuple[Array, Array]:
-        """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
-
-        What a reading says of the least cell it says of the cell with its wire: of the one path that leads through no
-        other cell, which all others only bypass (Rayleigh). A single reading beyond the upper bound is wrong, and
-        bounds nothing from below.
-
-        Raises InputError where readings leave no room for most of the cells.
-        """
-        apparent = readout.apparent_resistance(measured)
-        if isinstance(self.lower, str):
-            native = self.lower == "measured"
-            least = readout.nearly_shorted(measured)
-            lower = readout.least_cells(measured, sigma) if native else least
-            if native and wiring is not None:
-                lower = np.maximum(lower - wiring.path_ohm(measured.shape[-2:]), least)
-        else:
-            lower = np.full_like(measured, self.lower)
-        if self.upper == "resolution" and sigma is not None:
-            upper = readout.resolution(measured, sigma)
-        elif isinstance(self.upper, str):
-            upper = apparent * FARTHEST
-        else:
-            upper = np.full_like(measured, self.upper)
-        contradicted = upper <= lower
-        if np.mean(contradicted) > MOST_CONTRADICTED:
-            index = tuple(int(part) for part in np.argwhere(contradicted)[0])
-            raise InputError(
-                f"bounds leave no room for cell {index[-2:]}: "
-                f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
-            )
-        nothing = np.minimum(readout.nearly_shorted(measured), upper * NEAREST)
-        return np.where(contradicted, nothing, lower), upper
-
-
-@dataclass(frozen=True)
-class AutoWeight:
-    """How `weight: auto` is chosen.
-
-    rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
-    of every reading from all others. By default risk, or press where the noise of the readings is unknown.
-    per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    rule: Rule | None = None
-    per: Literal["recording", "frame"] = "recording"
-
-
-def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The same terms. Raises InputError unless they are a list or tuple of terms, and one of them is a data term."""
-    if not isinstance(terms, list | tuple):
-        raise InputError(f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}")
-    for term in terms:
-        if not isinstance(term, Term):
-            raise InputError(f"terms must hold objects such as Misfit(), not {in_words(term)}")
-    if not terms:
-        raise InputError("an estimator needs at least one term")
-    if not any(term.reads_measurement for term in terms):
-        named = " + ".join(map(term_kind, terms))
-        raise InputError(f"{named} needs the term misfit: without it nothing reads what was measured")
-    return tuple(terms)
-
-
-@dataclass(frozen=True)
-class Estimator:
+class Estimator(Objective):
     """Terms, the method that minimises them, its settings, and bounds.
 
     formulation : how the estimate is computed, a word or a method with its options.
@@ -164,51 +63,9 @@ class Estimator:
         return named_method(self.formulation)
 
     @property
-    def automatic(self) -> bool:
-        """Whether a weight is still to be chosen."""
-        return any(term.weight == "auto" for term in self.terms)
-
-    def with_weights(self, weights: Iterable[float]) -> "Estimator":
-        """The same with these weights of the terms, in their order."""
-        pairs = zip(self.terms, weights, strict=True)
-        return replace(self, terms=tuple(replace(term, weight=float(weight)) for term, weight in pairs))
-
-    @property
-    def relative(self) -> bool:
-        """Whether a term reads the previous frame."""
-        return any(term.needs_previous for term in self.terms)
-
-    @property
-    def penalised(self) -> bool:
-        """Whether a term says what is expected of cells that no reading sees."""
-        return not all(term.reads_measurement for term in self.terms)
-
-    def _stood_in(self, frames: int) -> NDArray[np.bool_]:
-        """(frames) whether missing readings are stood in for: where no penalty says what is expected of their cells.
-
-        Of the first of two frames penalties that compare say nothing.
-        """
-        untold = np.full(frames, not self.penalised)
-        untold[: frames - 1] = all(term.reads_measurement for term in self.absolute_terms)
-        return untold
-
-    @property
-    def weighs_previous(self) -> bool:
-        """Whether a term reads how well the previous frame is known."""
-        return any(term.weighs_previous for term in self.terms)
-
-    @property
     def joint_start(self) -> bool:
-        """Whether the baseline is solved together with the first frame, as the paper does for relative methods.
-
-        Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
-        """
-        return self.relative and not self.weighs_previous and self.method.joint
-
-    @property
-    def absolute_terms(self) -> tuple[Term, ...]:
-        """The terms that need no previous frame."""
-        return tuple(term for term in self.terms if not term.needs_previous)
+        """As `Method.joint_start`."""
+        return self.method.joint_start(self)
 
     def barred(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
@@ -217,76 +74,10 @@ class Estimator:
         asked = self.error_bars if isinstance(self.error_bars, bool) else few
         return asked and self.method.optimum and readings.sigma is not None
 
-    def needs_sigma(self) -> bool:
-        """Whether a term divides by the readings' standard deviation."""
-        return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
-
     def check(self, scene: Scene) -> None:
         """Raise InputError where the formulation cannot serve the scene."""
         self.method.check_scene(scene)
 
-    def data(self, readings: Readings, background: Background) -> Data:
-        """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
-        measured, sigma, scene = readings.value, readings.sigma, background.scene
-        if sigma is None and self.needs_sigma():
-            raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
-        if sigma is None and self.weighs_previous:
-            raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        readings = weighed(readings, scene, self._stood_in(len(measured)))
-        lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
-        apparent = scene.circuit.apparent_resistance(measured)
-        if readings.partial:
-            nearly_shorted = scene.circuit.nearly_shorted(measured)
-            lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
-            upper = np.where(readings.side != 0, apparent * FARTHEST, upper)
-        if scene.faults is not None:
-            typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            faults = (
-                (scene.faults.open_cells(scene.panel), FARTHEST),
-                (scene.faults.shorted_cells(scene.panel), SHORTED),
-            )
-            for broken, factor in faults:
-                lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        return Data(Given.of(readings, background), lower, upper, scene.circuit, scene.wiring, sigma is not None)
-
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
         """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""
         return self.method.solver(self.cost(scene, frames, partial), scene, self.solver, period)
-
-    def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
-        """The terms over one frame, or over two jointly; broken cells are left out.
-
-        partial : whether readings may be bounds or say nothing.
-        """
-        faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
-        return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
-
-
-def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
-    """The readings with weights (`seen`) for what is no value: as for one whose noise is that of the frame's values.
-
-    A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
-    outweigh all else. A missing reading counts for nothing, or, with `stand_ins`, as what its row and column let
-    expect, by the spread of that. Readings alone cannot decide a cell whose own is missing: there are fewer of them
-    than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
-    of it; without one, this does. What the scene's faults make blind keeps no weight.
-
-    readings : (frames, rows, columns). stand_ins : (frames).
-    """
-    if not readings.partial:
-        return readings
-    missing = readings.missing(scene) & stand_ins[:, None, None]
-    told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
-    if not np.any(missing | told):
-        return readings
-    noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
-    own, usual = noise.copy(), np.ones((len(noise), 1, 1))
-    for frame, plain in enumerate(readings.plain):
-        if plain.any():
-            usual[frame] = np.exp(np.log(noise[frame][plain]).mean())
-        if missing[frame].any():
-            spread = StandIn.of(readings.value[frame], plain).spread
-            own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
-    share = np.where(missing, np.minimum(usual / own, MOST_WEIGHT), np.where(told, np.minimum(usual / own, 1.0), 1.0))
-    sigma = None if readings.sigma is None else np.where(missing | told, own * share, readings.sigma)
-    return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.carried import CarriedOver
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.sequence import first_stream, resting_readings
+from lampest.estimate.state import CarriedOver
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -74,7 +74,7 @@ class Parts:
             if part is None:
                 continue
             recording, readings, inside = self._taken(frames, part)
-            stream, steps = stream.estimator.method.sequence(stream, self.noise.readings[:0], readings, on_frame)
+            stream, steps = stream.sequence(self.noise.readings[:0], readings, on_frame)
             yield number, self._estimates(stream, recording, inside, readings, steps), CarriedOver.of(stream)
             begun = replace(stream, prepared=self.stream.prepared)
             stream = CarriedOver.of(stream).onto(begun)

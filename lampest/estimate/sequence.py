@@ -30,9 +30,7 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
     readings = noise.readings
     stream = first_stream(recording, readings, estimator, noise)
     frames = recording.measured_frames()
-    stream, steps = stream.estimator.method.sequence(
-        stream, readings[recording.role == UNLOADED], readings[frames], on_frame
-    )
+    stream, steps = stream.sequence(readings[recording.role == UNLOADED], readings[frames], on_frame)
     return Estimates(
         recording,
         stream.estimator,

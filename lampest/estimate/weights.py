@@ -8,12 +8,13 @@ other losses, and panels where a matrix over the cells would be too large: the f
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.estimate.estimator import Estimator
+from lampest.estimate.objective import Objective
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -27,10 +28,13 @@ from lampest.solvers.solution import Settings
 from lampest.solvers.starts import BROKEN, convex, evaluated
 
 MOST_SOLVES, SETTLED = 4, 0.2
+AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 
-def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Array | None, noisy: bool) -> Estimator:
-    """The estimator with numbers for the weights that it leaves open, from one solve's data.
+def with_chosen_weights(
+    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, noisy: bool
+) -> AnyObjective:
+    """The objective with numbers for the weights that it leaves open, from one solve's data.
 
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
     Raises InputError where σ is needed and unknown.
@@ -51,7 +55,7 @@ def with_chosen_weights(estimator: Estimator, scene: Scene, data: Data, near: Ar
         return estimator.with_weights(search.by_evidence(penalties, first))
 
 
-def rule_in_use(estimator: Estimator, noisy: bool) -> Rule:
+def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
     """The estimator's rule, or the default one. noisy : whether the data's σ is known.
 
     Raises InputError where the rule needs σ and it is unknown.

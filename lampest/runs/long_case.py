@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from lampest.estimate.carried import CarriedOver
 from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.memory import large_arrays_apart

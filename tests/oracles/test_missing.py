@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest.posterior.along import Along
 from lampest.posterior.dense import DenseErrors
+from lampest.posterior.profile_interval import ProfileInterval
 from lampest.recording.readings import StandIn
 
 SHAPE = (6, 7)
@@ -80,7 +80,7 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     assert model is not None
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)
-    way = Along(errors, cell)
+    way = ProfileInterval(errors, cell)
     gone = way.end(side)
     lower, upper = data.lower.copy(), data.upper.copy()
     lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])

@@ -2,14 +2,12 @@
 
 from typing import Annotated, Literal
 
-from lampest.estimate.methods.linearised import LinearisedMethod
+from lampest.estimate.methods.anchored import LinearisedMethod, RegionMethod
+from lampest.estimate.methods.approximate import TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.methods.oral_disc import OralDiscMethod
-from lampest.estimate.methods.region import RegionMethod
 from lampest.estimate.methods.smoother import SmootherMethod
-from lampest.estimate.methods.truncated import TruncatedMethod
-from lampest.estimate.methods.uncorrected import UncorrectedMethod
 from lampest.files.errors import InputError, in_words
 from lampest.files.tagged import ByKind, members_by_kind
 

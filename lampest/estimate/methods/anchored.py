@@ -3,18 +3,18 @@
 from abc import abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Literal, Protocol
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.state import S
 from lampest.panel.panel import Array
+from lampest.solvers.linearised import LinearisedSolver
+from lampest.solvers.region.region import RegionSolver
 from lampest.solvers.solution import Settings, Solution, Solver
 from lampest.solvers.starts import BROKEN, evaluated
-
-if TYPE_CHECKING:
-    from lampest.estimate.stream import Stream
 
 
 class Anchor(Protocol):
@@ -28,19 +28,18 @@ class Anchor(Protocol):
 class AnchoredMethod(Method):
     """The baseline is solved to an optimum, without the terms that compare with an earlier frame."""
 
-    def begin(self, stream: "Stream") -> "Stream":
-        """The stream with what is prepared; without it where the baseline has no optimum."""
-        alone = stream.without_comparisons()
-        alone = replace(alone, estimator=replace(alone.estimator, formulation="reduced"))
-        solved = stream.with_baseline(alone.solve(*alone.given(stream.resting)))
+    def begin(self, state: S) -> S:
+        """The state with what is prepared; without it where the baseline has no optimum."""
+        alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
+        solved = state.with_baseline(reduced.solve(alone, *reduced.given(alone, state.resting)))
         if solved.previous is None:
             return solved
-        estimator, scene = stream.estimator, stream.scene
-        background = replace(stream.background, previous=solved.previous if estimator.relative else None)
-        data = estimator.data(stream.resting.alone(), background)
-        cost = estimator.cost(scene, 1, data.partial)
+        objective = state.estimator
+        background = replace(state.background, previous=solved.previous if objective.relative else None)
+        data = objective.data(state.resting.alone(), background)
+        cost = objective.cost(state.scene, 1, data.partial)
         here = evaluated(cost, data, solved.previous[None])
-        return replace(solved, prepared=self.anchor(here, estimator.solver))
+        return replace(solved, prepared=self.anchor(here, objective.solver))
 
     @abstractmethod
     def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
@@ -53,3 +52,34 @@ class AnchoredMethod(Method):
                 solution: Solution = prepared.solve(solver.cost, data, previous[0])
                 return solution
         return OptimalMethod("reduced").solution(solver, data, previous, None)
+
+
+@dataclass(frozen=True)
+class LinearisedMethod(AnchoredMethod):
+    """log r = log r_b − H_b⁻¹ ∇φ(r_b): one Newton step from the baseline, whose factor serves the whole recording."""
+
+    kind: Literal["linearised"] = "linearised"
+
+    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
+        """The baseline's factor."""
+        return LinearisedSolver(baseline)
+
+
+@dataclass(frozen=True)
+class RegionMethod(AnchoredMethod):
+    """Only cells that changed are unknown, all others keep their baseline value.
+
+    The region is the rectangle round the readings that stand out from the baseline's by more than `significance` times
+    their noise; it grows until what is left outside is noise. Raises ValueError unless significance is positive.
+    """
+
+    kind: Literal["region"] = "region"
+    significance: float = 6.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.significance < float("inf"):
+            raise ValueError("significance must be positive and finite")
+
+    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
+        """The baseline's network."""
+        return RegionSolver(baseline, self.significance, settings)

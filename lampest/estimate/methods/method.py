@@ -1,23 +1,33 @@
-"""What a method of estimation must say: how the cells of a frame follow from its data."""
+"""What a method of estimation must say: how a frame's cells follow from its data, and what it keeps for the next."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
+from lampest.cost.terms import Term
+from lampest.estimate.contacts import with_contacts
+from lampest.estimate.objective import Objective
+from lampest.estimate.state import S, State
+from lampest.estimate.step import Step
+from lampest.estimate.weights import with_chosen_weights
+from lampest.files.interrupts import delayed_interrupt, ended_where_hung
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.profile_interval import beyond_tangents
+from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Settings, Solution, Solver
-
-if TYPE_CHECKING:
-    from lampest.cost.terms import Term
-    from lampest.estimate.step import Step
-    from lampest.estimate.stream import Stream
+from lampest.solvers.starts import BROKEN
 
 
 @dataclass(frozen=True)
@@ -42,13 +52,13 @@ class Method(ABC):
         def kind(self) -> str:
             """The word that names it."""
 
-    def check(self, terms: "tuple[Term, ...]") -> None:  # noqa: B027 - most methods take any terms
+    def check(self, terms: tuple[Term, ...]) -> None:  # noqa: B027 - most methods take any terms
         """Raise InputError where the method cannot minimise these terms."""
 
     def check_scene(self, scene: Scene) -> None:  # noqa: B027 - most methods know all that a network knows
         """Raise InputError where the method has no model of what the scene names, or cannot serve its readout."""
 
-    def compares(self, terms: "tuple[Term, ...]") -> bool:
+    def compares(self, terms: tuple[Term, ...]) -> bool:
         """Whether an estimate with these terms needs the unloaded panel."""
         return any(term.needs_previous for term in terms)
 
@@ -62,7 +72,7 @@ class Method(ABC):
 
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : what `begin` has prepared."""
+        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : `State.prepared`."""
 
     def guess(self, readout: Readout, measured: Array) -> Array:
         """What stands for the previous frame where there is none, the same shape, ohm."""
@@ -72,24 +82,121 @@ class Method(ABC):
         """What is prepared for the next frame after a solution; by default what was prepared for this one."""
         return prepared
 
-    def begin(self, stream: "Stream") -> "Stream":
-        """The stream after its baseline, solved in the method's own way."""
-        return stream.after_baseline()
+    def joint_start(self, objective: Objective) -> bool:
+        """Whether the baseline is solved together with the first frame, as the paper does for relative methods.
 
-    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
-        """The stream after one frame's readings (rows, columns), and how they were solved."""
-        return stream.after_frame(readings)
+        Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
+        """
+        return self.joint and objective.relative and not objective.weighs_previous
+
+    def given(self, state: State, readings: Readings) -> tuple[Data, Array | None]:
+        """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
+
+        The joint pair: paper, equations (15) and (21).
+        """
+        objective, behind = state.estimator, state.background
+        if self.joint_start(objective) and not state.rested:
+            return objective.data(state.resting.together(readings), behind), None
+        known = resting = None
+        if objective.relative:
+            known = self.guess(state.scene.circuit, readings.value) if state.previous is None else state.previous
+            resting = None if state.baseline is None else state.baseline.estimate(0)
+        behind = replace(behind, previous=known, baseline=resting, previous_deviation=state.known_deviation())
+        data = objective.data(readings.alone(), behind)
+        if objective.weighs_previous and known is not None:
+            step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
+            data = objective.data(readings.alone(), replace(behind, previous=known * step))
+        return data, None if state.previous is None else state.previous[None]
+
+    def solve(self, state: State, data: Data, previous: Array | None) -> Step:
+        """One solve, with the weights that are left to the data."""
+        objective = state.estimator
+        with nullcontext() if self.delays and not objective.automatic else delayed_interrupt():
+            begin = perf_counter()
+            limit, data = objective.solver.time_limit_s, replace(data, hasty=True) if state.hasty else data
+            if objective.automatic:
+                noisy = state.resting.sigma is not None
+                objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous, noisy)
+            choice = perf_counter() - begin
+            cost = objective.cost(state.scene, len(data.measured), data.partial)
+            solver = self.solver(cost, state.scene, objective.solver, state.period)
+            self.prepare(solver, data, previous)
+            begin = perf_counter()
+            with ended_where_hung(limit):
+                solution = self.solution(solver, data.limited(limit), previous, state.prepared)
+            weights = tuple(float(weight) for weight in solver.cost.weights)
+            return Step(solution, choice + perf_counter() - begin, weights)
+
+    def begin(self, state: S) -> S:
+        """The state after its baseline, which is solved alone."""
+        alone = state.without_comparisons() if state.estimator.weighs_previous else state
+        settled, baseline = with_contacts(
+            alone, state.resting, self.solve(alone, *self.given(alone, state.resting)), self._elsewhere
+        )
+        state = replace(state, scene=settled.scene, track=settled.track)
+        with suppress(*BROKEN):
+            model = baseline.surroundings()
+            if state.track is not None and model is not None:
+                track = state.track.resting(model, remembered=state.estimator.relative)
+                if track.baseline is not None and state.resting.partial:
+                    track = replace(
+                        track, baseline=track.baseline.bent(*self._beyond(alone, state.resting, baseline, model))
+                    )
+                state = replace(state, track=track, previous_deviation=track.deviation)
+        return state.with_baseline(baseline)
+
+    def push(self, state: S, readings: Readings) -> tuple[S, Step]:
+        """The state after one frame's readings (rows, columns), and how they were solved."""
+        data, start = self.given(state, readings)
+        step, pair = self.solve(state, data, start), len(data.measured) == 2
+        if pair:
+            state, step = with_contacts(state, readings, step, self._elsewhere)
+        track, step = self._barred(state, step, readings)
+        prepared, step, found = self.kept(step.solution, state.prepared), step.bare(), step.estimate(-1)
+        state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
+        if found is not None:
+            deviation = None if track is None or step.bars is None else track.deviation
+            state = replace(state, previous=found, previous_deviation=deviation)
+        return state, step
 
     def sequence(
-        self, stream: "Stream", resting: Readings, readings: Readings, on_frame: Callable[[], None]
-    ) -> "tuple[Stream, list[Step]]":
-        """The stream after a whole recording's readings (frames, rows, columns), and how they were solved.
+        self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> tuple[S, list[Step]]:
+        """The state after a whole recording's readings (frames, rows, columns), and how they were solved.
 
-        resting : of the unloaded frames, of which the stream has the mean. on_frame : called after every frame.
+        Of methods that need all frames `together`. resting : of the unloaded frames, of which the state has the mean.
+        on_frame : called after every frame.
         """
-        steps = []
-        for frame in range(len(readings.value)):
-            stream, step = stream.push(readings[frame])
-            steps.append(step)
-            on_frame()
-        return stream, steps
+        raise NotImplementedError
+
+    def _elsewhere(self, state: State, readings: Readings, near: Array) -> Step:
+        """A frame solved with another state, begun at cells that are known."""
+        return self.solve(state, self.given(state, readings)[0], near)
+
+    def _barred(self, state: State, step: Step, readings: Readings) -> tuple[Track | None, Step]:
+        """The step that was solved from readings with error bars, where they are wanted and can be had."""
+        if state.track is None or (model := step.surroundings()) is None:
+            return state.track, step
+        begin = perf_counter()
+        with suppress(*BROKEN):
+            track, bars = state.track.advanced(model)
+            if readings.partial:
+                below, above = self._beyond(state, readings, step, model)
+                if track.bend is not None:
+                    below, above = np.maximum(below, track.bend[0]), np.maximum(above, track.bend[1])
+                elif len(step.solution.cell_resistance) == 2 and state.resting.missing(state.scene).any():
+                    track = replace(track, bend=(below, above))
+                bars = bars.bent(below, above)
+            return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
+        return state.track, step
+
+    def _beyond(self, state: State, readings: Readings, solved: Step, model: LinearModel) -> tuple[Array, Array]:
+        """As `beyond_tangents`, of what was solved from readings (rows, columns)."""
+
+        def moved(readings: Readings) -> Array:
+            data, _ = self.given(state, readings)
+            ended = self.solve(state, replace(data, hasty=True), solved.solution.cell_resistance)
+            return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
+
+        missing = readings.missing(state.scene)
+        return beyond_tangents(model, readings, missing, None if state.estimator.penalised else moved)

@@ -3,7 +3,7 @@
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.methods.method import Method
+from lampest.estimate.state import S, State
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
@@ -28,9 +29,6 @@ from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Outcome, Solution, Solver, Status, approximation, failure
 from lampest.solvers.starts import BROKEN
-
-if TYPE_CHECKING:
-    from lampest.estimate.stream import Stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,18 +50,18 @@ class OralDiscTracker:
     last: OralDiscFit | None = None
 
     @classmethod
-    def of(cls, stream: "Stream") -> "OralDiscTracker":
+    def of(cls, state: State) -> "OralDiscTracker":
         """Before the first frame. Raises InputError where the noise of the readings is unknown."""
-        scene, resting, noise = stream.scene, stream.resting, stream.frame_noise
+        scene, resting, noise = state.scene, state.resting, state.frame_noise
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        errors = ModelErrors().told_by(scene, stream.reading_error)
+        errors = ModelErrors().told_by(scene, state.reading_error)
         common = None if noise is None else noise.columns(resting.value[None], True)
         try:
             baseline = Baseline.of(resting.value, _sigma(resting), scene, errors, common)
         except ValueError as error:
             raise InputError(f"formulation: oral_disc: {error}") from error
-        every = stream.period if np.isfinite(stream.period) else 0.0
+        every = state.period if np.isfinite(state.period) else 0.0
         return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every, noise)
 
     def push(self, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
@@ -100,38 +98,38 @@ class OralDiscMethod(Method):
         """Always: a disc is what has changed."""
         return True
 
-    def begin(self, stream: "Stream") -> "Stream":
-        """The stream with the unloaded panel that a disc's fits need."""
+    def begin(self, state: S) -> S:
+        """The state with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
-        sequence = OralDiscTracker.of(stream)
-        data, cost = _judged(stream, stream.resting)
+        sequence = OralDiscTracker.of(state)
+        data, cost = _judged(state, state.resting)
         solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
         baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))
-        return replace(stream.with_baseline(baseline), previous=None, prepared=sequence)
+        return replace(state.with_baseline(baseline), previous=None, prepared=sequence)
 
-    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
+    def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """The fit of one frame, begun at the last one."""
         begin = perf_counter()
-        data, cost = _judged(stream, readings)
+        data, cost = _judged(state, readings)
         weights = tuple(map(float, cost.weights))
         with delayed_interrupt(), suppress(*BROKEN):
-            sequence, disc = stream.prepared.push(readings)
-            solver = Newton(cost, stream.estimator.solver)
+            sequence, disc = state.prepared.push(readings)
+            solver = Newton(cost, state.estimator.solver)
             solution = replace(self.solution(solver, data, None, disc), at=None, dual=None)
-            return replace(stream, prepared=sequence), Step(solution, perf_counter() - begin, weights, disc=disc)
+            return replace(state, prepared=sequence), Step(solution, perf_counter() - begin, weights, disc=disc)
         nothing = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
         lost = failure(cost, data, Status.BREAKDOWN, float("nan"), nothing)
-        return stream, Step(lost, perf_counter() - begin, weights)
+        return state, Step(lost, perf_counter() - begin, weights)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The cells that follow from a disc, with the cost of the terms there."""
         return _fitted(solver.cost, data, prepared.cell_resistance, prepared.fit.steps)
 
 
-def _judged(stream: "Stream", readings: Readings) -> tuple[Data, Cost]:
+def _judged(state: State, readings: Readings) -> tuple[Data, Cost]:
     """What cells that were not solved for are judged by."""
-    data = stream.estimator.data(readings.alone(), stream.background)
-    return data, stream.estimator.cost(stream.scene, 1, data.partial)
+    data = state.estimator.data(readings.alone(), state.background)
+    return data, state.estimator.cost(state.scene, 1, data.partial)
 
 
 def _fitted(cost: Cost, data: Data, cells: Array, steps: int) -> Solution:

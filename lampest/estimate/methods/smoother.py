@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from time import monotonic, perf_counter
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -14,10 +14,9 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
-from lampest.estimate.smoothing.bars import error_bars
-from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData
-from lampest.estimate.smoothing.rounds import smoothed
-from lampest.estimate.smoothing.walk import Walk
+from lampest.estimate.smoothing.graduated import Walk, smoothed
+from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData, error_bars
+from lampest.estimate.state import S, State
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
@@ -29,16 +28,13 @@ from lampest.solvers.held import held_back
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Solver, Status, blank
 from lampest.solvers.starts import BROKEN
 
-if TYPE_CHECKING:
-    from lampest.estimate.stream import Stream
-
 STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
 MOST_PARTS = 5  # of the unloaded frames: a wrong reading among three is told apart, and more cost time
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The last frames of a stream. readings : of each, (rows, columns). cells : as they were estimated, ohm."""
+    """The last frames of a sequence. readings : of each, (rows, columns). cells : as they were estimated, ohm."""
 
     readings: tuple[Readings, ...] = ()
     cells: tuple[Array, ...] = ()
@@ -90,65 +86,65 @@ class SmootherMethod(Method):
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
     def sequence(
-        self, stream: "Stream", resting: Readings, readings: Readings, on_frame: Callable[[], None]
-    ) -> "tuple[Stream, list[Step]]":
+        self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> tuple[S, list[Step]]:
         """All frames together; those of which too little was read are left out."""
-        enough = readings.enough(stream.scene) & stream.resting.enough(stream.scene)
+        enough = readings.enough(state.scene) & state.resting.enough(state.scene)
         read = [readings[frame] for frame in np.flatnonzero(enough)]
-        stream, found = self._together(stream, _groups(stream, resting), read, [], on_frame)
-        status = Status.UNREAD if stream.resting.enough(stream.scene) else Status.UNRESTED
+        state, found = self._together(state, _groups(state, resting), read, [], on_frame)
+        status = Status.UNREAD if state.resting.enough(state.scene) else Status.UNRESTED
         solved = iter(found)
-        return stream, [next(solved) if one else stream.unsolved(status) for one in enough]
+        return state, [next(solved) if one else state.unsolved(status) for one in enough]
 
-    def push(self, stream: "Stream", readings: Readings) -> "tuple[Stream, Step]":
+    def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """One frame, together with those before it."""
-        window = stream.prepared or Window()
+        window = state.prepared or Window()
         read, cells = (*window.readings, readings)[-1 - self.lag :], window.cells[-self.lag :]
-        after, steps = self._together(stream, [stream.resting], read, cells, lambda: None)
+        after, steps = self._together(state, [state.resting], read, cells, lambda: None)
         if not steps[-1].solution.solved:
-            return stream, steps[-1]
+            return state, steps[-1]
         return replace(after, prepared=Window(tuple(read), tuple(step.cell_resistance for step in steps))), steps[-1]
 
     def _together(
         self,
-        stream: "Stream",
+        state: S,
         resting: Sequence[Readings],
         readings: Sequence[Readings],
         cells: Sequence[Array],
         on_frame: Callable[[], None],
-    ) -> "tuple[Stream, list[Step]]":
-        """The stream with the baseline that the frames agree on, and their steps. cells : of the first, from before."""
-        if not readings or stream.baseline is None or not stream.baseline.solution.solved:
-            return stream, [stream.unsolved(Status.BREAKDOWN) for _ in readings]
+    ) -> tuple[S, list[Step]]:
+        """The state with the baseline that the frames agree on, and their steps. cells : of the first, from before."""
+        if not readings or state.baseline is None or not state.baseline.solution.solved:
+            return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
         begin = perf_counter()
-        data, start = _begun(stream, resting, readings, cells, on_frame)
-        costs = [stream.estimator.cost(stream.scene, 1, one.partial) for one in data]
+        data, start = _begun(state, resting, readings, cells, on_frame)
+        costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
         # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
-        told = stream.scene if stream.scene.told_systematic else replace(stream.scene, systematic="none")
+        told = state.scene if state.scene.told_systematic else replace(state.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(told), start)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
-            settings = stream.estimator.solver
+            settings = state.estimator.solver
             until = monotonic() + len(data) * (settings.time_limit_s or inf)
             joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), settings, until)
             fault = Status.TIME if monotonic() > until else Status.UNVERIFIED
             solutions = _checked(joint, rounds, fault)[len(resting) - 1 :]
             steps = [Step(solution, (perf_counter() - begin) / len(data), (1.0,)) for solution in solutions]
-            if stream.track is not None and steps[0].solution.solved:
-                stream, steps = _barred(stream, stream.track, joint, steps)
-            baseline = steps[0] if steps[0].solution.solved else stream.baseline
-            return replace(stream, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
-        return stream, [stream.unsolved(Status.BREAKDOWN) for _ in readings]
+            if state.track is not None and steps[0].solution.solved:
+                state, steps = _barred(state, state.track, joint, steps)
+            baseline = steps[0] if steps[0].solution.solved else state.baseline
+            return replace(state, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
+        return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
 
 
-def _groups(stream: "Stream", resting: Readings) -> list[Readings]:
+def _groups(state: State, resting: Readings) -> list[Readings]:
     """Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is."""
-    numbers = np.flatnonzero(resting.enough(stream.scene))
+    numbers = np.flatnonzero(resting.enough(state.scene))
     parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
-    return [resting[part].mean() for part in parts] or [stream.resting]
+    return [resting[part].mean() for part in parts] or [state.resting]
 
 
 def _begun(
-    stream: "Stream",
+    state: State,
     resting: Sequence[Readings],
     readings: Sequence[Readings],
     cells: Sequence[Array],
@@ -158,14 +154,14 @@ def _begun(
 
     A loss that forgives wrong readings may forgive those of a cell that jumped, which begins where it was.
     """
-    assert stream.baseline is not None
-    terms = tuple(replace(term, loss=Squared()) for term in stream.estimator.terms)
-    alone = replace(stream, estimator=replace(stream.estimator, terms=terms, formulation="reduced"))
-    data = [stream.estimator.data(one.alone(), stream.background) for one in (*resting, *readings)]
-    found = [stream.baseline.cell_resistance, *cells] if len(resting) == 1 else []
+    assert state.baseline is not None
+    terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
+    alone, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
+    data = [state.estimator.data(one.alone(), state.background) for one in (*resting, *readings)]
+    found = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
     for number, one in enumerate(data[len(found) :], len(found)):
-        before = found[-1] if found else stream.baseline.cell_resistance
-        step = alone.solve(one, before[None])
+        before = found[-1] if found else state.baseline.cell_resistance
+        step = reduced.solve(alone, one, before[None])
         found.append(before if step.estimate(0) is None else step.cell_resistance)
         if number >= len(resting):
             on_frame()
@@ -191,8 +187,8 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     return solutions
 
 
-def _barred(stream: "Stream", track: Track, joint: Joint, steps: list[Step]) -> "tuple[Stream, list[Step]]":
-    """The stream with the baseline's error bars, and the steps, of which it is the first, with theirs."""
+def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S, list[Step]]:
+    """The state with the baseline's error bars, and the steps, of which it is the first, with theirs."""
     begin = perf_counter()
     beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
     baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond, track.noise)
@@ -201,4 +197,4 @@ def _barred(stream: "Stream", track: Track, joint: Joint, steps: list[Step]) -> 
         replace(step, bars=one, bars_seconds=seconds) if step.solution.solved else step
         for step, one in zip(steps[1:], bars, strict=True)
     ]
-    return replace(stream, track=replace(track, baseline=baseline)), [steps[0], *barred]
+    return replace(state, track=replace(track, baseline=baseline)), [steps[0], *barred]

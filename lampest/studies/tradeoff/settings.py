@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
-from lampest.estimate.methods.truncated import TruncatedMethod
+from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel

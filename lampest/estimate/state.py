@@ -1,0 +1,145 @@
+"""What a frame leaves for the next one: what a method takes, and gives back with how the frame was solved."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self, TypeVar
+
+import numpy as np
+
+from lampest.cost.given import Background
+from lampest.estimate.objective import Objective
+from lampest.estimate.step import Step
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.posterior.dense import DenseMemory
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.sampled import SampledMemory
+from lampest.posterior.track import Track
+from lampest.recording.readings import Readings
+from lampest.solvers.solution import Status, blank
+
+UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
+MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a sequence of frames stands.
+
+    Parameters
+    ----------
+    estimator, scene : what is minimised, and what is measured how. period : s between frames.
+    resting : the unloaded readings (rows, columns).
+    baseline : how the baseline was solved; None for a relative method until a frame was.
+    previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
+    has no error bars.
+    prepared : what the method keeps between frames, or None.
+    track : what error bars need of earlier frames; None where there are to be none.
+    hasty : whether frames take the weights that there are, and the minimum nearest to the frame before, without search
+    for lower ones; what that leaves open is in `Solution.unsearched`.
+    reading_error : of the logarithm of each reading, the same in all frames, as the frames or else the scene have it.
+    frame_noise : what readings of a frame share by chance, as the frames have it, or None.
+    """
+
+    estimator: Objective
+    scene: Scene
+    period: float
+    resting: Readings
+    baseline: Step | None = None
+    previous: Array | None = None
+    previous_deviation: Array | None = None
+    prepared: Any = None
+    track: Track | None = None
+    hasty: bool = False
+    reading_error: float = 0.0
+    frame_noise: FrameNoise | None = None
+
+    @property
+    def background(self) -> Background:
+        """What stands behind a frame of which nothing earlier is known."""
+        return Background(self.scene, self.period)
+
+    @property
+    def baseline_resistance(self) -> Array:
+        """(rows, columns) ohm; NaN where the baseline is not solved."""
+        found = None if self.baseline is None else self.baseline.estimate(0)
+        return np.full(self.scene.panel.shape, np.nan) if found is None else found
+
+    @property
+    def rested(self) -> bool:
+        """Whether the baseline is solved."""
+        return self.baseline is not None and self.baseline.solution.solved
+
+    def known_deviation(self) -> Array | None:
+        """Of log r0, for terms that read it; an open cell, and one without error bars, is not known at all."""
+        if not self.estimator.weighs_previous:
+            return None
+        if self.previous is None or self.previous_deviation is None:
+            return np.full(self.scene.panel.shape, UNKNOWN)
+        return np.fmin(self.previous_deviation, UNKNOWN)
+
+    def with_baseline(self, baseline: Step) -> Self:
+        """The state after a solved baseline."""
+        return replace(self, baseline=baseline, previous=baseline.estimate(0))
+
+    def without_comparisons(self) -> Self:
+        """The state without the terms that compare with an earlier frame."""
+        return replace(self, estimator=self.estimator.with_terms(self.estimator.absolute_terms))
+
+    def unsolved(self, status: Status) -> Step:
+        """A step that was not even tried."""
+        terms = self.estimator.terms
+        weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
+        return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
+
+
+S = TypeVar("S", bound=State)
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedOver:
+    """Name → array, of a state after some frames: what is written between two parts of a long recording.
+
+    What a state has at its beginning is no part of it.
+    """
+
+    arrays: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, state: State) -> "CarriedOver":
+        """The last estimate, its deviation, and what error bars look back at."""
+        found: dict[str, Any] = {"previous": state.previous, "previous_deviation": state.previous_deviation}
+        if (track := state.track) is not None:
+            found |= {"deviation": track.deviation}
+            found |= dict(zip(("answer", "answer_of_baseline"), track.answers or (), strict=False))
+            found |= dict(zip(("bend_below", "bend_above"), track.bend or (), strict=False))
+            for kind, memory in MEMORIES.items():
+                if isinstance(track.memory, memory):
+                    found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
+        known = {name: value for name, value in found.items() if value is not None}
+        return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
+
+    def onto(self, begun: S) -> S:
+        """The state after those frames; begun : with its baseline, and with what its method prepares at first."""
+        track = begun.track
+        if track is not None:
+            track = replace(
+                track,
+                deviation=self.arrays.get("deviation"),
+                memory=self._memory(),
+                answers=self._pair("answer", "answer_of_baseline"),
+                bend=self._pair("bend_below", "bend_above"),
+            )
+        previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
+        return replace(begun, previous=previous, previous_deviation=deviation, track=track)
+
+    def _pair(self, first: str, second: str) -> tuple[Array, Array] | None:
+        return (self.arrays[first], self.arrays[second]) if first in self.arrays else None
+
+    def _memory(self) -> DenseMemory | SampledMemory | None:
+        if "dense_last" in self.arrays:
+            return DenseMemory(*(self.arrays[f"dense_{name}"] for name in ("last", "with_baseline", "baseline")))
+        if "sampled_last" in self.arrays:
+            last, baseline, drawn = (self.arrays[f"sampled_{name}"] for name in ("last", "baseline", "drawn"))
+            return SampledMemory(last, baseline, int(drawn[0]))
+        return None

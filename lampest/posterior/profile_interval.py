@@ -1,0 +1,142 @@
+"""Profile intervals: where all cells go while one that no reading of its own sees goes to either end of its interval.
+
+Such cells are known within a factor only, and to so much all cells answer along curves. Without a penalty a missing
+reading is what its row and its column let expect (see `StandIn`), and the frame is solved again at both ends of that.
+With one the penalty decides its cell, and data and penalties leave it a curved valley, of which a tangent leads up the
+sides. It is followed by continuation in short steps,
+
+    δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c,   λ such that cell c goes on by one step,
+
+Gauss and Newton's step with c held, A = Jᵀ Ω J + Zᵀ Ω Z anew at every step (see `lampest.posterior.dense`). It ends
+where φ has risen by 1.96² s² C, as it would have where the tangent ends if φ were a parabola. Intervals reach as far as
+cells go where that is farther than their tangents lead.
+Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg, Introduction to
+Numerical Continuation Methods, 2003, chapter 2.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.interval import TWO_SIDED
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.track import errors_of
+from lampest.recording.readings import Readings, StandIn
+
+MOST = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
+STEPS = 3  # of the tangent's length: the path ends within a tenth of an optimum with the cell held
+LONGEST = 0.5  # of log r, that of one step
+FARTHEST = 3.0  # tangents: a penalty in ohm rises slowly towards a short
+MOST_STEPS = 20  # which reach a factor of 20,000: where nothing decides the cell, its tangent has no end
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileInterval:
+    """errors : of the estimate, at which the cell is one of the free ones. cell : its number."""
+
+    errors: DenseErrors
+    cell: int
+
+    @property
+    def _place(self) -> int:
+        return int(np.searchsorted(self.errors.model.free, self.cell))
+
+    @property
+    def tangent(self) -> Array:
+        """(frames · cells) of log r, to the end of the cell's interval."""
+        column, change = self.errors.inverse[:, self._place], np.zeros(self.errors.model.at.cell_resistance.size)
+        far = TWO_SIDED * np.sqrt(self.errors.variance[self._place])
+        change[self.errors.model.free] = column / column[self._place] * far
+        return change
+
+    def end(self, side: int) -> Array:
+        """(frames · cells) where log r goes at the lower (−1) or upper (1) end."""
+        model, place = self.errors.model, self._place
+        most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
+        far = self.tangent[self.cell]
+        step, risen, before = side * min(far / STEPS, LONGEST), 0.0, 0.0
+        ended = model.at.position
+        for position, force in self._path(step, round(min(FARTHEST * far / abs(step), MOST_STEPS))):
+            ended, risen, before = position, risen + step * (before + force), force
+            if risen >= most:
+                break
+        return np.asarray((ended - model.at.position).ravel())
+
+    def _path(self, step: float, most: int) -> Iterator[tuple[Array, float]]:
+        """(log r (frames, rows, columns), λ) one step after the other; until a bound holds the cell."""
+        errors = self.errors
+        for _ in range(most):
+            model = errors.model
+            if self.cell not in model.free:
+                return
+            place = int(np.searchsorted(model.free, self.cell))
+            newton, column = -errors.inverse @ model.gradient[model.free] / 2, errors.inverse[:, place]
+            force = (step - newton[place]) / column[place]
+            change = np.zeros(model.at.position.size)
+            change[model.free] = newton + force * column
+            change *= min(1.0, 2 * LONGEST / float(np.abs(change).max()))
+            position = model.at.position + change.reshape(model.at.position.shape)
+            position = np.clip(position, *model.at.data.log_bounds)
+            yield position, float(force)
+            errors = DenseErrors(replace(model, at=model.at.elsewhere(np.exp(position))))
+
+
+def beyond_tangents(
+    model: LinearModel, readings: Readings, missing: NDArray[np.bool_], moved: Callable[[Readings], Array] | None
+) -> tuple[Array, Array]:
+    """What to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
+
+    As far as up to MOST missing readings take the cells of the last frame, where that is farther than tangents lead.
+    readings : (rows, columns) what the estimate was solved from. missing : which of them.
+    moved : readings → where log r goes with them (rows, columns), NaN where no solve ends; None: penalties decide.
+    """
+    errors, size = errors_of(model, None), readings.value.size
+
+    def last(change: Array) -> Array:
+        return change.ravel()[-size:].reshape(readings.value.shape)
+
+    places = np.argwhere(missing)[:MOST]
+    if moved is None:
+        cells = places @ (readings.value.shape[1], 1) + model.at.cell_resistance.size - size
+        found = _profiled(errors, cells)
+    else:
+        found = _stood_in(errors, readings, places, moved)
+    straight, below, above = np.zeros((3, *readings.value.shape))
+    for tangent, *ends in found:
+        straight += last(tangent) ** 2
+        # An end that no solve reached is NaN and leads nowhere.
+        low, high = map(last, ends)
+        below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
+        above += np.fmax(np.fmax(low, high), 0.0) ** 2
+    return np.maximum(below - straight, 0.0), np.maximum(above - straight, 0.0)
+
+
+def _profiled(errors: DenseErrors | SampledErrors, cells: NDArray[np.intp]) -> Iterator[tuple[Array, Array, Array]]:
+    """(tangent, lower end, upper end) of cells that were not read; none that stand at a bound, or of large panels."""
+    if isinstance(errors, DenseErrors):
+        for cell in cells[np.isin(cells, errors.model.free)]:
+            profile = ProfileInterval(errors, int(cell))
+            yield profile.tangent, profile.end(-1), profile.end(1)
+
+
+def _stood_in(
+    errors: DenseErrors | SampledErrors,
+    readings: Readings,
+    places: NDArray[np.intp],
+    moved: Callable[[Readings], Array],
+) -> Iterator[tuple[Array, Array, Array]]:
+    """(tangent, lower end, upper end) with what stands in for readings at the ends of its spread."""
+    spread, model = StandIn.of(readings.value, readings.plain).spread, errors.model
+    for row, column in places:
+        unit = np.zeros(readings.value.shape)
+        unit[row, column] = TWO_SIDED * spread[row, column]
+        rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
+        nothing, tangent = np.zeros((unit.size, 1)), np.zeros(model.at.cell_resistance.size)
+        tangent[model.free] = errors.answer(rows, nothing, nothing)[:, 0]
+        ends = [moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1)]
+        yield tangent, ends[0], ends[1]
