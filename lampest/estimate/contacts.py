@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.estimate.state import S, State
+from lampest.estimate.state import S, SequenceState
 from lampest.estimate.step import Step
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
@@ -108,7 +108,7 @@ def _forward(model: LinearModel, follow: Array) -> Array:
 
 
 def with_contacts(
-    state: S, readings: Readings, solved: Step, solve: Callable[[State, Readings, Array], Step]
+    state: S, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
 ) -> tuple[S, Step]:
     """The state that knows its contacts, and the step that was solved for them.
 

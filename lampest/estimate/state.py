@@ -23,7 +23,7 @@ MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class SequenceState:
     """Where a sequence of frames stands.
 
     Parameters
@@ -93,7 +93,7 @@ class State:
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
 
 
-S = TypeVar("S", bound=State)
+S = TypeVar("S", bound=SequenceState)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ class CarriedOver:
     arrays: Mapping[str, Array]
 
     @classmethod
-    def of(cls, state: State) -> "CarriedOver":
+    def of(cls, state: SequenceState) -> "CarriedOver":
         """The last estimate, its deviation, and what error bars look back at."""
         found: dict[str, Any] = {"previous": state.previous, "previous_deviation": state.previous_deviation}
         if (track := state.track) is not None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen
-from lampest.estimate.state import State
+from lampest.estimate.state import SequenceState
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array
@@ -20,7 +20,7 @@ STRONGER = 1.1  # times the change at which weights were chosen before: a load t
 
 
 @dataclass(frozen=True, eq=False)
-class Stream(State):
+class Stream(SequenceState):
     """Where a sequence of frames stands. Pushing a frame gives the next stream and how the frame was solved.
 
     The cells are those of a recording with the same frames: files and boards come in by this door, too.
@@ -40,7 +40,7 @@ class Stream(State):
     ...     print(step.status, step.cell_resistance.round()[1])
     optimum verified [1033. 1033.  700. 1033.]
 
-    Beside what `State` holds:
+    Beside what `SequenceState` holds:
 
     Parameters
     ----------

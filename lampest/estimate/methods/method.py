@@ -14,7 +14,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import S, State
+from lampest.estimate.state import S, SequenceState
 from lampest.estimate.step import Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt, ended_where_hung
@@ -72,7 +72,7 @@ class Method(ABC):
 
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : `State.prepared`."""
+        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : `SequenceState.prepared`."""
 
     def guess(self, readout: Readout, measured: Array) -> Array:
         """What stands for the previous frame where there is none, the same shape, ohm."""
@@ -89,7 +89,7 @@ class Method(ABC):
         """
         return self.joint and objective.relative and not objective.weighs_previous
 
-    def given(self, state: State, readings: Readings) -> tuple[Data, Array | None]:
+    def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
         """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
 
         The joint pair: paper, equations (15) and (21).
@@ -108,7 +108,7 @@ class Method(ABC):
             data = objective.data(readings.alone(), replace(behind, previous=known * step))
         return data, None if state.previous is None else state.previous[None]
 
-    def solve(self, state: State, data: Data, previous: Array | None) -> Step:
+    def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
         """One solve, with the weights that are left to the data."""
         objective = state.estimator
         with nullcontext() if self.delays and not objective.automatic else delayed_interrupt():
@@ -169,11 +169,11 @@ class Method(ABC):
         """
         raise NotImplementedError
 
-    def _elsewhere(self, state: State, readings: Readings, near: Array) -> Step:
+    def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
         """A frame solved with another state, begun at cells that are known."""
         return self.solve(state, self.given(state, readings)[0], near)
 
-    def _barred(self, state: State, step: Step, readings: Readings) -> tuple[Track | None, Step]:
+    def _barred(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
         """The step that was solved from readings with error bars, where they are wanted and can be had."""
         if state.track is None or (model := step.surroundings()) is None:
             return state.track, step
@@ -190,7 +190,7 @@ class Method(ABC):
             return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         return state.track, step
 
-    def _beyond(self, state: State, readings: Readings, solved: Step, model: LinearModel) -> tuple[Array, Array]:
+    def _beyond(self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel) -> tuple[Array, Array]:
         """As `beyond_tangents`, of what was solved from readings (rows, columns)."""
 
         def moved(readings: Readings) -> Array:

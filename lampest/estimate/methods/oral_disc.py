@@ -11,7 +11,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.methods.method import Method
-from lampest.estimate.state import S, State
+from lampest.estimate.state import S, SequenceState
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
@@ -50,7 +50,7 @@ class OralDiscTracker:
     last: OralDiscFit | None = None
 
     @classmethod
-    def of(cls, state: State) -> "OralDiscTracker":
+    def of(cls, state: SequenceState) -> "OralDiscTracker":
         """Before the first frame. Raises InputError where the noise of the readings is unknown."""
         scene, resting, noise = state.scene, state.resting, state.frame_noise
         if resting.sigma is None:
@@ -126,7 +126,7 @@ class OralDiscMethod(Method):
         return _fitted(solver.cost, data, prepared.cell_resistance, prepared.fit.steps)
 
 
-def _judged(state: State, readings: Readings) -> tuple[Data, Cost]:
+def _judged(state: SequenceState, readings: Readings) -> tuple[Data, Cost]:
     """What cells that were not solved for are judged by."""
     data = state.estimator.data(readings.alone(), state.background)
     return data, state.estimator.cost(state.scene, 1, data.partial)

@@ -16,7 +16,7 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.smoothing.graduated import Walk, smoothed
 from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData, error_bars
-from lampest.estimate.state import S, State
+from lampest.estimate.state import S, SequenceState
 from lampest.estimate.step import Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
@@ -136,7 +136,7 @@ class SmootherMethod(Method):
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
 
 
-def _groups(state: State, resting: Readings) -> list[Readings]:
+def _groups(state: SequenceState, resting: Readings) -> list[Readings]:
     """Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is."""
     numbers = np.flatnonzero(resting.enough(state.scene))
     parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
@@ -144,7 +144,7 @@ def _groups(state: State, resting: Readings) -> list[Readings]:
 
 
 def _begun(
-    state: State,
+    state: SequenceState,
     resting: Sequence[Readings],
     readings: Sequence[Readings],
     cells: Sequence[Array],

@@ -1,4 +1,4 @@
-"""All frames estimated together by graduated non-convexity: what walks, what jumps, and the cells that follow, in turns.
+"""All frames estimated together by graduated non-convexity: what walks, what jumps, the cells that follow.
 
 The estimate u with its covariance P has the least of the free energy
 
