@@ -190,7 +190,9 @@ class Method(ABC):
             return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         return state.track, step
 
-    def _beyond(self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel) -> tuple[Array, Array]:
+    def _beyond(
+        self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
+    ) -> tuple[Array, Array]:
         """As `beyond_tangents`, of what was solved from readings (rows, columns)."""
 
         def moved(readings: Readings) -> Array:
