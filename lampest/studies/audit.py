@@ -21,7 +21,7 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 from lampest.runs.executors import AnyExecutor
 from lampest.runs.terms import FORBID
-from lampest.studies.methods import StudyMethod
+from lampest.studies.methods import StudyMethod, check_range
 from lampest.studies.study import (
     Figures,
     OnStep,
@@ -96,8 +96,7 @@ class AuditFile:
     def __post_init__(self) -> None:
         if not self.estimators or not self.effects:
             raise ValueError("estimators and effects must hold at least one")
-        if not 1 <= self.seeds <= 10_000:
-            raise ValueError("seeds must lie between 1 and 10000")
+        check_range("seeds", self.seeds, 1, 10_000)
         if self.simulation.baseline_frames < 2:
             raise ValueError("simulation.baseline_frames must be at least 2: repeats tell the scatter")
         for effect in self.effects.values():

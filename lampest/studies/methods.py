@@ -1,5 +1,6 @@
 """What studies have in common in their YAML files: methods, panels of several sizes, a lamprey's mouth."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -67,6 +68,21 @@ def paper_methods(kind: type[Method]) -> dict[str, Method]:
 def shapes_of(sizes: Sizes) -> tuple[Shape, ...]:
     """(rows, columns) of every panel."""
     return tuple((size, size) if isinstance(size, int) else size for size in sizes)
+
+
+def check_range(name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = "") -> None:
+    """Raise ValueError unless a number, or each of several, lies in a range."""
+    for number in [numbers] if isinstance(numbers, int | float) else numbers:
+        if not low <= number <= high:
+            raise ValueError(f"{name} must lie between {low:.15g} and {high:.15g}{unit}")
+
+
+def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
+    """Raise ValueError unless all rows and columns lie in a range and no panel comes twice."""
+    shapes = list(shapes)
+    check_range("a panel's side", [side for shape in shapes for side in shape], low, high)
+    if len(set(shapes)) < len(shapes):
+        raise ValueError("sizes names a panel twice")
 
 
 def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> OralDisc:

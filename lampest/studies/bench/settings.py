@@ -22,6 +22,8 @@ from lampest.studies.methods import (
     Shape,
     Sizes,
     SquaredMethod,
+    check_range,
+    check_sides,
     lamprey_mouth,
     paper_methods,
     shapes_of,
@@ -67,12 +69,9 @@ class Mats:
     noise_percent: tuple[float, ...] = (0.0, 1.0)
 
     def __post_init__(self) -> None:
-        if not all(2 <= side <= 64 for side in self.sides):
-            raise ValueError("a mat's side must lie between 2 and 64")
-        if not all(0 <= noise <= 10 for noise in self.noise_percent):
-            raise ValueError("noise_percent must lie between 0 and 10")
-        if not 1 <= self.draws <= 1000:
-            raise ValueError("draws must lie between 1 and 1000")
+        check_range("a mat's side", self.sides, 2, 64)
+        check_range("noise_percent", self.noise_percent, 0, 10)
+        check_range("draws", self.draws, 1, 1000)
 
 
 @dataclass(frozen=True)
@@ -135,19 +134,14 @@ class BenchFile:
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
-        for side in (*self.memory, *(side for shape in self.shapes for side in shape)):
-            if not 2 <= side <= LARGEST_SIDE:
-                raise ValueError(f"a panel's side must lie between 2 and {LARGEST_SIDE}")
-        if len(set(self.shapes)) < len(self.shapes):
-            raise ValueError("sizes names a panel twice")
+        check_sides(self.shapes, 2, LARGEST_SIDE)
+        check_range("a panel's side", self.memory, 2, LARGEST_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
         for name in ("recordings", "frames", "repeats"):
-            if not 1 <= getattr(self, name) <= 1000:
-                raise ValueError(f"{name} must lie between 1 and 1000")
-        if not 0 < self.budget_s <= 30 * 86400:
-            raise ValueError("budget_s must lie between 0 and 2592000")
+            check_range(name, getattr(self, name), 1, 1000)
+        check_range("budget_s", self.budget_s, 1e-3, 30 * 86400)
 
     @property
     def shapes(self) -> tuple[Shape, ...]:

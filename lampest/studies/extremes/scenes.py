@@ -15,7 +15,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor
 from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
-from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
+from lampest.studies.methods import Shape, Sizes, SquaredMethod, check_range, paper_methods, shapes_of
 
 GRID = "log-uniform"
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
@@ -237,14 +237,10 @@ class Grid:
     seeds: int = 1
 
     def __post_init__(self) -> None:
-        if not all(1 <= side <= 64 for shape in self.shapes for side in shape):
-            raise ValueError("a panel's side must lie between 1 and 64")
-        if not all(0 <= decades <= 15 for decades in self.decades):
-            raise ValueError("decades must lie between 0 and 15")
-        if not all(0 <= noise <= 100 for noise in self.noise):
-            raise ValueError("noise must lie between 0 and 100 percent")
-        if not 0 <= self.seeds <= 1000:
-            raise ValueError("seeds must lie between 0 and 1000")
+        check_range("a panel's side", [side for shape in self.shapes for side in shape], 1, 64)
+        check_range("decades", self.decades, 0, 15)
+        check_range("noise", self.noise, 0, 100, " percent")
+        check_range("seeds", self.seeds, 0, 1000)
 
     @property
     def shapes(self) -> tuple[Shape, ...]:

@@ -18,6 +18,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.recording.stored import only_frames
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
 from lampest.runs.terms import FORBID
@@ -28,6 +29,8 @@ from lampest.studies.methods import (
     BoundedMethod,
     Shape,
     Sizes,
+    check_range,
+    check_sides,
     lamprey_mouth,
     paper_methods,
     shapes_of,
@@ -93,10 +96,7 @@ class Simulated:
     def __post_init__(self) -> None:
         if not self.sizes or not self.noise or not self.scenes:
             raise ValueError("sizes, noise and scenes must hold at least one")
-        if not all(8 <= side <= LARGEST_SIDE for shape in self.shapes for side in shape):
-            raise ValueError(f"a panel's side must lie between 8 and {LARGEST_SIDE}")
-        if len(set(self.shapes)) < len(self.shapes):
-            raise ValueError("sizes names a panel twice")
+        check_sides(self.shapes, 8, LARGEST_SIDE)
         for name in (*self.noise, *self.scenes):
             check_name(name, "noise or scene")
         if not 0 < self.diameter_mm < float("inf"):
@@ -184,8 +184,8 @@ class TradeoffFile:
             raise ValueError(f"formulations must hold {REFERENCE}, which the others are compared with")
         if len(set(labels)) < len(labels):
             raise ValueError("formulations names a rung twice")
-        if not 2 <= self.frames <= 1000 or not 1 <= self.repeats <= 1000:
-            raise ValueError("frames must lie between 2 and 1000, repeats between 1 and 1000")
+        check_range("frames", self.frames, 2, 1000)
+        check_range("repeats", self.repeats, 1, 1000)
         if not 0 <= self.patience_s < float("inf"):
             raise ValueError("patience_s must be zero or positive, and finite")
         if self.memory is not None and self.memory not in self.estimators:
@@ -249,18 +249,6 @@ def first_frames(recording: Recording, count: int) -> Recording:
     measured = recording.measured_frames()[:count]
     if len(measured) < 2:
         raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
-    chosen = np.sort(np.concatenate([np.flatnonzero(recording.role == UNLOADED), measured]))
-
-    def cut(values: Any) -> Any:
-        return None if values is None else values[chosen]
-
-    each_frame = recording.sigma is not None and recording.sigma.ndim == 3
-    return Recording(
-        scene=recording.scene,
-        recorded=recording.recorded[chosen],
-        time=recording.time[chosen],
-        role=recording.role[chosen],
-        sigma=cut(recording.sigma) if each_frame else recording.sigma,
-        truth_cell_resistance=cut(recording.truth_cell_resistance),
-        name=recording.name,
-    )
+    chosen = recording.role == UNLOADED
+    chosen[measured] = True
+    return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
