@@ -21,22 +21,8 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 from lampest.runs.executors import AnyExecutor
 from lampest.runs.terms import FORBID
+from lampest.studies import study
 from lampest.studies.methods import StudyMethod, check_range
-from lampest.studies.study import (
-    Figures,
-    OnStep,
-    Reported,
-    Row,
-    Study,
-    grouped,
-    of_tasks,
-    read_settings,
-    rows_of,
-    screen_table,
-    text_of,
-    write_rows,
-    write_sequence,
-)
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
 LOADED_KPA = 0.5  # a cell counts as loaded from here on: below, a film's answer is smaller than its creep
@@ -163,7 +149,7 @@ COLUMNS = (
 )
 
 
-def run_audit(audit: AuditFile, on_step: OnStep) -> tuple[Audited, ...]:
+def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
     """Measure everything, in the order of effects and seeds."""
     seeds = range(audit.simulation.seed, audit.simulation.seed + audit.seeds)
     tasks = [AuditTask(audit, effect, seed) for effect in audit.effects for seed in seeds]
@@ -171,7 +157,7 @@ def run_audit(audit: AuditFile, on_step: OnStep) -> tuple[Audited, ...]:
     def lost(task: AuditTask, error: object) -> Audited:
         return Audited(task.effect, task.seed, "", " ".join(str(error).split()))
 
-    return of_tasks(audited, tasks, audit.executor, lost, on_step)
+    return study.of_tasks(audited, tasks, audit.executor, lost, on_step)
 
 
 def audited(task: AuditTask) -> tuple[Audited, ...]:
@@ -230,9 +216,9 @@ def repeats_chi_square(recording: Recording) -> float:
     return float((about**2).sum() / ((len(about) - 1) * max(int(plain.sum()), 1)))
 
 
-def audit_rows(found: Sequence[Audited]) -> list[Row]:
+def audit_rows(found: Sequence[Audited]) -> list[study.Row]:
     """Effects in their order, the estimators of each together, all seeds of both in one row."""
-    return rows_of(grouped(found, lambda one: (one.effect, one.estimator)).values(), FIGURES)
+    return study.rows_of(study.grouped(found, lambda one: (one.effect, one.estimator)).values(), FIGURES)
 
 
 def _good(own: Sequence[Audited]) -> list[Audited]:
@@ -245,7 +231,7 @@ def _silent(own: Sequence[Audited]) -> list[Audited]:
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
     """The most frequent one that results carry, whatever its numbers."""
-    kinds = grouped(own, lambda one: "".join(letter for letter in one.told if not letter.isdigit()))
+    kinds = study.grouped(own, lambda one: "".join(letter for letter in one.told if not letter.isdigit()))
     said = [alike for kind, alike in kinds.items() if kind]
     return max(said, key=len)[0].told if said else ""
 
@@ -280,7 +266,7 @@ def _verdict(own: Sequence[Audited]) -> str:
     return "wide" if np.fmax(shares[0], shares[1]) > MOST else "held"
 
 
-FIGURES: Figures = {
+FIGURES: study.Figures = {
     "effect": lambda own: own[0].effect,
     "estimator": lambda own: own[0].estimator,
     "recordings": len,
@@ -299,19 +285,25 @@ FIGURES: Figures = {
     "verdict": _verdict,
     "sentence": lambda own: _usual_sentence(_good(own)),
 }
-SCREEN: dict[str, Callable[[Row], str]] = {
+
+
+def _with_spread(share: float, spread: float) -> str:
+    return " ± ".join(filter(None, (study.text_of(share, ".1f"), study.text_of(spread, ".1f"))))
+
+
+SCREEN: dict[str, Callable[[study.Row], str]] = {
     "effect": lambda row: row.effect,
     "estimator": lambda row: row.estimator,
-    "cells [%]": lambda row: " ± ".join(filter(None, (text_of(row.cells, ".1f"), text_of(row.cells_sd, ".1f")))),
-    "change [%]": lambda row: " ± ".join(filter(None, (text_of(row.change, ".1f"), text_of(row.change_sd, ".1f")))),
-    "press. [%]": lambda row: text_of(row.pressure, ".1f"),
-    "chi2": lambda row: text_of(row.chi_square),
+    "cells [%]": lambda row: _with_spread(row.cells, row.cells_sd),
+    "change [%]": lambda row: _with_spread(row.change, row.change_sd),
+    "press. [%]": lambda row: study.text_of(row.pressure, ".1f"),
+    "chi2": lambda row: study.text_of(row.chi_square),
     "told": lambda row: f"{row.told}/{row.recordings - row.failed}",
     "verdict": lambda row: row.verdict,
 }
 
 
-def _remarks(rows: Sequence[Row], found: Sequence[Audited]) -> list[str]:
+def _remarks(rows: Sequence[study.Row], found: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
     broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "LIES")]
     kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
@@ -328,17 +320,17 @@ def _remarks(rows: Sequence[Row], found: Sequence[Audited]) -> list[str]:
     return lines + [f"{count} × {failure}" for failure, count in failures.items()]
 
 
-def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) -> Reported:
+def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) -> study.Reported:
     """Write audit.csv, a row for every effect and estimator, and audit.h5 with every recording."""
     rows = audit_rows(found)
     axis = ("case", "recording with an estimator, in order")
     files = (
-        write_rows(folder / "audit.csv", FIGURES, rows),
-        write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
+        study.write_rows(folder / "audit.csv", FIGURES, rows),
+        study.write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
     )
-    return Reported([("", screen_table(rows, SCREEN))], files, _remarks(rows, found))
+    return study.Reported([("", study.screen_table(rows, SCREEN))], files, _remarks(rows, found))
 
 
-STUDY: Study[AuditFile, Sequence[Audited]] = Study(
-    "recordings", "audit.yaml", read_settings(AuditFile), run_audit, report_audit
+STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
+    "recordings", "audit.yaml", study.read_settings(AuditFile), run_audit, report_audit
 )

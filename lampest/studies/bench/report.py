@@ -10,21 +10,11 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.whole import write_whole
 from lampest.report.compare import Table
+from lampest.studies import study
 from lampest.studies.bench.mats import MAT_FIGURES, mat_rows
 from lampest.studies.bench.rows import ALL, FIGURES, GROWTH_FROM, Growth, bench_rows, growth
 from lampest.studies.bench.run import Bench, run_bench
 from lampest.studies.bench.settings import BenchFile, BenchLimits
-from lampest.studies.study import (
-    Reported,
-    Row,
-    Study,
-    read_settings,
-    samples_file,
-    screen_table,
-    text_of,
-    write_columns,
-    write_rows,
-)
 
 SHORT = {
     "reduced": "reduced",
@@ -34,7 +24,7 @@ SHORT = {
     "scipy_lbfgsb": "L-BFGS-B",
 }
 NO_GAP = 1e-12  # less is rounding
-Cells = Callable[[Row], str]
+Cells = Callable[[study.Row], str]
 
 
 def overview_table(bench: Bench) -> Table:
@@ -71,7 +61,7 @@ def solvers_table(bench: Bench) -> Table:
     """All methods together: panel by panel, solver by solver."""
     rows = [row for row in bench_rows(bench) if row.method == ALL]
 
-    def ratio(row: Row) -> str:
+    def ratio(row: study.Row) -> str:
         return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
 
     return _table(rows, ("solver", lambda row: SHORT[row.solver]), ("ratio", ratio))
@@ -81,13 +71,13 @@ def methods_table(bench: Bench) -> Table:
     """The reduced solver: panel by panel, method by method."""
     rows = [row for row in bench_rows(bench) if row.method != ALL and row.solver == "reduced"]
 
-    def quartiles(row: Row) -> str:
+    def quartiles(row: study.Row) -> str:
         return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
 
     return _table(rows, ("method", lambda row: row.method), ("quartiles", quartiles))
 
 
-def _table(rows: Sequence[Row], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
+def _table(rows: Sequence[study.Row], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
     """Columns in which some row has anything."""
     columns: dict[str, Cells] = {
         "panel": _panel,
@@ -99,12 +89,12 @@ def _table(rows: Sequence[Row], named: tuple[str, Cells], special: tuple[str, Ce
         "steps": lambda row: short(row.iterations),
         "gap": lambda row: "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}",
         "verified": lambda row: f"{row.verified}/{row.count}",
-        "MB": lambda row: text_of(row.memory_mb, ".0f"),
+        "MB": lambda row: study.text_of(row.memory_mb, ".0f"),
     }
-    return screen_table(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
+    return study.screen_table(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
 
 
-def _panel(row: Row) -> str:
+def _panel(row: study.Row) -> str:
     return f"{row.rows} × {row.columns}"
 
 
@@ -181,7 +171,7 @@ def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
         ("solvers: all methods together", solvers_table(bench)),
         ("methods: the reduced solver", methods_table(bench)),
         ("growth: time ∝ side^exponent", growth_table(bench)),
-        ("mats: published solvers, no bounds, no penalties", screen_table(mat_rows(bench.mats), MAT_SCREEN)),
+        ("mats: published solvers, no bounds, no penalties", study.screen_table(mat_rows(bench.mats), MAT_SCREEN)),
     )
     yield from ((title, table) for title, table in titled if table.cells)
 
@@ -227,7 +217,7 @@ MATS = (
 
 def _write_samples(path: Path, bench: Bench) -> Path:
     """/entry/<rows>x<columns>/<method>/<solver>/recording_<k>: times, objectives, gaps; /entry/mats/<field>."""
-    with samples_file(path, "bench/2") as entry:
+    with study.samples_file(path, "bench/2") as entry:
         for (shape, *about), megabytes in bench.memory_mb.items():
             hdf5.set_attributes(_group(entry, shape, bench, *about), peak_memory_mb=megabytes)
         for one in growth(bench):
@@ -241,7 +231,7 @@ def _write_samples(path: Path, bench: Bench) -> Path:
         if bench.mats:
             mats = entry.create_group("mats")
             hdf5.set_attributes(mats, NX_class="NXcollection")
-            write_columns(mats, bench.mats, MATS)
+            study.write_columns(mats, bench.mats, MATS)
     return path
 
 
@@ -254,21 +244,23 @@ def _group(entry: Any, shape: tuple[int, int], bench: Bench, method: str, solver
     return group
 
 
-def report_bench(bench: Bench, settings: BenchFile, folder: Path) -> Reported:
+def report_bench(bench: Bench, settings: BenchFile, folder: Path) -> study.Reported:
     """Write what was measured.
 
     bench.csv : a row for every panel, method, solver and kind of frame. growth.csv : exponents. mats.csv : published
     solvers, where they ran. bench.md : tables and remarks for a page. bench.h5 : every sample.
     """
     files = [
-        write_rows(folder / "bench.csv", FIGURES, bench_rows(bench)),
-        write_rows(folder / "growth.csv", Growth.__dataclass_fields__, growth(bench)),
+        study.write_rows(folder / "bench.csv", FIGURES, bench_rows(bench)),
+        study.write_rows(folder / "growth.csv", Growth.__dataclass_fields__, growth(bench)),
     ]
     if bench.mats:
-        files.append(write_rows(folder / "mats.csv", MAT_FIGURES, mat_rows(bench.mats)))
+        files.append(study.write_rows(folder / "mats.csv", MAT_FIGURES, mat_rows(bench.mats)))
     write_whole(folder / "bench.md", page(bench, settings))
     files += [folder / "bench.md", _write_samples(folder / "bench.h5", bench)]
-    return Reported(list(tables(bench)), files, bench_remarks(bench, settings))
+    return study.Reported(list(tables(bench)), files, bench_remarks(bench, settings))
 
 
-STUDY: Study[BenchFile, Bench] = Study("methods", "bench.yaml", read_settings(BenchFile), run_bench, report_bench)
+STUDY: study.Study[BenchFile, Bench] = study.Study(
+    "methods", "bench.yaml", study.read_settings(BenchFile), run_bench, report_bench
+)

@@ -10,35 +10,23 @@ import numpy as np
 
 from lampest.report.compare import Table
 from lampest.solvers.solution import VERIFIED
+from lampest.studies import study
 from lampest.studies.extremes.figure import plot_extremes
 from lampest.studies.extremes.run import REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, AtlasFile
-from lampest.studies.study import (
-    Figures,
-    Reported,
-    Row,
-    Study,
-    grouped,
-    read_settings,
-    rows_of,
-    screen_table,
-    text_of,
-    write_rows,
-    write_sequence,
-)
 
 MILD_DECADES, MILD_NOISE = 6.0, 0.01
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
 
 
-def atlas_rows(solves: Sequence[Solve]) -> list[Row]:
+def atlas_rows(solves: Sequence[Solve]) -> list[study.Row]:
     """A row for each cell of the atlas, in its order: a case with a contrast, size, noise, method and formulation."""
 
     def cell(solve: Solve) -> tuple[Any, ...]:
         own = solve.sample
         return own.case, own.decades, own.rows, own.columns, own.noise, solve.method, solve.formulation
 
-    return rows_of(grouped(solves, cell).values(), FIGURES)
+    return study.rows_of(study.grouped(solves, cell).values(), FIGURES)
 
 
 def _count(what: str) -> Callable[[Sequence[Solve]], int]:
@@ -61,7 +49,7 @@ def _statuses(own: Sequence[Solve]) -> str:
     return "; ".join(f"{count} × {status}" for status, count in counted.most_common())
 
 
-FIGURES: Figures = {
+FIGURES: study.Figures = {
     "case": lambda own: own[0].sample.case,
     "decades": lambda own: own[0].sample.decades,
     "rows": lambda own: own[0].sample.rows,
@@ -87,12 +75,12 @@ FIGURES: Figures = {
 }
 
 
-def _estimate_digits(row: Row) -> str:
-    least = text_of(row.estimate_digits, ".1f")
-    return least and f"{least} ({text_of(row.median_digits, '.1f')})"
+def _estimate_digits(row: study.Row) -> str:
+    least = study.text_of(row.estimate_digits, ".1f")
+    return least and f"{least} ({study.text_of(row.median_digits, '.1f')})"
 
 
-SCREEN: dict[str, Callable[[Row], str]] = {
+SCREEN: dict[str, Callable[[study.Row], str]] = {
     "case": lambda row: row.case,
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
     "verified": lambda row: f"{row.verified}/{row.solves}",
@@ -100,19 +88,19 @@ SCREEN: dict[str, Callable[[Row], str]] = {
     "doubtful": lambda row: f"{row.doubtful or ''}",
     "crashed": lambda row: f"{row.crashed or ''}",
     "worse than truth": lambda row: f"{row.worse or ''}",
-    "digits: forward": lambda row: text_of(row.forward_digits, ".1f"),
-    "model": lambda row: text_of(row.model_digits, ".1f"),
+    "digits: forward": lambda row: study.text_of(row.forward_digits, ".1f"),
+    "model": lambda row: study.text_of(row.model_digits, ".1f"),
     "estimate (median)": _estimate_digits,
-    "worst KKT": lambda row: text_of(row.residual, ".0e"),
-    "audited": lambda row: text_of(row.audited, ".0e"),
+    "worst KKT": lambda row: study.text_of(row.residual, ".0e"),
+    "audited": lambda row: study.text_of(row.audited, ".0e"),
     "iterations (most)": lambda row: f"{row.iterations:.0f} ({row.most_iterations})",
 }
 
 
 def atlas_table(solves: Sequence[Solve]) -> Table:
     """A line for every number of decades of the random panels and for every other case, all methods together."""
-    groups = grouped(solves, lambda solve: (solve.sample.case, solve.sample.decades))
-    return screen_table(rows_of(groups.values(), FIGURES), SCREEN)
+    groups = study.grouped(solves, lambda solve: (solve.sample.case, solve.sample.decades))
+    return study.screen_table(study.rows_of(groups.values(), FIGURES), SCREEN)
 
 
 def mild(solve: Solve) -> bool:
@@ -130,7 +118,7 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     for title, chosen in (
         ("all", list(solves)),
         ("contrast up to 10⁶ or a single fault, noise up to 1 %", tame),
-        *((f"  {case}", own) for case, own in grouped(tame, lambda solve: solve.sample.case).items()),
+        *((f"  {case}", own) for case, own in study.grouped(tame, lambda solve: solve.sample.case).items()),
     ):
         good = sum(solve.verified for solve in chosen)
         lines.append(f"{title}: {good} of {len(chosen)} verified ({_share(good, len(chosen))})")
@@ -172,18 +160,18 @@ COLUMNS = (
 )
 
 
-def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> Reported:
+def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> study.Reported:
     """Write extremes.csv, a row for every cell of the atlas, extremes.h5 with every solve, and the figure."""
     path, axis = folder / "extremes.h5", ("solve", "solve, in the order of the atlas")
     plain = [replace(one, sample=replace(one.sample, case=one.sample.case.translate(PLAIN))) for one in found]
     files = (
-        write_rows(folder / "extremes.csv", FIGURES, atlas_rows(found)),
-        write_sequence(path, "extremes/1", "solves", "verified", axis, plain, COLUMNS, verified_below=VERIFIED),
+        study.write_rows(folder / "extremes.csv", FIGURES, atlas_rows(found)),
+        study.write_sequence(path, "extremes/1", "solves", "verified", axis, plain, COLUMNS, verified_below=VERIFIED),
         plot_extremes(found, folder / "extremes.png"),
     )
-    return Reported([("", atlas_table(found))], files, atlas_remarks(found))
+    return study.Reported([("", atlas_table(found))], files, atlas_remarks(found))
 
 
-STUDY: Study[AtlasFile, Sequence[Solve]] = Study(
-    "scenes", "extremes.yaml", read_settings(AtlasFile), run_atlas, report_atlas
+STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
+    "scenes", "extremes.yaml", study.read_settings(AtlasFile), run_atlas, report_atlas
 )
