@@ -20,8 +20,9 @@ EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
 
 
 def commands_page() -> str:
-    """Every command with its arguments and options, by typer's own generator."""
+    """Every command with its arguments and options, by typer's own generator; not the words of the release before."""
     command = typer.main.get_command(commands)
+    command.commands = {name: each for name, each in command.commands.items() if not each.hidden}  # type: ignore[attr-defined]
     text = get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="lampest"), name="lampest")
     _, _, chapters = text.partition("\n## ")
     chapters = EXAMPLE.sub(r"**Example**:\n\n```console\n$ \1\n```", chapters)

@@ -73,13 +73,15 @@ def _paths(value: object) -> list[Path]:
     return [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, Path)]
 
 
-def _renamed(old: str, new: str, command: Callable[..., None]) -> Callable[..., None]:
-    """A command of the release before, which says its new name."""
+def _renamed(old: str, new: str) -> Callable[..., None]:
+    """A command of the release before, which says its new name; a flag of that name is set."""
+    name, _, flag = new.partition(" --")
+    command = COMMANDS[name][0]
 
     @wraps(command)
     def called(**options: Any) -> None:
         say(f"lampest: {old} is now: lampest {new}; the old word answers for one release more", to=sys.stderr)
-        command(**options)
+        command(**options | ({FLAGS[flag]: True} if flag else {}))
 
     return called
 
@@ -116,11 +118,8 @@ OLD = {  # word of the release before → new name
     **{word: f"study {word}" for word in ("bench", "tradeoff", "extremes", "audit", "paper", "starts")},
     **{word: f"show {word}" for word in ("terms", "schema")},
 }
-OF_THEIR_OWN: dict[str, Callable[..., None]] = {
-    "ports": board.ports,
-    "repair": results.repair,
-}  # old words whose new names are options
-UNGUARDED = (results.terms, results.schema, board.ports)  # they read and write no files
+FLAGS = {"list": "listed", "repair": "repair"}  # of new names → parameters
+UNGUARDED = (results.terms, results.schema)  # they read and write no files
 GROUPS = {
     "show": "List what a run's file may hold: terms, or its JSON schema.",
     "study": "Measure lampest itself: solvers, formulations, extremes, error bars, weights, starts, the paper.",
@@ -143,8 +142,7 @@ def _build() -> None:
         first = next(each for each in COMMANDS if each.startswith(f"{name} "))
         app.add_typer(group_app, name=name, epilog=f"Example: lampest {first} {COMMANDS[first][1]}".rstrip())
     for old, new in OLD.items():
-        renamed = OF_THEIR_OWN[old] if old in OF_THEIR_OWN else COMMANDS[new][0]
-        _add(app, old, _renamed(old, new, renamed), new, hidden=True)
+        _add(app, old, _renamed(old, new), new, hidden=True)
 
 
 _build()

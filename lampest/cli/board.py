@@ -34,17 +34,6 @@ Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after s
 Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else 1.")]
 
 
-def ports() -> None:
-    """List the serial ports, those that look like an Arduino first."""
-    from lampest.recording.board.port import ports as all_ports
-
-    found = all_ports()
-    for port in found:
-        say(f"{port.url}  {port.description}{'  (looks like an Arduino)' if port.likely else ''}")
-    if not found:
-        say("there is no serial port", to=sys.stderr)
-
-
 def record(
     out: Annotated[Path | None, written("--out", "The recording that is written; must not exist.")] = None,
     port: Port = None,
@@ -56,11 +45,17 @@ def record(
         int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
     ] = 0,
     period: Period = None,
-    listed: Annotated[bool, typer.Option("--list", help="List the serial ports and end; no --out is needed.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="List the serial ports, likely ones first, and end.")] = False,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
     if listed:
-        ports()
+        from lampest.recording.board.port import ports
+
+        found = ports()
+        for each in found:
+            say(f"{each.url}  {each.description}{'  (looks like an Arduino)' if each.likely else ''}")
+        if not found:
+            say("there is no serial port", to=sys.stderr)
         return
     if out is None:
         raise InputError("--out: name the recording that is written")

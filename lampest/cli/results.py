@@ -222,9 +222,7 @@ def info(file: Annotated[Path, typer.Argument(help="A recording or a results fil
 
 def check(
     files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Turn recordings that a crash left into clean ones first.")
-    ] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Make clean recordings of what a crash left.")] = False,
 ) -> None:
     """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
     from lampest.report.checked import checked_sentence
@@ -246,8 +244,3 @@ def _repaired(file: Path) -> str:
     from lampest.recording.board.record import repair
 
     return f"{repair(file)} frames: {file}"
-
-
-def repair(file: Annotated[Path, mended("FILE", "A recording that was not closed.")]) -> None:
-    """Turn what a crash left into a clean recording; one that is clean stays as it is."""
-    check([file], repair=True)

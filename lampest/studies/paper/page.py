@@ -67,7 +67,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
         *tables.covered_cells(sides, published),
         *tables.data_errors(sides, published),
     ]
-    timed, own = tables.step_times(sides, published), tables.built_in(published)
+    timed, own = tables.step_times(sides, published), tables.built_in(published, len(sides))
     pictures: list[Path] = []
 
     def drawn(figure: Figure, word: str, alternative: str, caption: str) -> Illustration:
@@ -84,7 +84,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
         )
     text = filled("lampest.studies.paper", chapters=chapters, sides=sides, summary=_summary(held, names))
     write_whole(folder / PAGE, text)
-    write_whole(folder / NUMBERS, comma_separated(csv_rows([*held, *timed, *_wide(own, len(names))], names)))
+    write_whole(folder / NUMBERS, comma_separated(csv_rows([*held, *timed, *own], names)))
     return (folder / PAGE, folder / NUMBERS, *pictures)
 
 
@@ -152,8 +152,3 @@ def _summary(held: Sequence[Held], names: Sequence[str]) -> str:
     """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
     checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
     return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I, {counts(checked, names)}"
-
-
-def _wide(own: Sequence[Held], sides: int) -> list[Held]:
-    """What lampest has built in is the same on every side."""
-    return [Held(row.figure, row.quantity, row.unit, row.published, row.ours * sides) for row in own]

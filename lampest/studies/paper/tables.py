@@ -15,7 +15,6 @@ from lampest.studies.paper.published import Published
 from lampest.studies.paper.sides import Side
 
 WITHIN = 0.25  # of the published number: what counts as reproduced
-NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -33,24 +32,23 @@ class Held:
         return abs(self.ours[number] - self.published) <= WITHIN * abs(self.published)
 
 
-def built_in(published: Published) -> list[Held]:
-    """Figures 1-e and 2: what lampest's response was made from, read back."""
-    rows = [
-        Held("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, (100 * float(_change(one.kpa)),))
+def built_in(published: Published, sides: int) -> list[Held]:
+    """Figures 1-e and 2: what lampest's response was made from, read back; the same on every side."""
+    found = [
+        ("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, 100 * _change(one.kpa))
         for one in published.response.changes
     ]
     for part in published.response.slopes:
         slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
         name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
-        rows.append(Held("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, (float(slope),)))
+        found.append(("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope))
     flat = published.bending.cells[0].ohm
     for cell in published.bending.cells:
-        film = Film(curvature_per_m=cell.curvature_per_m)
-        at = f"at {cell.curvature_per_m:g} 1/m"
-        rows.append(Held("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, (flat * film.lowering,)))
+        film, at = Film(curvature_per_m=cell.curvature_per_m), f"at {cell.curvature_per_m:g} 1/m"
+        found.append(("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, flat * film.lowering))
         change = 100 * ((1 + _change(40.0)) ** film.answer - 1)
-        rows.append(Held("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {at}", "%", cell.percent, (float(change),)))
-    return rows
+        found.append(("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {at}", "%", cell.percent, change))
+    return [Held(place, name, unit, number, (float(ours),) * sides) for place, name, unit, number, ours in found]
 
 
 def _change(kpa: float) -> float:
@@ -103,22 +101,12 @@ def step_times(sides: Sequence[Side], published: Published) -> list[Held]:
 
 def sheet(rows: Sequence[Held], names: Sequence[str]) -> Sheet:
     """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
-    headers = ("", "place", "published", *names)
-    texts = tuple(
-        (f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *(_text(one) for one in row.ours))
-        for row in rows
-    )
-    best = {
-        (place, 3 + number)
-        for place, row in enumerate(rows)
-        for number in range(len(row.ours))
-        if row.reproduced(number)
-    }
-    return Sheet(headers, texts, frozenset(best))
-
-
-def _text(value: float) -> str:
-    return "–" if np.isnan(value) else digits(value)
+    headers, texts, best = ("", "place", "published", *names), [], set()
+    for place, row in enumerate(rows):
+        ours = ["–" if np.isnan(one) else digits(one) for one in row.ours[: len(names)]]
+        texts.append((f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *ours))
+        best |= {(place, 3 + number) for number in range(len(names)) if row.reproduced(number)}
+    return Sheet(headers, tuple(texts), frozenset(best))
 
 
 def counts(rows: Sequence[Held], names: Sequence[str]) -> str:
@@ -132,7 +120,4 @@ def counts(rows: Sequence[Held], names: Sequence[str]) -> str:
 def csv_rows(rows: Sequence[Held], names: Sequence[str]) -> list[list[object]]:
     """A header and one line for each number."""
     lines: list[list[object]] = [["figure", "quantity", "unit", "published", *names]]
-    for row in rows:
-        ours = [*row.ours, *([NAN] * (len(names) - len(row.ours)))]
-        lines.append([row.figure, row.quantity, row.unit, row.published, *ours])
-    return lines
+    return lines + [[row.figure, row.quantity, row.unit, row.published, *row.ours] for row in rows]
