@@ -18,7 +18,7 @@ from lampest.runs.results import CaseResult, write_results
 
 if TYPE_CHECKING:
     from lampest.report.plots.plot import Figure, Plot
-    from lampest.runs.labelled import DataFrame, Dataset
+    from lampest.runs.case import DataFrame, Dataset
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,9 +18,8 @@ from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor
 from lampest.runs.filling import case_result
-from lampest.runs.long_case import PartFiles, solve_long
+from lampest.runs.long_case import PartFiles, solve_long, watched
 from lampest.runs.results import CaseResult, StoredCase, read_case_ids, read_kept, write_kept, write_results
-from lampest.runs.watched import watched
 
 RESULTS = "results.h5"
 CASES = "cases"

@@ -1,5 +1,7 @@
 """One case's result: what an estimator made of a recording, with everything that a results file says about it."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
@@ -8,17 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.panel.panel import Array, beyond_any_panel
-from lampest.panel.scene import Scene
-from lampest.runs.columns import COLUMNS, FIGURES, FRAMES, MAPS, MEASURED, Column, all_columns
-from lampest.runs.labelled import dataset_of, table_of
+from lampest.panel.scene import Scene, scene_text
+from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
 
 if TYPE_CHECKING:
-    from lampest.runs.labelled import DataFrame, Dataset
+    from pandas import DataFrame as DataFrame
+    from xarray import Dataset as Dataset
 
 SHARED = "recording"  # the group beside the estimators that holds what they were given
-LONGEST_NAME = 200
+LONGEST_NAME = 200  # characters
+# Attribute of a case's group in a file → what a case calls this sentence; not there where it is empty.
+SENTENCES = {
+    "model_check": "model_sentence",
+    "model_explains": "model_mark",
+    "noise_check": "noise_sentence",
+    "noise_learned": "noise_learned",
+    "film": "film_sentence",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +174,7 @@ class CaseResult:
         return np.asarray(valued)
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], **rest: Any) -> "CaseResult":
+    def of(cls, values: Mapping[str, Any], **rest: Any) -> CaseResult:
         """From the values of columns, those without an attribute as `extra`, and the rest."""
         extra = {name: value for name, value in values.items() if name not in TYPED}
         return cls(**{name: value for name, value in values.items() if name in TYPED}, **rest, extra=extra)
@@ -173,7 +183,7 @@ class CaseResult:
         """The values of a column, or None where the case has none."""
         return getattr(self, name) if name in TYPED else self.extra.get(name)
 
-    def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
+    def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
         """The case as an xarray.Dataset over time (s), row and column, with x and y in mm; units in every `attrs`.
 
         columns : of `extra`, as `read_results` takes them. Raises InputError where an extra has no column, or xarray is
@@ -181,7 +191,7 @@ class CaseResult:
         """
         return dataset_of(self, self.described(columns))
 
-    def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
+    def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
         """The case as a long pandas.DataFrame: time, frame, row, column, and a column for each of the case's.
 
         One line for every cell of every frame; units in `attrs["units"]`. Raises InputError as `to_xarray`.
@@ -254,3 +264,82 @@ def check_name(name: str, what: str) -> None:
             f"{name[:LONGEST_NAME]!r} cannot name a {what}: 1 to {LONGEST_NAME} printable ASCII characters without '/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
+
+
+def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
+    """Every column and figure of a case over time, row and column, with units and long names as in results files.
+
+    Coordinates: time (s) and frame, row and column with y and x (mm). A cost, a weight or a number of a disc goes by
+    its folder and its name: cost_misfit. Raises InputError where xarray is not installed.
+    """
+    with extra("xarray"):
+        from xarray import Dataset
+    variables: dict[str, Any] = {
+        column.name: (column.axes, np.asarray(values), column.attributes)
+        for column, values in _held(case, columns)
+        if column not in (TIME, FRAME)
+    }
+    for folder in FIGURES:
+        for name, values in getattr(case, folder.name).items():
+            variables[f"{folder.folder}_{name}"] = FRAMES, values, _said(folder.units(name), folder.long_name(name))
+    return Dataset(variables, _coordinates(case), about(case))
+
+
+def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
+    """One line for every cell of every frame: time, frame, row, column, y and x in mm, then all columns of the case.
+
+    What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column.
+    """
+    from pandas import DataFrame  # takes 0.3 s
+
+    held = dict(_held(case, columns))
+    sizes = dict(zip(MAPS, case.measured.shape, strict=True))
+    lines = {axis: _lines(np.arange(sizes[axis]), (axis,), sizes) for axis in CELLS}
+    x, y = case.scene.panel.centres_mm()
+    lines |= {"y": _lines(y, CELLS[:1], sizes), "x": _lines(x, CELLS[1:], sizes)}
+    first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
+    table = DataFrame(first | {column.name: _lines(values, column.axes, sizes) for column, values in held.items()})
+    table.attrs = about(case) | {
+        "units": {column.name: column.units for column in (TIME, FRAME)}
+        | {"y": "mm", "x": "mm"}
+        | {column.name: column.units for column in held}
+    }
+    return table
+
+
+def _held(case: CaseResult, columns: Sequence[Column]) -> list[tuple[Column, Any]]:
+    """The columns that the case holds, in its readout's unit, with their values."""
+    fitting = (column.of(case.scene.circuit) for column in columns)
+    return [(column, values) for column in fitting if (values := case.column(column.name)) is not None]
+
+
+def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:
+    """Values over some of the axes, one for every cell of every frame, in that order."""
+    shape = [sizes[axis] if axis in axes else 1 for axis in MAPS]
+    return np.broadcast_to(np.reshape(values, shape), list(sizes.values())).ravel()
+
+
+def _coordinates(case: CaseResult) -> dict[str, Any]:
+    x, y = case.scene.panel.centres_mm()
+    return {
+        "time": (FRAMES, case.time, _said(TIME.units, TIME.long_name)),
+        "frame": (FRAMES, case.frame, _said(FRAME.units, FRAME.long_name)),
+        "row": ("row", np.arange(len(y)), _said("1", "row line")),
+        "column": ("column", np.arange(len(x)), _said("1", "column line")),
+        "y": ("row", y, _said("mm", "position of the row")),
+        "x": ("column", x, _said("mm", "position of the column")),
+    }
+
+
+def _said(units: str, long_name: str) -> dict[str, str]:
+    return {"units": units, "long_name": long_name}
+
+
+def about(case: CaseResult) -> dict[str, Any]:
+    """What is no column: names, the resolved case and the scene as YAML, sentences; texts all."""
+    told = {"start_time": case.start_time, "baseline_status": case.baseline_status}
+    told |= {name: getattr(case, field) for name, field in SENTENCES.items() if name != "model_explains"}
+    names = {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id}
+    texts = {"case": case.case_yaml, "scene": scene_text(case.scene)}
+    versions = {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    return names | texts | {name: text for name, text in told.items() if text} | versions

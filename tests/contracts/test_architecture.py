@@ -51,8 +51,8 @@ DOORS = {
         "studies",
     ),
     "mpmath": ("studies.extremes",),
-    "xarray": ("runs.labelled", "report.export.arrays"),
-    "pandas": ("runs.labelled", "recording.foreign", "report.export.tables"),
+    "xarray": ("runs.case", "report.export.arrays"),
+    "pandas": ("runs.case", "recording.foreign", "report.export.tables"),
     "pyarrow": ("report.export.tables",),
     "pylsl": ("report.live.publish.lsl",),
     "pythonosc": ("report.live.publish.osc",),
@@ -73,7 +73,7 @@ DOORS = {
     "typer": ("cli",),
 }
 EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
-STILL_IN_CIRCLES = {"solvers", "estimate", "runs"}
+STILL_IN_CIRCLES = {"solvers", "estimate"}
 WITHOUT_CIRCLES = sorted(set().union(*FLOORS) - STILL_IN_CIRCLES)
 NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
 GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")

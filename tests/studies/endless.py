@@ -21,7 +21,7 @@ from lampest.recording.stored import BLOCK, save_parts
 from lampest.runs import long_case
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
-from lampest.runs.executors.serial import Serial
+from lampest.runs.executors import Serial
 
 PERIOD_S, UNLOADED = 0.1, 50
 RUN = """

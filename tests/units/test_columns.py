@@ -17,7 +17,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.runs.case import REQUIRED, TYPED, CaseResult
 from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAMES, MAPS, Column, all_columns, of_steps
-from lampest.runs.columns.checks import positive
+from lampest.runs.columns.column import positive
 from lampest.runs.config import read_run
 from lampest.runs.filling import case_result
 from lampest.runs.results import read_results, write_results

@@ -20,7 +20,7 @@ from lampest.files import interrupts
 from lampest.files.errors import InputError
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
-from lampest.runs.executors import Dask, Processes, Serial, Slurm, local
+from lampest.runs.executors import Dask, Processes, Serial, local
 from lampest.runs.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
@@ -143,10 +143,9 @@ def test_workers_with_several_threads_are_refused() -> None:
         list(Dask(address=cluster.scheduler_address).results(eval, ["1"]))
 
 
-def test_no_cluster_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lampest.runs.executors.dask.PATIENCE_S", 0.3)
+def test_no_cluster_at_the_address() -> None:
     with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:9"):
-        list(Dask(address="tcp://127.0.0.1:9").results(eval, ["1"]))
+        list(Dask(address="tcp://127.0.0.1:9", wait_s=0.3).results(eval, ["1"]))
 
 
 def hanging(seconds: float) -> float:
@@ -176,20 +175,19 @@ def test_a_process_that_nobody_replaces_is_not_ended() -> None:
     assert signal.getsignal(signal.SIGALRM) == before
 
 
-def test_slurm_jobs_ask_for_what_the_file_says(disk: SimpleNamespace) -> None:
-    slurm = (
-        "{queue: short, account: fish, walltime: '02:00:00', memory: 3GB, workers_per_job: 4, directives: [-C avx2]}"
-    )
-    run = read_run(disk.run(disk.text + f"executor: {{kind: dask, workers: 8, slurm: {slurm}}}\n"))
-    assert run.executor == Dask(
-        workers=8,
-        slurm=Slurm("short", "fish", "02:00:00", 4, "3GB", directives=("-C avx2",)),
-    )
-    with run.executor.slurm.cluster() as cluster:
-        script = cluster.job_script()
-    for words in ("-p short", "-A fish", "-t 02:00:00", "-C avx2", "--mem=3G", "--cpus-per-task=4", "--nthreads 1 "):
-        assert words in script
-    assert "export OPENBLAS_NUM_THREADS=1" in script
+def test_a_scheduler_is_found_by_its_file(disk: SimpleNamespace) -> None:
+    import distributed
+
+    options: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        client.write_scheduler_file(disk.folder / "scheduler.json")
+        path = disk.run(disk.text + "executor: {kind: dask, scheduler_file: scheduler.json, wait_s: 60}\n")
+        executor = read_run(path).executor
+        assert executor == Dask(scheduler_file=str(disk.folder / "scheduler.json"), wait_s=60.0)
+        assert list(executor.results(eval, ["6 * 7"])) == [("6 * 7", 42)]
+    (disk.folder / "scheduler.json").unlink()
+    with pytest.raises(InputError, match=r"executor\.scheduler_file: .*scheduler\.json: cannot be read \(No such file"):
+        read_run(path)
 
 
 def test_executor_changes_no_case(disk: SimpleNamespace) -> None:

@@ -59,7 +59,7 @@ def counted(path, carried):
 long_case.write_carried = counted
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
-from lampest.runs.executors.serial import Serial
+from lampest.runs.executors import Serial
 run_batch(read_run(Path(sys.argv[1])), Path(sys.argv[2]), Serial())
 print(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 """

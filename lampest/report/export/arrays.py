@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.report.export.export import Export, series_of
-from lampest.runs.case import CaseResult
-from lampest.runs.labelled import about
+from lampest.runs.case import CaseResult, about
 
 
 class MatlabExport(Export):

@@ -12,9 +12,8 @@ import numpy as np
 from lampest.files.errors import InputError, extra
 from lampest.panel.scene import Scene
 from lampest.report.export.export import Export, Series, series_of
-from lampest.runs.case import CaseResult
+from lampest.runs.case import CaseResult, about
 from lampest.runs.columns import CELLS, TIME
-from lampest.runs.labelled import about
 
 
 class NwbExport(Export):

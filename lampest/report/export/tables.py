@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lampest.files.errors import extra
 from lampest.report.export.export import Export
-from lampest.runs.case import CaseResult
+from lampest.runs.case import CaseResult, about
 from lampest.runs.columns import all_columns
-from lampest.runs.labelled import about
 
 if TYPE_CHECKING:
-    from lampest.runs.labelled import DataFrame
+    from lampest.runs.case import DataFrame
 
 # numpy's whole numbers → those of pandas that may be missing.
 WHOLE = {"int8": "Int8", "uint8": "UInt8", "int64": "Int64", "bool": "boolean"}

@@ -6,7 +6,7 @@ from contextlib import ExitStack, suppress
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from lampest.runs.executors.process import Worker
+from lampest.runs.executors import Worker
 
 T = TypeVar("T")
 

@@ -8,11 +8,8 @@ from collections.abc import Sequence
 
 from lampest.files.errors import InputError
 from lampest.files.tagged import installed
-from lampest.runs.columns.certainty import CERTAINTY
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
-from lampest.runs.columns.estimate import ESTIMATE, FIGURES
-from lampest.runs.columns.given import FRAME, GIVEN, MEASURED, TIME
-from lampest.runs.columns.pressure import PRESSURE
+from lampest.runs.columns.shipped import CERTAINTY, ESTIMATE, FIGURES, FRAME, GIVEN, MEASURED, PRESSURE, TIME
 
 __all__ = [
     "CELLS",

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import ALL, ascii_array, read_array, read_texts, read_whole
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
-from lampest.runs.columns.checks import Check
 
 if TYPE_CHECKING:  # what reads results need not load what solves
     from lampest.estimate.estimates import Estimates
@@ -21,17 +20,65 @@ if TYPE_CHECKING:  # what reads results need not load what solves
 
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
-RESERVED = (
-    *CELLS,
-    "x",
-    "y",
-    "scene",
-    "start_time",
-    "cost",
-    "weight",
-    "disc",
-    "model_check",
-)  # what the groups of a results file hold besides columns
+# What the groups of a results file hold besides columns.
+RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "disc", "model_check")
+
+
+Solved = NDArray[np.bool_]  # (frames)
+Check = Callable[[Any, Solved], str | None]
+
+
+def finite(values: Array, solved: Solved) -> str | None:
+    """Every value is a number."""
+    return None if np.all(np.isfinite(values)) else "must be finite"
+
+
+def positive(values: Array, solved: Solved) -> str | None:
+    """Every value is a number above zero."""
+    return None if np.all(np.isfinite(values) & (values > 0)) else "must be positive and finite everywhere"
+
+
+def positive_or_missing(values: Array, solved: Solved) -> str | None:
+    """Every value is a number above zero, or NaN."""
+    fine = np.isnan(values) | (np.isfinite(values) & (values > 0))
+    return None if np.all(fine) else "must be positive and finite, or NaN"
+
+
+def positive_or_infinite(values: Array, solved: Solved) -> str | None:
+    """Every value is above zero."""
+    return None if np.all(values > 0) else "must be positive everywhere"
+
+
+def numbers_if_solved(values: Array, solved: Solved) -> str | None:
+    """(frames, ...): numbers where a frame was solved, NaN where it failed."""
+    frames = np.asarray(values).reshape(len(solved), -1)
+    right = np.where(solved, np.isfinite(frames).all(axis=1), np.isnan(frames).all(axis=1))
+    return None if np.all(right) else "must be numbers where solved is 1, and NaN elsewhere"
+
+
+def whole_frames_if_solved(values: Array, solved: Solved) -> str | None:
+    """(frames, ...): NaN where a frame failed; else all of it numbers, or none where there is no baseline."""
+    frames = np.asarray(values).reshape(len(solved), -1)
+    missing = np.isnan(frames).all(axis=1)
+    right = missing | (solved & np.isfinite(frames).all(axis=1))
+    return None if np.all(right) else "must be numbers or NaN throughout where solved is 1, and NaN elsewhere"
+
+
+def known_if_solved(values: Array, solved: Solved) -> str | None:
+    """(frames, ...): numbers or infinite where a frame was solved, NaN where it failed."""
+    missing = np.isnan(np.asarray(values).reshape(len(solved), -1))
+    right = np.where(solved, ~missing.any(axis=1), missing.all(axis=1))
+    return None if np.all(right) else "must be NaN where solved is 0, only"
+
+
+def not_negative(values: Array, solved: Solved) -> str | None:
+    """No value is below zero."""
+    return "must not be negative" if np.any(values < 0) else None
+
+
+def not_zero_or_less(values: Array, solved: Solved) -> str | None:
+    """No value is zero or below."""
+    return "must be positive" if np.any(values <= 0) else None
 
 
 @dataclass(frozen=True)
@@ -42,8 +89,8 @@ class Column:
     ----------
     name : what a case calls it, and the file too unless `dataset` says otherwise.
     axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
-    value : estimates → values over the axes; None where it has none.
-    checks : each says what is wrong with values, or nothing.
+    value : estimates → values over the axes, or None where there are none; by default their attribute of the same name.
+    checks : each says what is wrong with values: the end of a sentence that begins with their path, or None.
     dtype : float, bool, an integer kind, or str.
     shared : True for what was measured: every estimate of a recording was given the same.
     as_volt : (dataset, long name) where the readout gives volt; none for what does not follow the readout's unit.
@@ -56,7 +103,7 @@ class Column:
     axes: tuple[str, ...]
     units: str
     long_name: str
-    value: Callable[[Estimates], ArrayLike | None]
+    value: Callable[[Estimates], ArrayLike | None] | None = None
     checks: tuple[Check, ...] = ()
     dtype: type[Any] = np.float64
     dataset: str = ""
@@ -94,7 +141,7 @@ class Column:
 
     def filled(self, estimates: Estimates) -> Any:
         """The values as a case holds them: an array, a tuple of texts, or None where there are none."""
-        values = self.value(estimates)
+        values = getattr(estimates, self.name) if self.value is None else self.value(estimates)
         if values is None:
             return None
         return tuple(np.asarray(values).tolist()) if self._kind == "U" else np.asarray(values, self.dtype)

@@ -1,17 +1,17 @@
 """Where the cases of a batch run: here, in processes of this machine, or on a Dask cluster."""
 
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from typing import Annotated, Any
 
 from lampest.files.tagged import ByKind
-from lampest.runs.executors.cluster import Slurm, Tls
-from lampest.runs.executors.dask import Dask
-from lampest.runs.executors.executor import ONE_THREAD, Executor, cores
-from lampest.runs.executors.processes import Processes
-from lampest.runs.executors.serial import Serial
-from lampest.runs.executors.together import each_of
+from lampest.runs.executors.dask import Dask, Tls
+from lampest.runs.executors.executor import ONE_THREAD, Executor, Function, cores
+from lampest.runs.executors.processes import Processes, Serial, Worker
 
-__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Slurm", "Tls", "each_of", "local"]
+__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Tls", "Worker", "each_of", "local"]
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
+FEW = 12  # so many tasks of half a second end before processes have started
 
 
 def local(workers: int | None, tasks: int, apart: bool = False) -> Executor:
@@ -21,3 +21,32 @@ def local(workers: int | None, tasks: int, apart: bool = False) -> Executor:
     """
     workers = min(workers or cores(), tasks)
     return Processes(workers) if workers > 1 or (apart and tasks) else Serial()
+
+
+def each_of(
+    function: Function,
+    things: Sequence[Any],
+    on_done: Callable[[int, int], None] = lambda done, total: None,
+    here: bool = False,
+) -> list[Any]:
+    """What a function makes of every thing, in their order; the first exception that a call raised is raised here.
+
+    function : one that a process can import. on_done : told how many of how many are done.
+    here : in this process however many there are, because another could not import what the things are of.
+    """
+    executor: Executor = Processes() if len(things) > FEW and not here else Serial()
+    found: dict[int, Any] = {}
+    with closing(
+        executor.results(_numbered, [(function, number, thing) for number, thing in enumerate(things)])
+    ) as ends:
+        for (_, number, _), outcome in ends:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            found[number] = outcome
+            on_done(len(found), len(things))
+    return [found[number] for number in range(len(things))]
+
+
+def _numbered(task: tuple[Function, int, Any]) -> Any:
+    function, _, thing = task
+    return function(thing)

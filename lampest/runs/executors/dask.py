@@ -1,14 +1,17 @@
-"""Calls on a Dask cluster: one of this machine, one that runs already, or one of SLURM jobs."""
+"""Calls on a Dask cluster: of this machine, or any whose scheduler runs already."""
 
 import logging
+import signal
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from importlib import import_module
+from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.files.errors import InputError
-from lampest.runs.executors.cluster import Slurm, Tls, cluster_module
+from lampest.files.interrupts import ENDING
 from lampest.runs.executors.executor import (
     DIED,
     MOST_TRIES,
@@ -20,7 +23,6 @@ from lampest.runs.executors.executor import (
     one_thread,
 )
 
-PATIENCE_S = 30
 # A worker is handed one task at a time where there are many.
 SCHEDULING = {
     "distributed.scheduler.allowed-failures": MOST_TRIES - 1,
@@ -30,52 +32,92 @@ SCHEDULING = {
 
 
 @dataclass(frozen=True)
+class Tls:
+    """Files by which all sides of a cluster know each other; without them whoever reaches a scheduler runs code on it.
+
+    Parameters
+    ----------
+    ca_file : the authority that signed the certificates of all sides, PEM.
+    cert_file, key_file : the certificate of this side and its key, PEM.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    ca_file: str
+    cert_file: str
+    key_file: str
+
+    def beside(self, folder: Path) -> "Tls":
+        """The same with paths from that folder on. Raises InputError where a file cannot be read."""
+        names = ("ca_file", "cert_file", "key_file")
+        return Tls(**{name: readable(folder / getattr(self, name), f"tls.{name}") for name in names})
+
+    def security(self) -> Any:
+        """What Dask takes: an encrypted connection or none."""
+        return library("distributed.security").Security(
+            tls_ca_file=self.ca_file,
+            tls_client_cert=self.cert_file,
+            tls_client_key=self.key_file,
+            require_encryption=True,
+        )
+
+
+@dataclass(frozen=True)
 class Dask:
     """Workers of Dask distributed with one thread each; files must have the same paths everywhere.
 
     Parameters
     ----------
-    workers : how many there are at most; as many as this machine has cores by default. Not with an address.
+    workers : how many processes of this machine; as many as it has cores by default. Not with a scheduler.
     address : of a scheduler that runs, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
-    slurm : what a SLURM job asks for; the scheduler runs here.
+    scheduler_file : the file in which such a scheduler says its address (dask scheduler --scheduler-file).
+    wait_s : how many seconds its first worker may take to come; jobs of a cluster may stand in a queue.
     tls : files by which scheduler, workers and this computer know each other; with an address it begins with tls://.
 
-    Without address and slurm the workers are processes of this machine. A worker that dies costs the task it was at one
-    more try (as many as the scheduler grants at an address). Results are those of `Serial` bit for bit where the
-    processors are of one kind. Raises ValueError where the parameters exclude each other.
+    Without address and file the workers are processes of this machine. A worker that dies costs the task it was at one
+    more try (as many as a scheduler elsewhere grants). Results are those of `Serial` bit for bit where the processors
+    are of one kind. Raises ValueError where the parameters exclude each other.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     kind: Literal["dask"] = "dask"
     workers: int | None = None
     address: str | None = None
-    slurm: Slurm | None = None
+    scheduler_file: str | None = None
+    wait_s: float = 30.0
     tls: Tls | None = None
 
     def __post_init__(self) -> None:
         check_workers(self.workers)
-        if self.address is not None and (self.slurm is not None or self.workers is not None):
-            raise ValueError("address names a cluster that runs; it goes with neither workers nor slurm")
+        if sum(part is not None for part in (self.workers, self.address, self.scheduler_file)) > 1:
+            raise ValueError(
+                "address names a cluster that runs, and so does scheduler_file: one of them, without workers"
+            )
+        if not (isfinite(self.wait_s) and self.wait_s >= 0):
+            raise ValueError("wait_s must be zero or positive, and finite")
+
+    @property
+    def _place(self) -> str | None:
+        """Where a scheduler runs already; None: workers of this machine."""
+        return self.address or self.scheduler_file
 
     def beside(self, folder: Path) -> "Dask":
         """The same with its files taken from that folder. Raises InputError where one cannot be read."""
-        return self if self.tls is None else replace(self, tls=self.tls.beside(folder))
+        file = self.scheduler_file and readable(folder / self.scheduler_file, "scheduler_file")
+        return replace(self, scheduler_file=file, tls=None if self.tls is None else self.tls.beside(folder))
 
     def ready(self) -> None:
         """Raise InputError where the extra is not installed, or files for encryption stand without a use for them."""
         if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
             raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
-        if self.tls is not None and self.address is None and self.slurm is None:
+        if self.tls is not None and self._place is None:
             raise InputError("executor: workers of this machine listen on its loopback address alone, without tls")
-        cluster_module("distributed")
-        if self.slurm is not None:
-            cluster_module("dask_jobqueue")
+        library("distributed")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """In the order in which they are finished. Raises InputError where no fit worker answers."""
         if not arguments:
             return
-        distributed = cluster_module("distributed")
+        distributed = library("distributed")
         with self._client(distributed, len(arguments)) as client:
             suspects = []
             for number, outcome in _outcomes(distributed, client, function, dict(enumerate(arguments))):
@@ -93,37 +135,44 @@ class Dask:
     def _client(self, distributed: Any, tasks: int) -> Iterator[Any]:
         """A client whose cluster is closed with it unless it ran before."""
         with ExitStack() as stack:
-            stack.enter_context(cluster_module("dask").config.set(SCHEDULING))
+            stack.enter_context(library("dask").config.set(SCHEDULING))
             stack.enter_context(one_thread())
-            place: Any = self.address
-            if place is None:
-                place = stack.enter_context(self._cluster(distributed, min(self.workers or cores(), tasks)))
+            where: dict[str, Any] = {"address": self.address, "scheduler_file": self.scheduler_file}
+            if self._place is None:
+                workers = min(self.workers or cores(), tasks)
+                where = {"address": stack.enter_context(_of_this_machine(distributed, workers))}
+            security = None if self.tls is None else self.tls.security()
             try:
-                security = None if self.tls is None else self.tls.security()
                 client = stack.enter_context(
-                    distributed.Client(place, timeout=PATIENCE_S, set_as_default=False, security=security)
+                    distributed.Client(**where, timeout=self.wait_s, set_as_default=False, security=security)
                 )
-                client.wait_for_workers(1, timeout=None if self.slurm else PATIENCE_S)
+                client.wait_for_workers(1, timeout=self.wait_s)
             except (OSError, TimeoutError) as error:
-                raise InputError(f"executor: no Dask scheduler with workers answers at {self.address}") from error
+                raise InputError(
+                    f"executor: no Dask scheduler with workers answers at {self._place} within {self.wait_s:g} s"
+                ) from error
             _check_threads(client)
             yield client
 
-    def _cluster(self, distributed: Any, workers: int) -> Any:
-        if self.slurm is None:
-            return distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                memory_limit=0,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
-                silence_logs=logging.CRITICAL,
-                env=ONE_THREAD,
-                preload=["lampest.runs.executors.worker"],
-            )
-        cluster = self.slurm.cluster(self.tls)
-        cluster.adapt(minimum_jobs=1, maximum_jobs=-(-workers // self.slurm.workers_per_job))
-        return cluster
+
+def _of_this_machine(distributed: Any, workers: int) -> Any:
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        memory_limit=0,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
+        silence_logs=logging.CRITICAL,
+        env=ONE_THREAD,
+        preload=[__name__],
+    )
+
+
+def dask_setup(worker: Any) -> None:
+    """Leave Ctrl-C and a closed terminal to the process that collects the results; Dask calls this by its name."""
+    for number in ENDING:
+        if number != signal.SIGTERM:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _outcomes(distributed: Any, client: Any, function: Function, tasks: dict[int, Any]) -> Iterator[tuple[int, Any]]:
@@ -143,3 +192,23 @@ def _check_threads(client: Any) -> None:
     for worker, threads in client.nthreads().items():
         if threads != 1:
             raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
+
+
+def readable(path: Path, key: str) -> str:
+    """The absolute path of a file that an executor names. Raises InputError where it cannot be read."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(f"executor.{key}: {path}: cannot be read ({error.strerror})") from error
+    return str(path.absolute())
+
+
+def library(name: str) -> Any:
+    """A module of the extra, imported where it is used. Raises InputError where it is missing."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise InputError(
+            f"executor: dask needs {name}, which is not installed; it comes with the extra: pip install "
+            "'lampest[cluster]'"
+        ) from error

@@ -1,16 +1,44 @@
-"""Calls in processes of this machine, each told its next task when it has sent its last result."""
+"""Calls in this process, one after the other, or in processes of this machine, each told one task after the other."""
 
+import pickle
+import signal
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
 
-from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores
-from lampest.runs.executors.process import Worker
+from lampest.files.interrupts import ENDING, EXPENDABLE, interrupted
+from lampest.files.log import libraries_to_the_log
+from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
 
 PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
+
+
+@dataclass(frozen=True)
+class Serial:
+    """One call after the other in this process."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    kind: Literal["serial"] = "serial"
+
+    def ready(self) -> None:
+        """Always."""
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """In the order of the arguments."""
+        for argument in arguments:
+            try:
+                outcome = function(argument)
+            except Exception as error:
+                if interrupted(error):
+                    raise KeyboardInterrupt from error
+                outcome = error
+            yield argument, outcome
 
 
 @dataclass(frozen=True)
@@ -70,3 +98,83 @@ class Processes:
             patience = time.monotonic() + PATIENCE_SECONDS
             for worker, _ in busy.values():
                 worker.leave(patience - time.monotonic())
+
+
+@dataclass(frozen=True, eq=False)
+class Worker:
+    """A fresh process with one BLAS thread, which knows one function, and this end of the pipe to it."""
+
+    process: SpawnProcess
+    connection: Connection
+
+    @classmethod
+    def start(cls, function: Function) -> "Worker":
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(function, theirs))
+        with one_thread(), without_interrupts():
+            process.start()
+        theirs.close()
+        return cls(process, ours)
+
+    def send(self, argument: Any) -> None:
+        """Hand over a task; a process that is dead already shows when its result is awaited."""
+        with suppress(BrokenPipeError):
+            self.connection.send(argument)
+
+    def stop(self) -> None:
+        """Wait until the process has ended what it is at."""
+        self.connection.close()
+        self.process.join()
+
+    @property
+    def hung(self) -> bool:
+        """Whether a process that has stopped was ended by `ended_where_hung`."""
+        return self.process.exitcode == -signal.SIGALRM
+
+    def leave(self, seconds: float) -> None:
+        """Wait so long for what the process is at, then end it."""
+        self.connection.close()
+        self.process.join(max(seconds, 0.0))
+        self.kill()
+
+    def kill(self) -> None:
+        """End the process, whatever it is at."""
+        self.process.kill()
+        self.stop()
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Processes started here never see Ctrl-C and its kin, not even while they import; here it comes a moment later."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    # Starting the tracker unblocks them again, so it must be running before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _work(function: Function, connection: Connection) -> None:
+    """The life of a worker: until nobody is at the other end."""
+    EXPENDABLE.set(True)
+    with suppress(EOFError, OSError), libraries_to_the_log():
+        while True:
+            connection.send_bytes(_answer(function, connection.recv()))
+
+
+def _answer(function: Function, argument: Any) -> bytes:
+    """The pickled result, or the pickled exception; where that cannot travel, its text."""
+    try:
+        return pickle.dumps(function(argument))
+    except Exception as error:
+        try:
+            text = pickle.dumps(error)
+            pickle.loads(text)
+        except Exception:
+            text = pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
+        return text

@@ -15,7 +15,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError, meant
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.runs.case import REQUIRED, SHARED, CaseResult, StoredCase
+from lampest.runs.case import REQUIRED, SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
 from lampest.runs.frame_noise import NAMES
 from lampest.runs.published import PublishedFigures, published_from
@@ -199,13 +199,9 @@ def _read_case(
             versions={key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
             baseline_status=str(texts.get("baseline_status", "")),
             baseline_solve_time=hdf5.read_number(file, base, "baseline_solve_time_s", float("nan")),
-            model_mark=str(texts.get("model_explains", "")),
-            model_sentence=str(texts.get("model_check", "")),
-            noise_sentence=str(texts.get("noise_check", "")),
-            noise_learned=str(texts.get("noise_learned", "")),
             reading_error=hdf5.read_number(file, base, "reading_error", 0.0),
             frame_noise={name: np.asarray(texts[f"frame_{name}"]) for name in NAMES if f"frame_{name}" in texts},
-            film_sentence=str(texts.get("film", "")),
+            **{field: str(texts.get(name, "")) for name, field in SENTENCES.items()},
             start_time=_start_time(file, recording),
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
             **{folder.name: _read_figures(file, f"{base}/{folder.folder}", frames) for folder in FIGURES},

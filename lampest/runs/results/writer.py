@@ -11,7 +11,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import copy_group, join_parts
 from lampest.panel.panel import Array
-from lampest.runs.case import SHARED, CaseResult, StoredCase
+from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
 from lampest.runs.published import PublishedFigures, published_text
 from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
@@ -129,17 +129,11 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
             baseline_solve_time_s=float(case.baseline_solve_time),
             joint_start=np.uint8(case.joint_start),
         )
-        if case.model_mark:
-            hdf5.set_attributes(estimate, model_check=case.model_sentence, model_explains=case.model_mark)
-        if case.noise_sentence:
-            hdf5.set_attributes(estimate, noise_check=case.noise_sentence)
-        if case.noise_learned:
-            hdf5.set_attributes(estimate, noise_learned=case.noise_learned)
+        sentences = {name: getattr(case, field) for name, field in SENTENCES.items()}
+        hdf5.set_attributes(estimate, **{name: sentence for name, sentence in sentences.items() if sentence})
         if case.reading_error:
             hdf5.set_attributes(estimate, reading_error=float(case.reading_error))
         hdf5.set_attributes(estimate, **{f"frame_{name}": value for name, value in case.frame_noise.items()})
-        if case.film_sentence:
-            hdf5.set_attributes(estimate, film=case.film_sentence)
         own = [*(column for column in table if not column.shared), FRAME]
         _write_datasets(estimate, case, own, FIGURES)
 
