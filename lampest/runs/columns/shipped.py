@@ -203,7 +203,7 @@ PRESSURE = (
 )
 
 
-def _of_terms(done: Estimates, values: Sequence[Sequence[float]]) -> dict[str, Array]:
+def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
     """Term → values of every step's terms."""
     names = _names(done.estimator.terms)
     return {name: np.array([one[number] for one in values]) for number, name in enumerate(names)}
