@@ -73,7 +73,7 @@ DOORS = {
     "typer": ("cli",),
 }
 EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
-STILL_IN_CIRCLES = {"solvers", "estimate"}
+STILL_IN_CIRCLES = {"solvers"}
 WITHOUT_CIRCLES = sorted(set().union(*FLOORS) - STILL_IN_CIRCLES)
 NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
 GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")
