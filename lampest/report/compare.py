@@ -18,7 +18,7 @@ from lampest.solvers.solution import VERIFIED
 Steps = Literal["all", "initial", "following"]
 Chosen = NDArray[np.bool_]
 T = TypeVar("T")
-SOUND = ("", "yes")  # marks of a circuit that explains the readings, or of which an older file says nothing
+SOUND = ("", "yes")  # marks of a circuit that explains the readings, or that an older file leaves open
 LEAST = 1e-3  # percent or ms: less is rounding
 MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
 STEPS = {"all": "", "initial": " first", "following": " later"}
@@ -159,7 +159,7 @@ def _total(counts: NDArray[np.int64] | None, chosen: Chosen) -> int:
 
 
 def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures | None:
-    """The figures of these steps; where all and following steps are not told apart, one stands for the other."""
+    """The figures of these steps; those of all and of following steps replace each other where one is missing."""
     if published is None:
         return None
     if steps == "initial":

@@ -1,6 +1,7 @@
 """What a recording, a results file or an import holds, in a few lines of text with a small map."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,6 @@ def _recording_lines(recording: Recording) -> list[str]:
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
         *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
-        *_touching_lines(recording),
         *_noise_lines(recording),
         f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",
         *(f"{'':9} {sentence}" for sentence in _holes(recording)),
@@ -93,78 +93,59 @@ def _recording_lines(recording: Recording) -> list[str]:
 
 
 def _noise_lines(recording: Recording) -> list[str]:
-    """What the frames alone tell of their noise."""
-    try:
+    """Which lines seem to touch that the scene does not name, and what the frames alone say of their noise."""
+    lines = []
+    with suppress(InputError):  # said where an estimate is asked for; a look at the file is free
+        readings, faults = recording.readings(), recording.scene.faults or Faults()
+        for name, known, found in (
+            ("rows", faults.joined_rows, touching_rows(readings)),
+            ("columns", faults.joined_columns, touching_columns(readings)),
+        ):
+            lines += [
+                f"alike     {name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
+                f"{{joined_{name}: [{list(group)}]}} says so"
+                for group in found
+                if not any(set(group) <= set(one) for one in known)
+            ]
+    with suppress(InputError):
         learned = frame_noise_seen(recording).learned
-    except InputError:  # said where an estimate is asked for; a look at the file is free
-        return []
-    return [f"noise     {learned}"] if learned else []
-
-
-def _touching_lines(recording: Recording) -> list[str]:
-    """What seems to touch and the scene does not name."""
-    try:
-        readings = recording.readings()
-    except InputError:  # said where an estimate is asked for; a look at the file is free
-        return []
-    faults, lines = recording.scene.faults or Faults(), []
-    for name, told, found in (
-        ("rows", faults.joined_rows, touching_rows(readings)),
-        ("columns", faults.joined_columns, touching_columns(readings)),
-    ):
-        lines += [
-            f"alike     {name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
-            f"{{joined_{name}: [{list(group)}]}} says so"
-            for group in found
-            if not any(set(group) <= set(known) for known in told)
-        ]
+        lines += [f"noise     {learned}"] if learned else []
     return lines
 
 
 def _scene_lines(scene: Scene) -> list[str]:
-    panel, readout = scene.panel, scene.readout
-    lines = [f"panel     {panel.rows} rows × {panel.columns} columns, pitch {panel.pitch_mm:g} mm"]
-    if readout is None:
-        lines.append("readout   unknown, resistances alone")
-    else:
-        lines.append(f"readout   {readout.description()}")
-    if scene.circuit.unit == "ohm":
-        lines.append(f"series    {scene.series_text}")
-    if scene.lines is not None:
-        wire = scene.lines
-        lines.append(
-            f"lines     rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}; "
-            f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
-        )
+    panel, wire, off, heat, faults = scene.panel, scene.lines, scene.told_systematic, scene.temperature, scene.faults
+    texts: list[tuple[str, object]] = [
+        ("panel", f"{panel.rows} rows × {panel.columns} columns, pitch {panel.pitch_mm:g} mm"),
+        ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),
+        ("series", scene.circuit.unit == "ohm" and scene.series_text),
+    ]
+    if wire is not None:
+        rows = f"rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}"
+        columns = f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
+        texts.append(("lines", f"{rows}; {columns}"))
     if scene.contacts is not None:
         sides = (("rows", scene.contacts.rows), ("columns", scene.contacts.columns))
         known = "; ".join(f"{name} {lines_text(side.mean_ohm)} ± {lines_text(side.sd_ohm)}" for name, side in sides)
-        lines.append(f"contacts  {known}")
+        texts.append(("contacts", known))
     if scene.converter_memory is not None:
-        lines.append(f"memory    {100 * scene.converter_memory:g} % of the channel converted before")
-    if scene.told_systematic is not None:
-        off = scene.told_systematic
-        lines.append(
-            f"together  off by up to {100 * off.reference_tolerance:g} %, channels by {off.channel_spread_ohm:g} ohm"
-        )
+        texts.append(("memory", f"{100 * scene.converter_memory:g} % of the channel converted before"))
+    if off is not None:
+        channels = f"channels by {off.channel_spread_ohm:g} ohm"
+        texts.append(("together", f"off by up to {100 * off.reference_tolerance:g} %, {channels}"))
     if scene.water is not None:
-        lines.append(f"water     {scene.water.top_row_depth_mm:g} mm above the top row")
-    if scene.temperature is not None:
-        film = scene.temperature
-        lines.append(
-            f"film      {100 * film.coefficient_per_kelvin:g} % per kelvin, {film.baseline_celsius:g} °C unloaded, "
-            f"{film.measured_celsius:g} °C measured"
-        )
-    if scene.response is not None:
-        lines.append(f"response  {_response_text(scene.response)}")
-    if scene.film is not None:
-        lines.append(f"film      {_film_text(scene.film)}")
-    if scene.faults is not None:
-        known = ", ".join(
-            f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(scene.faults).items() if value
-        )
-        lines.append(f"faults    {known or 'none'}")
-    return lines
+        texts.append(("water", f"{scene.water.top_row_depth_mm:g} mm above the top row"))
+    if heat is not None:
+        celsius = f"{heat.baseline_celsius:g} °C unloaded, {heat.measured_celsius:g} °C measured"
+        texts.append(("film", f"{100 * heat.coefficient_per_kelvin:g} % per kelvin, {celsius}"))
+    texts += [
+        ("response", scene.response and _response_text(scene.response)),
+        ("film", scene.film and _film_text(scene.film)),
+    ]
+    if faults is not None:
+        known = ", ".join(f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(faults).items() if value)
+        texts.append(("faults", known or "none"))
+    return [f"{head:9} {text}" for head, text in texts if text]
 
 
 def _response_text(response: Response) -> str:

@@ -177,7 +177,7 @@ def detect(
     """For every recording what its readings show (source SHARED), then what each estimate of it shows.
 
     estimators : those that are looked at; where none is named, those of `looked_at`.
-    A recording of another readout, or of unknown noise, is left out, and `on_refused` is told why. Raises InputError
+    A recording of another readout, or of unknown noise, is left out, and `on_refused` gets why. Raises InputError
     where none is left, or an estimator is unknown.
     """
     chosen = results.named("estimator", estimators or looked_at(results))
@@ -223,7 +223,7 @@ class GivenRecording:
 
     case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa. noise : what the readings of a
     frame share by chance, or None.
-    measured, sigma : (frames, rows, columns) ohm; what stands in for a missing reading has so large a σ that it does
+    measured, sigma : (frames, rows, columns) ohm; the substitute of a missing reading has so large a σ that it does
     not count. enough : (frames) whether there is something to look at. baseline : the unloaded panel.
     zero_after : frames without a load from which that is taken anew.
     """
@@ -297,7 +297,7 @@ def _compared(frame: Direct, estimate: Array) -> Observation:
 
 
 def _complete(measured: Array) -> Array:
-    """A frame (rows, columns) with what stands in for its missing readings."""
+    """A frame (rows, columns) with substitutes for its missing readings."""
     known = np.isfinite(measured)
     return measured if known.all() else np.where(known, measured, StandIn.of(measured, known).value)
 

@@ -18,7 +18,7 @@ from lampest.runs.case import SHARED
 FORMAT, FILE = "detections/1", "detections.h5"
 READINGS = "readings"  # what tables call detections from the readings themselves
 ORDINALS = ("second", "third")  # groups of the loads beside the first
-LEAST_ERROR = 0.1  # mm or kPa: nothing is told to ± 0.0
+LEAST_ERROR = 0.1  # mm or kPa: no error is shown as ± 0.0
 AWAY = frozenset(candidate.label for candidate in UNIFORM)
 SUCKING = frozenset(load.label for load in LOADS if load.sucks)
 MOVED_MM, MOVED_SD = 3.0, 4.0  # a movement has begun once the centre is away by both, over two frames

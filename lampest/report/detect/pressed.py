@@ -28,7 +28,7 @@ class PressedCells:
 
     recording, estimator : names. frame, time : (frames) index into the recording, and s.
     values, errors : (frames, 5) in the order of HEADERS, and standard deviations.
-    saturated : (frames) how many of the pressed cells have a pressure that the response does not tell.
+    saturated : (frames) how many of the pressed cells have a pressure that the response leaves open.
     """
 
     recording: str

@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class News(NamedTuple, Generic[T]):
-    """A thing and its number in the series, from 1 on: whoever saw number n before skipped number − n − 1 things."""
+    """A thing and its number in the series, from 1 on: a reader that saw n before skipped number − n − 1 things."""
 
     number: int
     thing: T

@@ -10,9 +10,9 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
+from lampest.report.detect.pressed import KPA_MM2
 from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING
 
-KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
 # Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
 # 30 frames a second have 10⁷.
 NOTICED = 6.0

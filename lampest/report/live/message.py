@@ -50,10 +50,10 @@ class Picture:
     number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
     measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
     open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton over the cells
-    whose pressure the response tells, NaN where it failed.
+    that are not saturated, NaN where it failed.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
     cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
-    where the response does not tell the pressure. verdict : one of VERDICTS. total_deviation : newton, standard
+    where the response leaves the pressure open. verdict : one of VERDICTS. total_deviation : newton, standard
     deviation of the total; NaN where it is not known, or comes later. leaps : outliers among the readings, each
     replaced by what the frames before say.
     """

@@ -82,10 +82,10 @@ def live(
     source : a board or a recording.
     method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
     http : HOST:PORT to listen at; port 0 for any that is free.
-    token : what whoever opens the page must bring; where others can reach it, one is made up if none is given.
-    on_url : told the page's address once it can be opened, and then where frames are published.
+    token : asked of visitors of the page; where others can reach it, one is made up if none is given.
+    on_url : gets the page's address once it can be opened, and then where frames are published.
     settings : PATH=VALUE entries that override the file's. publish : where frames go, such as
-        'mqtt://localhost:1883/lampest'. on_trouble : told what happens to them on the way.
+        'mqtt://localhost:1883/lampest'. on_trouble : gets sentences on what fails there.
 
     Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
     """

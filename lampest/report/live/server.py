@@ -21,13 +21,19 @@ from lampest.files.errors import InputError
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View, view_text
 
-MOST_STREAMS = 16
-HEARTBEAT_SECONDS = 2.0
-FAREWELL_SECONDS = 1.0
-FEWEST_SIGNS = 16  # of a token
+MOST_STREAMS = 16  # pages that look on at once, a thread each
+HEARTBEAT_SECONDS = 2.0  # between signs of life, by which a page that went away is noticed
+FAREWELL_SECONDS = 1.0  # for the last view to go out
+FEWEST_SIGNS = 16  # of a token: 10²⁸ of them
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
-POLICY = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; "
+    "style-src 'unsafe-inline'; img-src data:",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 
 
 @dataclass(frozen=True)
@@ -54,10 +60,8 @@ class Access:
 
     def shown_by(self, target: str, authorization: str) -> bool:
         """Whether the address asked for, or the header Authorization, has the token."""
-        brought = [value for name, value in query(target) if name == "token"]
-        brought += [
-            authorization.removeprefix(kind) for kind in ("Bearer ", "token ") if authorization.startswith(kind)
-        ]
+        kind, _, word = authorization.partition(" ")
+        brought = [value for name, value in query(target) if name == "token"] + [word] * (kind in ("Bearer", "token"))
         return bool(self.token) and any(same(text, self.token) for text in brought)
 
     def remembered_by(self, cookie: str) -> bool:
@@ -75,7 +79,7 @@ class Access:
 
 
 def same(one: str, other: str) -> bool:
-    """Whether two texts are equal, in a time that does not tell where they differ."""
+    """Whether two texts are equal, in a time that does not depend on where they differ."""
     return compare_digest(one.encode("utf-8", "surrogatepass"), other.encode("utf-8", "surrogatepass"))
 
 
@@ -89,7 +93,7 @@ def query(target: str) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Asks:
-    """What whoever sees the page may ask for; called from any thread.
+    """What visitors of the page may ask for; called from any thread.
 
     tare : a new zero. record : a recording of that name, or '', or its end; raises InputError where that is no name.
     None where there is nothing to record.
@@ -100,7 +104,7 @@ class Asks:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Shows the views of `shown` to whoever comes, and passes on what they ask for."""
+    """Shows the views of `shown`, and passes on what visitors ask for."""
 
     daemon_threads = True
     block_on_close = False
@@ -149,17 +153,12 @@ class PageHandler(BaseHTTPRequestHandler):
         if not super().parse_request():
             return False
         if self.command not in ("GET", "POST"):
-            self.send_response(HTTPStatus.METHOD_NOT_ALLOWED)
-            self.send_header("Allow", "GET, POST")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-            return False
-        if self.server.local and not is_local_name(self.headers.get("Host", "")):
-            self.send_error(HTTPStatus.FORBIDDEN)
+            self._start("text/plain", 0, HTTPStatus.METHOD_NOT_ALLOWED, Allow="GET, POST")
             return False
         access, header = self.server.access, self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
-        if access.token and not self.introduced and not access.remembered_by(header("Cookie", "")):
+        known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
+        if not known or (self.server.local and not is_local_name(header("Host", ""))):
             self.send_error(HTTPStatus.FORBIDDEN)
             return False
         return True
@@ -176,7 +175,7 @@ class PageHandler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
         else:
             try:
-                self._start("text/event-stream")
+                self._start("text/event-stream", None)
                 self._stream()
             finally:
                 self.server.seats.release()
@@ -202,24 +201,20 @@ class PageHandler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Say what a number means and nothing of what was asked."""
         status = HTTPStatus(code)
-        told = HINT if status is HTTPStatus.FORBIDDEN else ""
-        text = f"{status.value} {status.phrase}{told}\n".encode()
+        hint = HINT if status is HTTPStatus.FORBIDDEN else ""
+        text = f"{status.value} {status.phrase}{hint}\n".encode()
         self.close_connection = True
         self._start("text/plain; charset=utf-8", len(text), status)
         if self.command != "HEAD":
             self.wfile.write(text)
 
-    def _start(self, kind: str, length: int | None = None, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _start(self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str) -> None:
+        headers = {"Content-Type": kind} | HEADERS | further
+        headers |= {} if length is None else {"Content-Length": str(length)}
+        headers |= {"Set-Cookie": self.server.access.cookie} if status is HTTPStatus.OK and self.introduced else {}
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        if length is not None:
-            self.send_header("Content-Length", str(length))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", POLICY)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        if status is HTTPStatus.OK and self.introduced:
-            self.send_header("Set-Cookie", self.server.access.cookie)
+        for name, value in headers.items():
+            self.send_header(name, value)
         self.end_headers()
 
     def _stream(self) -> None:
@@ -273,7 +268,7 @@ def serving(
     """A server that runs beside; at the end everybody gets the last view.
 
     asks : what they may ask for; None: nothing.
-    token : what whoever looks must bring; None for one that is made up, or for none on the loopback address. Raises
+    token : asked of visitors; None for one that is made up, or for none on the loopback address. Raises
     InputError where it cannot listen, or the token is too short.
     """
     Access(token or "")

@@ -18,7 +18,7 @@ LEAST_COVERAGE = 90.0
 
 @dataclass(frozen=True)
 class Advice:
-    """headline : what to take, or that it cannot be told. reasons, warnings : sentences. estimator : None if untold."""
+    """headline : what to take, or that nothing decides. reasons, warnings : sentences. estimator : None if open."""
 
     estimator: str | None
     headline: str
@@ -27,7 +27,7 @@ class Advice:
 
 
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
-    """The fastest of those that cannot be told from the one with the smallest criterion.
+    """The fastest of those that do not differ significantly from the one with the smallest criterion.
 
     It must be faster than that one by a tenth at least. Where nothing but the data error is known nothing is
     recommended: a smaller one only means a weaker penalty.
@@ -49,7 +49,7 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
 
 
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
-    """What speaks against the recommended estimator: residuals beyond the noise, error bars that are wrong."""
+    """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong."""
     sentences = []
     spreads = [own.spread for own in found if own.spread is not None]
     if spreads and (spread := float(np.median(spreads))) > LARGEST_SPREAD:
@@ -60,7 +60,7 @@ def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     covered = [own.coverage.value for own in found if own.coverage is not None]
     if covered and (coverage := float(np.mean(covered))) < LEAST_COVERAGE:
         sentences.append(
-            f"The 95 % intervals of {estimator} hold the truth for {digits(coverage, 2)} % of the cells: the readings "
+            f"The 95 % intervals of {estimator} cover the truth for {digits(coverage, 2)} % of the cells: the readings "
             "contain more than the noise, the scene and the penalty account for."
         )
     return tuple(sentences)

@@ -104,21 +104,21 @@ def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
 
 
 def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], tuple[str, ...]]:
-    """The recordings that tell something of their own, and a sentence on each of the others.
+    """The recordings that are no copies, and a sentence on each of the others.
 
     One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
     single precision: its frames would count twice.
     """
     kept: list[tuple[Subject, set[bytes]]] = []
-    told: list[str] = []
+    copies: list[str] = []
     for subject in subjects:
         own = _digests(subject.cases[0])
         before = next((one.name for one, seen in kept if sum(digest in seen for digest in own) > len(own) / 2), None)
         if before is None:
             kept.append((subject, set(own)))
         else:
-            told.append(f"{subject.name}, whose readings are those of {before}: a copy does not count again")
-    return [subject for subject, _ in kept], tuple(told)
+            copies.append(f"{subject.name}, whose readings are those of {before}: a copy does not count again")
+    return [subject for subject, _ in kept], tuple(copies)
 
 
 def _digests(case: CaseResult) -> list[bytes]:

@@ -48,7 +48,7 @@ class Pair:
 
     @property
     def told_apart(self) -> bool:
-        return not self.difference.holds_zero
+        return not self.difference.covers_zero
 
 
 @dataclass(frozen=True)

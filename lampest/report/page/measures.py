@@ -87,7 +87,7 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
 
 
 def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, Any]:
-    """What only solved frames tell, of those that there are."""
+    """Figures of the solved frames, of which there is one at least."""
     good, cells = case.solved, case.measured[case.solved].size
     known: dict[str, Any] = {
         "data_error": _mean(data_error(case)[good]),

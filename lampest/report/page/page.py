@@ -46,7 +46,7 @@ def write_report(
 ) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
-    on_recording : told of how many recordings how many are drawn. frames : as `read_results` takes them.
+    on_recording : gets how many of how many recordings are drawn. frames : as `read_results` takes them.
     Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
     """
     write_whole(out, report(read_batch(paths, frames), on_recording))

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import exp
+from typing import Literal
 
 import numpy as np
 
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.report.page.batch import Subject
 from lampest.report.page.compared import Comparison, Standing
 from lampest.report.page.measures import Disagreement, Measures, disagreements, weighted_residual
@@ -48,6 +50,7 @@ DIFFERENT = (
     "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
     "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
 )
+UNDECIDED = "Where the estimators differ significantly cannot be told: fewer than two of them have error bars."
 
 
 @dataclass(frozen=True)
@@ -72,41 +75,41 @@ def section(
 ) -> Section:
     """Table and contours of one recording; every other figure too where it is shown whole.
 
-    found : estimator → what is said of it. drawn : the estimators that figures show, of those that the recording has.
+    found : estimator → its figures. drawn : the estimators that pictures show, of those that the recording has.
     """
-    kept = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
-    subject = Subject(subject.name, kept)
-    first, place = subject.cases[0], strongest_index(subject.cases)
+    cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
+    first, place = cases[0], strongest_index(cases)
     panel = first.scene.panel
     about = (
         f"{panel.rows} × {panel.columns} cells, pitch {panel.pitch_mm:g} mm, {counted(subject.frames, 'frame')} in "
         f"{digits(float(np.ptp(first.time)))} s; maps show frame {first.frame[place]} at {first.time[place]:g} s."
     )
-    pictures = [_contours(subject)]
-    notes: list[str] = []
+    words = f"Maps of relative change of {subject.name}: measured, by every estimator, and true where that is known"
+    contours = data_uri(ContourPlot().draw(cases), "png")
+    pictures = [Illustration(contours, words, "Relative change of resistance against the unloaded panel.", True)]
+    notes = [
+        text
+        for known, text in (
+            (first.model_mark, f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."),
+            (first.noise_sentence, f"Is the noise as the scene says? {first.noise_sentence}."),
+            (first.film_sentence, f"The film: {first.film_sentence}."),
+        )
+        if known
+    ]
     if whole:
-        pictures += [*_certainty(subject, place, panel), *_residuals(subject, place, panel)]
-        differing, notes = _differences(subject, place, panel)
-        pictures += differing
+        pairs = disagreements(cases)
+        pictures += [*_certainty(cases, place), *_residuals(cases, place), *_differences(cases, place, pairs)]
+        notes += [UNDECIDED] if len(cases) > 1 and not pairs else []
     return Section(
-        name=subject.name,
-        anchor=f"recording-{number}",
-        brief=_brief(found),
-        about=about,
-        sheet=recording_sheet(found),
-        pictures=tuple(pictures),
-        notes=(*_model(first), *notes),
-        failed=failures(found),
+        subject.name,
+        f"recording-{number}",
+        _brief(found),
+        about,
+        recording_sheet(found),
+        tuple(pictures),
+        tuple(notes),
+        failures(found),
     )
-
-
-def _model(first: CaseResult) -> list[str]:
-    """Whether the scene's circuit explains the readings, and its noise their scatter, where the results say so."""
-    model = f"Does the model explain the data? {first.model_mark}: {first.model_sentence}."
-    noise = f"Is the noise as the scene says? {first.noise_sentence}."
-    film = f"The film: {first.film_sentence}."
-    told = ((model, first.model_mark), (noise, first.noise_sentence), (film, first.film_sentence))
-    return [sentence for sentence, present in told if present]
 
 
 def _brief(found: Mapping[str, Measures]) -> str:
@@ -120,101 +123,86 @@ def _brief(found: Mapping[str, Measures]) -> str:
     return ", ".join(parts)
 
 
-def _contours(subject: Subject) -> Illustration:
-    figure = ContourPlot().draw(subject.cases)
-    words = f"Maps of relative change of {subject.name}: measured, by every estimator, and true where that is known"
-    return Illustration(
-        data_uri(figure, "png"), words, "Relative change of resistance against the unloaded panel.", True
-    )
-
-
-def _certainty(subject: Subject, place: int, panel: Panel) -> list[Illustration]:
+def _certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     """Standard deviation, resolution, and a row with its intervals, as far as the results know them."""
-    pictures = []
-    tiles = [
-        Tile(case.estimator, _at(case, place, 100 * case.cell_resistance_errors / case.cell_resistance))
-        for case in subject.cases
-        if case.cell_resistance_errors is not None
-    ]
-    if tiles:
-        scale = positive_scale(_drawn(tiles), "posterior standard deviation [% of the cell]")
-        pictures.append(Illustration(_maps(tiles, panel, scale), "Maps of the standard deviation", UNCERTAIN))
-    tiles = [
-        Tile(case.estimator, _at(case, place, case.resolution)) for case in subject.cases if case.resolution is not None
-    ]
-    if tiles:
-        maps = _maps(tiles, panel, share_scale("resolution"))
-        pictures.append(Illustration(maps, "Maps of the resolution", RESOLVED))
-    row = _strongest_row(subject, place)
-    bars = any(case.relative_change_lower is not None for case in subject.cases)
+    row = _strongest_row(cases[0], place)
+    bars = any(case.relative_change_lower is not None for case in cases)
     about = (
         "bars: 95 % intervals, cut where they leave the axes; triangles: beyond them"
         if bars
         else "these results hold no intervals"
     )
     caption = f"The row with the strongest change; {about}. Logarithmic in the ratio of resistances."
-    figure = profile_figure(subject.cases, place, row)
-    return [*pictures, Illustration(data_uri(figure), f"Relative change along row {row}", caption)]
-
-
-def _residuals(subject: Subject, place: int, panel: Panel) -> list[Illustration]:
-    """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
-    weighted = all(case.sigma is not None for case in subject.cases)
-    values = [_residual(case, weighted) for case in subject.cases]
-    tiles = [Tile(case.estimator, _at(case, place, own)) for case, own in zip(subject.cases, values, strict=True)]
-    label = "(model − measured)/σ" if weighted else "(model − measured)/measured [%]"
-    scale = signed_scale(_drawn(tiles), label, LEAST_SIGMAS if weighted else LEAST_PERCENT)
-    parts = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(subject.cases, values, strict=True)]
-    caption = WEIGHTED if weighted else PLAIN
+    label = "posterior standard deviation [% of the cell]"
+    deviations = _tiles(cases, place, lambda case: _percent(case.cell_resistance_errors, case.cell_resistance))
+    resolutions = _tiles(cases, place, lambda case: case.resolution)
     return [
-        Illustration(_maps(tiles, panel, scale), "Maps of the residuals", UNEXPLAINED),
-        Illustration(data_uri(histogram_figure(parts, weighted)), "Histograms of the residuals", caption),
+        *_maps(cases, deviations, lambda maps: positive_scale(maps, label), "the standard deviation", UNCERTAIN),
+        *_maps(cases, resolutions, lambda maps: share_scale("resolution"), "the resolution", RESOLVED),
+        Illustration(data_uri(profile_figure(cases, place, row)), f"Relative change along row {row}", caption),
     ]
 
 
-def _differences(subject: Subject, place: int, panel: Panel) -> tuple[list[Illustration], list[str]]:
-    """Maps of the pairs that disagree most; or a sentence that says why there are none."""
-    if len(subject.cases) < 2:
-        return [], []
-    found = disagreements(subject.cases)
-    if not found:
-        return [], ["Where the estimators differ significantly cannot be told: fewer than two of them have error bars."]
-    tiles = [_difference_tile(pair, place) for pair in found[:MOST_PAIRS]]
-    scale = signed_scale(_drawn(tiles), "difference of relative change [percentage points]", *POINTS)
+def _residuals(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
+    """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
+    weighted = all(case.sigma is not None for case in cases)
+
+    def residual(case: CaseResult) -> Array:
+        plain = np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
+        own = weighted_residual(case) if weighted else None
+        return plain if own is None else own
+
+    label = "(model − measured)/σ" if weighted else "(model − measured)/measured [%]"
+    least = LEAST_SIGMAS if weighted else LEAST_PERCENT
+    every = [(case.estimator, residual(case)) for case in cases]
+    histograms = histogram_figure([(name, own[np.isfinite(own)]) for name, own in every], weighted)
+    tiles = _tiles(cases, place, residual)
+    return [
+        *_maps(cases, tiles, lambda maps: signed_scale(maps, label, least), "the residuals", UNEXPLAINED),
+        Illustration(data_uri(histograms), "Histograms of the residuals", WEIGHTED if weighted else PLAIN),
+    ]
+
+
+def _differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:
+    """Maps of the pairs that disagree most, those first."""
+    tiles = []
+    for pair in found[:MOST_PAIRS]:
+        known = not np.all(np.isnan(pair.difference[place]))
+        values = np.where(pair.significant[place], pair.difference[place], np.nan) if known else None
+        tiles.append(Tile(f"{pair.first} − {pair.second}", values, f"{digits(pair.share, 2)} %"))
+    label = "difference of relative change [percentage points]"
     most = f" The {MOST_PAIRS} of {len(found)} pairs that differ most." if len(found) > MOST_PAIRS else ""
-    return [Illustration(_maps(tiles, panel, scale), "Maps of significant differences", DIFFERENT + most)], []
+    scale = partial(signed_scale, label=label, least=POINTS[0], most=POINTS[1])
+    return _maps(cases, tiles, scale, "significant differences", DIFFERENT + most)
 
 
-def _maps(tiles: list[Tile], panel: Panel, scale: Scale) -> str:
-    """Lines that stay sharp at any size; points where so many cells would make them heavy."""
-    return data_uri(maps_figure(tiles, panel, scale), "svg" if panel.cells * len(tiles) <= MOST_SHARP else "png")
+def _tiles(cases: Sequence[CaseResult], place: int, values: Callable[[CaseResult], Array | None]) -> list[Tile]:
+    """A map of each case that has the values, (frames, rows, columns)."""
+    known = [(case, own) for case in cases if (own := values(case)) is not None]
+    return [Tile(case.estimator, own[place] if case.solved[place] else None) for case, own in known]
 
 
-def _difference_tile(pair: Disagreement, place: int) -> Tile:
-    values = None
-    if not np.all(np.isnan(pair.difference[place])):
-        values = np.where(pair.significant[place], pair.difference[place], np.nan)
-    return Tile(f"{pair.first} − {pair.second}", values, f"{digits(pair.share, 2)} %")
+def _maps(
+    cases: Sequence[CaseResult],
+    tiles: list[Tile],
+    scale: Callable[[list[Array]], Scale],
+    of_what: str,
+    caption: str,
+) -> list[Illustration]:
+    """One picture, or none of no tiles. Lines stay sharp at any size; points where cells would make them heavy."""
+    if not tiles:
+        return []
+    panel, drawn = cases[0].scene.panel, [tile.values for tile in tiles if tile.values is not None]
+    kind: Literal["svg", "png"] = "svg" if panel.cells * len(tiles) <= MOST_SHARP else "png"
+    return [Illustration(data_uri(maps_figure(tiles, panel, scale(drawn)), kind), f"Maps of {of_what}", caption)]
 
 
-def _residual(case: CaseResult, weighted: bool) -> Array:
-    """(frames, rows, columns)."""
-    own = weighted_residual(case) if weighted else None
-    plain = np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
-    return plain if own is None else own
+def _percent(errors: Array | None, cells: Array) -> Array | None:
+    return None if errors is None else 100 * errors / cells
 
 
-def _at(case: CaseResult, place: int, values: Array | None) -> Array | None:
-    return values[place] if values is not None and case.solved[place] else None
-
-
-def _drawn(tiles: list[Tile]) -> list[Array]:
-    return [tile.values for tile in tiles if tile.values is not None]
-
-
-def _strongest_row(subject: Subject, place: int) -> int:
+def _strongest_row(first: CaseResult, place: int) -> int:
     """The row of the cell that changed most: in truth where it is known, else as measured."""
-    first = subject.cases[0]
     if first.truth is not None and first.truth_baseline is not None:
         change = percent_change(first.truth[place], first.truth_baseline)
     else:

@@ -23,7 +23,7 @@ class Interval:
     upper: float
 
     @property
-    def holds_zero(self) -> bool:
+    def covers_zero(self) -> bool:
         return self.lower <= 0 <= self.upper
 
 

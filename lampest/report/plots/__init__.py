@@ -54,7 +54,7 @@ def plot_results(
     More than MOST_TOGETHER estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on.
     What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or
     .pdf file where there is one picture. columns : as `read_results` takes them.
-    on_picture : told of how many pictures how many are drawn. frame : index into the recordings; its pictures are
+    on_picture : gets how many of how many pictures are drawn. frame : index into the recordings; its pictures are
     called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; png where
     neither it nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be
     drawn. Returns the files that were written.

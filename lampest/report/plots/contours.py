@@ -81,10 +81,8 @@ def _tiles(cases: Sequence[CaseResult], index: int) -> list[Tile]:
     first = cases[0]
     tiles = [_tile("measured two-point", percent_change(first.measured[index], first.measured_baseline))]
     for case in cases:
-        if case.solved[index]:
-            tiles.append(_tile(case.estimator, case.relative_change[index], case.open_cell[index] != 0))
-        else:
-            tiles.append(Tile(case.estimator, None))
+        shown = _tile(case.estimator, case.relative_change[index], case.open_cell[index] != 0)
+        tiles.append(shown if case.solved[index] else Tile(case.estimator, None))
     if first.truth is not None and first.truth_baseline is not None:
         tiles.append(_tile("truth", percent_change(first.truth[index], first.truth_baseline)))
     return tiles
@@ -165,29 +163,20 @@ class CertaintyPlot(Plot):
 
 def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Array]]]:
     """Scale and maps of every row of the picture."""
-    deviations = [_deviation(case, index) for case in cases]
-    resolutions = [case.resolution[index] for case in cases if case.resolution is not None]
+    known = [(case.cell_resistance[index], case.cell_resistance_errors, case.resolution) for case in cases]
+    deviations = [_finite(100 * errors[index] / cells) for cells, errors, _ in known if errors is not None]
+    resolutions = [resolution[index] for *_, resolution in known if resolution is not None]
     rows = [
         (positive_scale(deviations, "standard deviation [%]"), deviations),
         (share_scale("resolution"), resolutions),
     ]
-    truth = cases[0].truth
-    if truth is not None:
-        pairs = zip(cases, deviations, strict=True)
-        errors = [_error(case.cell_resistance[index], truth[index], deviation) for case, deviation in pairs]
+    if cases[0].truth is not None:
+        truth, pairs = cases[0].truth[index], zip(known, deviations, strict=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            errors = [_finite(np.log(cells / truth) / (deviation / 100)) for (cells, *_), deviation in pairs]
         rows.append((signed_scale(errors, "error / standard deviation", LEAST_ERROR, MOST_ERROR), errors))
     return rows
 
 
-def _deviation(case: CaseResult, index: int) -> Array:
-    """Of a cell [%]; NaN where it is infinite."""
-    assert case.cell_resistance_errors is not None
-    deviation: Array = 100 * case.cell_resistance_errors[index] / case.cell_resistance[index]
-    return np.where(np.isfinite(deviation), deviation, np.nan)
-
-
-def _error(cells: Array, truth: Array, deviation: Array) -> Array:
-    """log(r/truth) in units of its standard deviation [%]; NaN where that says nothing."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error: Array = np.log(cells / truth) / (deviation / 100)
-    return np.where(np.isfinite(error), error, np.nan)
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)

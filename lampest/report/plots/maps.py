@@ -19,8 +19,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.plots.style import HALF_INCH, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
-STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
-LIMITS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)  # round ends of scales
 Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
@@ -77,7 +76,7 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
     """
     numbers = np.abs(_finite(values))
     reach = np.percentile(numbers, 98) if numbers.size else 0.0
-    limit = next((limit for limit in LIMITS if limit >= reach), LIMITS[-1])
+    limit = next((step for step in STEPS if 1 <= step <= 100 and step >= reach), 100)
     tenths = np.arange(1, 11) * limit / 10
     bands = colormaps[SIGNED](np.linspace(0.04, 0.96, 19))
     colours = ListedColormap(bands).with_extremes(under=colormaps[SIGNED](0.0), over=colormaps[SIGNED](1.0))

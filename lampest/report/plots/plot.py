@@ -63,13 +63,13 @@ def likely_change(value: Array, resting: Array) -> Array:
     The inverse of the derivative of a uniform panel's two-point resistances: mean, effects of rows, of columns, and
     what is left of a cell are each mixed in by a factor of their own. Readings alone fall less as suction lets cells
     rise amid others that a rim presses; cells do not, so that suction counts. A measure to choose by, no estimate.
-    value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN where a reading says nothing.
+    value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN where a reading is missing.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.log(value / resting)
     moved = np.where(np.isfinite(moved), moved, np.nan)
     rows, columns = value.shape[1:]
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a line that says nothing has no mean
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a line without readings has no mean
         mean = np.nanmean(moved, axis=(1, 2), keepdims=True)
         across = np.nanmean(moved, axis=2, keepdims=True) - mean
         down = np.nanmean(moved, axis=1, keepdims=True) - mean

@@ -35,7 +35,7 @@ class PressurePlot(Plot):
     """Three panels of one frame: pressure, half its 95 % interval, resistance against pressure with the response curve.
 
     `frame` is an index into the recording; without it `strongest_index` chooses. Crosses mark cells whose pressure the
-    response does not tell.
+    response leaves open.
     """
 
     kind: ClassVar[str] = "pressure"
@@ -72,7 +72,7 @@ class PressurePlot(Plot):
 
 
 def _shown(case: CaseResult, index: int) -> tuple[Array, Array, Array, Marks]:
-    """Pressure, both ends of its interval in kPa, and where the response does not tell it; each (rows, columns)."""
+    """Pressure, both ends of its interval in kPa, and where the response leaves it open; each (rows, columns)."""
     who = f"{case.recording}: {case.estimator}"
     if not case.solved[index]:
         raise InputError(f"{who} has not solved frame {case.frame[index]}")
@@ -108,9 +108,9 @@ def _response(
 ) -> None:
     """Resistance against pressure with 95 % intervals; water and temperature move cells off the curve."""
     least, most = SHOWN_KPA
-    curve, told = np.linspace(least, most, 1000), response.told_kpa
+    curve, known = np.linspace(least, most, 1000), response.told_kpa
     axes.plot(100 * ratio_from_pressure(curve, response), curve, color="0.6", lw=1, label="response in air", zorder=1)
-    for beyond in ((least, max(told[0], least)), (min(told[1], most), most)):
+    for beyond in ((least, max(known[0], least)), (min(known[1], most), most)):
         axes.axhspan(
             *beyond, color="0.93", lw=0, zorder=0, label="where resistance says little" if beyond[0] < 0 else None
         )

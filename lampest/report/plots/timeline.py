@@ -42,7 +42,7 @@ def plot_timelines(
 ) -> list[Path]:
     """Draw every recording into timeline_<recording>.png in a folder; returns the files.
 
-    on_picture : told of how many pictures how many are drawn. Raises InputError where the folder cannot be written.
+    on_picture : gets how many of how many pictures are drawn. Raises InputError where the folder cannot be written.
     """
     shown = [detection for detection in detections if detection.source == SHARED]
     files = [Path(folder) / f"timeline_{detection.recording}.png" for detection in shown]

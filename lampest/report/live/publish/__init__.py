@@ -14,7 +14,7 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 
 
 def publish_at(where: str, token: str | None = None) -> Publish:
-    """`mqtt://localhost:1883/lampest` or `mqtt` alone: where frames go. token : what whoever listens must bring.
+    """`mqtt://localhost:1883/lampest` or `mqtt` alone: where frames go. token : asked of listeners.
 
     Raises InputError where there is no such way, or the address is none.
     """

@@ -56,8 +56,8 @@ class MqttPublish(Publish):
 
         try:
             _connect(client, self.host, self.port, where)
-            client.on_disconnect = lambda *told: say(f"{where}: the broker is gone ({told[3]}); it is called again")
-            client.on_connect = lambda *told: say(f"{where}: the broker is back")
+            client.on_disconnect = lambda *event: say(f"{where}: the broker is gone ({event[3]}); it is called again")
+            client.on_connect = lambda *event: say(f"{where}: the broker is back")
             yield where, send
         finally:
             client.on_disconnect = None
@@ -67,7 +67,7 @@ class MqttPublish(Publish):
 def _connect(client: Any, host: str, port: int, where: str) -> None:
     """Wait until the broker has said that it takes us. Raises InputError where it does not."""
     answers: SimpleQueue[Any] = SimpleQueue()
-    client.on_connect = client.on_disconnect = lambda *told: answers.put(told[3])
+    client.on_connect = client.on_disconnect = lambda *event: answers.put(event[3])
     try:
         client.connect(host, port)
         client.loop_start()

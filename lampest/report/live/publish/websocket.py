@@ -1,4 +1,4 @@
-"""WebSocket: a server that sends each message as a line of JSON to whoever is connected."""
+"""WebSocket: a server that sends each message as a line of JSON to all listeners."""
 
 import ipaddress
 import re
