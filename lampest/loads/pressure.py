@@ -21,7 +21,7 @@ NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in stan
 
 @dataclass(frozen=True, eq=False)
 class Pressure:
-    """What presses on the cells or sucks at them, against the surroundings: without the pressure of the water.
+    """What presses on the cells or sucks at them, without the pressure of the water.
 
     pressure : (frames, rows, columns) kPa; NaN where the estimate is.
     lower, upper : ends of the 95 % interval, kPa. `lower` is never below an empty space; `upper` may be infinite.

@@ -7,12 +7,11 @@ twice, and paid for: ln P(map) = −PAIR · (unlike neighbours) − EACH · cell
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from lampest.loads.recognition.candidates import UNKNOWN, Uniform
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import SUSPICIOUS, Explained, Observation, Whitening, outliers, without
-from lampest.loads.recognition.search import cell_map
+from lampest.loads.recognition.frame import NONE, SUSPICIOUS, Explained, Observation, Whitening, outliers, without
+from lampest.loads.recognition.search import cell_map, gaussian_cells
 from lampest.panel.panel import Array
 
 FIELD = Uniform(label=UNKNOWN, numbers={})
@@ -21,7 +20,7 @@ SD = np.array([0.005, 0.08, 0.4, 1.6])
 LIMITS = np.array([0.03, 0.18, 0.8])  # between them: geometric means, a little above
 PAIR, EACH = 1.0, 0.055  # alone among alike neighbours three states cost 4 · PAIR each: ln(1 + 3e⁻⁴) a cell in all
 OWN = 0.6  # part of a cell's variance that it does not share with its neighbours
-STEPS, STEP = 10, 1.5  # of Gauss and Newton; the longest one, ln r/r0
+STEPS = 10  # of Gauss and Newton
 
 
 def field_fit(frame: Observation, *starts: Array) -> Fit:
@@ -29,8 +28,8 @@ def field_fit(frame: Observation, *starts: Array) -> Fit:
     best = max((_of_two_maps(frame, start) for start in starts), key=lambda fit: fit.evidence)
     if best.chi2 < SUSPICIOUS * frame.measured.size:
         return best
-    total, innovation = _expected(frame, best.change, _prior(frame, _states(best.change)))
-    far = outliers(Whitening(np.linalg.cholesky(total)), innovation)
+    _, root, apart = gaussian_cells(frame, best.change, _prior(frame, _states(best.change)), 1)
+    far = outliers(Whitening(root), apart)
     if not len(far):
         return best
     calm = without(frame, far)
@@ -52,41 +51,27 @@ def _prior(frame: Observation, states: NDArray[np.intp]) -> Array:
     return np.asarray(np.outer(sd, sd) * (OWN * np.eye(sd.size) + (1 - OWN) * frame.baseline.near))
 
 
-def _expected(frame: Observation, change: Array, prior: Array) -> tuple[Array, Array]:
-    """(covariance of the readings, their distance from a panel at rest), both linearised about ln r/r0 = `change`."""
-    residual, slope = frame.missed(change, np.arange(change.size))
-    return frame.covariance(change) + slope @ prior @ slope.T, residual + slope @ change.ravel()
-
-
 def _with_map(frame: Observation, start: Array, states: NDArray[np.intp]) -> Fit:
     """The most probable field of which every cell's state is given."""
-    change, prior = start, _prior(frame, states)
-    for _ in range(STEPS):
-        total, innovation = _expected(frame, change, prior)
-        factor = cho_factor(total, lower=True)
-        slope = frame.slope(change)
-        move = (prior @ slope.T @ cho_solve(factor, innovation)).reshape(change.shape) - change
-        change = change + np.clip(move, -STEP, STEP)
-        if np.abs(move).max() < STEP / 10:
-            break
-    whitening = Whitening(np.tril(factor[0]))
-    errors = whitening @ innovation
+    change, root, apart = gaussian_cells(frame, start, _prior(frame, states), STEPS)
+    whitening, nothing = Whitening(root), np.zeros_like(change)
+    errors = whitening @ apart
     cost = float(errors @ errors) / 2
-    left = frame.missed(change, np.zeros(0, dtype=np.intp))[0]
+    left = frame.missed(change, NONE)[0]
     misfit = Whitening(np.linalg.cholesky(frame.covariance(change))) @ left
     return Fit(
-        FIELD,
-        np.zeros(0),
-        np.zeros((0, 0)),
-        Explained(change, np.zeros_like(change), np.zeros_like(change)),
-        left,
-        np.zeros((change.size, 0)),
-        float(misfit @ misfit),
-        cost,
-        whitening.volume,
-        -cost - whitening.volume - _paid(states),
-        0.0,
-        STEPS,
+        candidate=FIELD,
+        parameters=np.zeros(0),
+        covariance=np.zeros((0, 0)),
+        explained=Explained(change, nothing, nothing),
+        residual=left,
+        slopes=np.zeros((change.size, 0)),
+        chi2=float(misfit @ misfit),
+        cost=cost,
+        volume=whitening.volume,
+        evidence=-cost - whitening.volume - _paid(states),
+        scatter=0.0,
+        steps=STEPS,
     )
 
 

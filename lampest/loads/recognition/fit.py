@@ -231,10 +231,9 @@ def linear_evidence(fit: Fit, whitening: Whitening, mean: Array, sd: Array) -> f
 
 
 class AtDiameter(NamedTuple):
-    """φ where ln d = `place`, the cost of readings and priors, ½ ln |H| and H⁻¹."""
+    """φ at one ln d, the cost of readings and priors, ½ ln |H| and H⁻¹ of all other numbers."""
 
     parameters: Array
-    place: float
     cost: float
     volume: float
     covariance: Array
@@ -258,7 +257,7 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
     points = [_point(fitting, fit.parameters, place, fit.parameters[place])]
     for direction in (STEP, -STEP):
         points += _outwards(fitting, points[0], place, direction)
-    points.sort(key=lambda point: point.place)
+    points.sort(key=lambda point: point.parameters[place])
     volume = np.convolve(np.pad([point.volume for point in points], 2, mode="edge"), NEIGHBOURS, "valid")
     logarithm = -np.array([point.cost for point in points]) - volume
     share = softmax(np.where(logarithm > logarithm.max() - LIKELY, logarithm, -np.inf))
@@ -273,7 +272,7 @@ def _outwards(fitting: Fitting, first: AtDiameter, place: int, step: float) -> I
     """Point by point, each from the one before, until twice in a row nothing likely is left."""
     best, here, unlikely = first.cost, first, 0
     for count in range(1, MOST + 1):
-        here = _point(fitting, here.parameters, place, first.place + count * step)
+        here = _point(fitting, here.parameters, place, first.parameters[place] + count * step)
         yield here
         best = min(best, here.cost)
         unlikely = unlikely + 1 if here.cost > best + BARRIER else 0
@@ -290,4 +289,4 @@ def _point(fitting: Fitting, start: Array, place: int, held: float) -> AtDiamete
     precision = (here.normal + np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2))[others]
     covariance = np.diag((np.arange(len(begin)) == place) * STEP**2 / 12)  # of ln d within a step
     covariance[others] = np.linalg.inv(precision)
-    return AtDiameter(here.parameters, held, here.cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)
+    return AtDiameter(here.parameters, here.cost, float(np.linalg.slogdet(precision)[1] / 2), covariance)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve, cholesky
 
 from lampest.loads.recognition.baseline import Baseline, network_of
 from lampest.loads.recognition.frame import Observation, Whitening
@@ -12,7 +12,8 @@ from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.shape import Template
 from lampest.panel.panel import Array, Panel
 
-MAP_SD, MAP_STEPS, MAP_STEP = 0.5, 4, 1.5  # of ln r/r0: prior of a map's cells, Gauss-Newton steps, and the longest one
+MAP_SD, MAP_STEPS = 0.5, 4  # prior of ln r/r0 of a map's cells; Gauss-Newton steps
+STEP = 1.5  # the longest change of ln r/r0 in one
 CLEAR = 1.5  # ln r/r0 beyond which a cell counts no more than one there
 PLACES, LEAST, FAINTEST = 3, 0.15, 0.08  # for one more load; ln r/r0 in all, and relative to the clearest, of one
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
@@ -99,16 +100,31 @@ class DiscSearch:
 
 
 def cell_map(frame: Observation) -> Array:
-    """argmin ‖R − f(r0·e^x)‖² + ‖x/MAP_SD‖², a few Gauss-Newton steps: ln r/r0 of every cell, (rows, columns)."""
-    change = np.zeros(frame.measured.shape)
-    every = np.arange(change.size)
-    covariance = frame.covariance(change)
-    for _ in range(MAP_STEPS):
+    """ln r/r0 of every cell, (rows, columns): of independent cells with a standard deviation of MAP_SD."""
+    nothing = np.zeros(frame.measured.shape)
+    return gaussian_cells(frame, nothing, MAP_SD**2, MAP_STEPS, frame.covariance(nothing))[0]
+
+
+def gaussian_cells(
+    frame: Observation, start: Array, prior: Array | float, steps: int, noise: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """argmin ‖R − f(r0·e^x)‖² in C + ‖x‖² in P, by Gauss-Newton steps from `start` in the space of the readings.
+
+    prior : P (cells, cells), or the variance of independent cells. noise : C (cells, cells) ohm²; None: that of the
+    frame at x. Gives x (rows, columns); A P Aᵀ + C (cells, cells) as its lower root L, and the readings' distance from
+    a panel at rest (cells) ohm, linearised where the last step began.
+    """
+    change, every = start, np.arange(start.size)
+    for _ in range(steps):
         residual, slope = frame.missed(change, every)
-        total = cho_factor(slope @ slope.T * MAP_SD**2 + covariance)
-        solution = MAP_SD**2 * (slope.T @ cho_solve(total, residual + slope @ change.ravel()))
-        change = change + np.clip(solution.reshape(change.shape) - change, -MAP_STEP, MAP_STEP)
-    return change
+        across = prior @ slope.T if isinstance(prior, np.ndarray) else prior * slope.T
+        root = cholesky(slope @ across + (frame.covariance(change) if noise is None else noise), lower=True)
+        apart = residual + slope @ change.ravel()
+        move = (across @ cho_solve((root, True), apart)).reshape(change.shape) - change
+        change = change + np.clip(move, -STEP, STEP)
+        if np.abs(move).max() < STEP / 10:
+            break
+    return change, root, apart
 
 
 def _everywhere(panel: Panel, patch_mm: float, template: Template, shift: float) -> Array:

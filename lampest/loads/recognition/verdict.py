@@ -12,7 +12,7 @@ from itertools import combinations
 from math import exp, hypot, log
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr, softmax
 
 from lampest.loads.recognition.candidates import AND, UNIFORM, Several, loads_of
 from lampest.loads.recognition.field import FIELD
@@ -132,7 +132,8 @@ class Verdict:
             probabilities[kinds.index(label.split(AND)[0])] += share
         targets = {candidate.label for candidate in candidates if candidate.target}
         order = sorted(by_label, key=lambda label: (-by_label[label], -own.get(label, 0.0)))
-        named = _named(by_label, order, SURE if targets.isdisjoint(order[0].split(AND)) else SURE_OF_TARGET)
+        enough = SURE if targets.isdisjoint(order[0].split(AND)) else SURE_OF_TARGET
+        named = order[: int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1]
         named += [label for label in self.as_good if label not in named]
         if alone and targets.issuperset(part for label in named for part in label.split(AND)):
             named += [label for label in order if targets.isdisjoint(label.split(AND))][:1]
@@ -169,8 +170,7 @@ def judged(
     evidence = np.array([fit.evidence for fit in fits]) + within
     goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
     counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
-    tempered = counts * evidence - before
-    shares = np.exp(tempered - logsumexp(tempered))
+    shares = softmax(counts * evidence - before)
     best = fits[int(np.argmax(shares))].candidate
     as_good: tuple[str, ...] = ()
     if best not in (*UNIFORM, FIELD):
@@ -183,24 +183,15 @@ def judged(
     return one.with_odds(one.by_label, candidates)
 
 
-def _named(by_label: Mapping[str, float], order: list[str], enough: float) -> list[str]:
-    """The first labels of an order that share `enough` of the probability."""
-    needed = int(np.searchsorted(np.cumsum([by_label[label] for label in order]), enough)) + 1
-    return order[:needed]
-
-
 def bounded(panel: Panel, fit: Fit) -> float:
     """ln of what the readings leave of a candidate within its bound, over what the priors do; both Gaussian."""
     mean, sd = fit.candidate.mean(panel), fit.candidate.sd(panel)
-    ratio = [
-        log_ndtr(margin[0] / np.sqrt(margin[1] @ covariance @ margin[1]))
-        for margin, covariance in (
-            (fit.candidate.margin(fit.parameters), fit.covariance),
-            (fit.candidate.margin(mean), np.diag(sd**2)),
-        )
-        if margin is not None
-    ]
-    return float(ratio[0] - ratio[1]) if ratio else 0.0
+    total = 0.0
+    for sign, at, covariance in ((1, fit.parameters, fit.covariance), (-1, mean, np.diag(sd**2))):
+        margin = fit.candidate.margin(at)
+        if margin is not None:
+            total += sign * float(log_ndtr(margin[0] / np.sqrt(margin[1] @ covariance @ margin[1])))
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,10 +225,5 @@ class OverTime:
             for label in dict.fromkeys((*latest, *before.odds))
         }
         together = OverTime(odds, AGE * before.frames + 1, not best.sucks and best is not FIELD)
-        return together, verdict.with_odds(together.probabilities(), candidates, alone=together.frames == 1)
-
-    def probabilities(self) -> dict[str, float]:
-        """P of every label."""
-        likely = np.array(list(self.odds.values())) / self.frames
-        shares = np.exp(likely - logsumexp(likely))
-        return dict(zip(self.odds, map(float, shares), strict=True))
+        shares = map(float, softmax(np.array(list(odds.values())) / together.frames))
+        return together, verdict.with_odds(dict(zip(odds, shares, strict=True)), candidates, together.frames == 1)

@@ -13,12 +13,11 @@ from lampest.files.log import told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import KINDS, LOADS, Several
-from lampest.loads.recognition.detector import MOST_AT_ONCE, Detector
+from lampest.loads.recognition.detector import MOST_AT_ONCE, Detector, Zero
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counting
 from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.verdict import Verdict, further
-from lampest.loads.recognition.zero import Zero
 from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Water
