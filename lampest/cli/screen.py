@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-LINE_SECONDS = 30.0
+LINE_SECONDS = 30.0  # between lines of progress where there is no terminal
 
 
 def written(name: str, text: str) -> Any:

@@ -10,8 +10,8 @@ from lampest.panel.panel import Array
 from lampest.studies.bench.run import Bench, Timing
 from lampest.studies.study import Figures, Row, grouped, rows_of
 
-ALL = "all"
-GROWTH_FROM = 32
+ALL = "all"  # methods together
+GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
 Kind = Literal["first", "pair", "later"]  # of frames
 
 

@@ -31,7 +31,7 @@ from lampest.studies.methods import (
 
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference", "scipy_lbfgsb")
-PITCH_MM = 10.0
+PITCH_MM = 10.0  # of a `Panel` that names none
 # Places as shares of the panel's width and height, and masses in g: rods of 40 mm press with 2 to 9 kPa.
 RODS = ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))
 

@@ -19,7 +19,7 @@ from lampest.studies.study import grouped
 
 COLOURS = colormaps["YlGnBu"].resampled(256)
 ALARM = "#D55E00"
-CELL_INCH = 0.165
+CELL_INCH = 0.165  # the side of a square
 
 
 def plot_extremes(found: Sequence[Solve], path: str | Path) -> Path:

@@ -12,10 +12,10 @@ from lampest.report.compare import Table
 from lampest.solvers.solution import VERIFIED
 from lampest.studies import study
 from lampest.studies.extremes.figure import plot_extremes
-from lampest.studies.extremes.run import REFUSED, Solve, run_atlas
+from lampest.studies.extremes.run import COLUMNS, REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, AtlasFile
 
-MILD_DECADES, MILD_NOISE = 6.0, 0.01
+MILD_DECADES, MILD_NOISE = 6.0, 0.01  # up to which every solve shall end verified
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
 
 
@@ -134,30 +134,6 @@ def _share(part: int, whole: int) -> str:
 def _kind(status: str) -> str:
     """A refusal without the numbers of its scene."""
     return status.split(":")[0] + ": the input" if status.startswith(REFUSED) else status
-
-
-COLUMNS = (
-    ("case", "1", "name of the scene", "sample.case"),
-    ("rows", "1", "row lines", "sample.rows"),
-    ("columns", "1", "column lines", "sample.columns"),
-    ("decades", "1", "decades between the least and the largest cell", "sample.decades"),
-    ("noise", "1", "relative standard deviation of a reading", "sample.noise"),
-    ("seed", "1", "seed of cells and noise", "sample.seed"),
-    ("method", "1", "method"),
-    ("formulation", "1", "formulation"),
-    ("part", "1", "baseline, frame, or the pair of both"),
-    ("verified", "1", "1: an estimate that nothing speaks against"),
-    ("solved", "1", "1: there is an estimate"),
-    ("doubtful", "1", "1: an estimate that the audit does not confirm"),
-    ("status", "1", "how the solve ended"),
-    ("iterations", "1", "iterations of the solver"),
-    ("kkt_residual", "1", "KKT residual of the accepted estimate", "residual"),
-    ("audited_residual", "1", "the same by differences of the exact forward map", "audited"),
-    ("excess", "1", "cost of the estimate over that of the truth, scaled"),
-    ("forward_digits", "1", "LRE of the forward map, 50 digits"),
-    ("model_digits", "1", "LRE of the estimate's two-point resistance"),
-    ("estimate_digits", "1", "LRE against the convex solution"),
-)
 
 
 def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> study.Reported:

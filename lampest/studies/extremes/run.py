@@ -33,18 +33,11 @@ DOUBTFUL = 10 * VERIFIED  # of a residual by differences
 
 @dataclass(frozen=True)
 class Solve:
-    """One solve of the atlas.
+    """One solve of the atlas; `COLUMNS` say what each field is, digits are log relative errors (NIST StRD).
 
-    Parameters
-    ----------
-    sample, method, formulation : what was solved. part : baseline, frame, or the pair of both.
-    solved : whether there is an estimate. status : how the solve ended, in words. iterations : of the solver.
-    residual : the KKT residual that the estimate was accepted with. audited : the same by differences of the exact
-    forward map; NaN where there is no estimate or the panel is large.
-    excess : (φ(estimate) − φ(truth within the bounds))/s; above zero where the truth is the better estimate.
-    forward_digits : LRE of the forward map at the scene's cells. model_digits : of the estimate's two-point
-    resistances. estimate_digits : of an estimate without penalties from attainable readings, against the convex one;
-    in a scaled scene of any, against the scaled estimate of the original.
+    audited : NaN where there is no estimate or the panel is large. excess : (φ(estimate) − φ(truth within the
+    bounds))/s. estimate_digits : of an estimate without penalties from attainable readings, against the convex one; in
+    a scaled scene of any, against the scaled estimate of the original.
     """
 
     sample: AtlasSample
@@ -75,6 +68,30 @@ class Solve:
     def crashed(self) -> bool:
         """No estimate, and no sentence that says why."""
         return self.status.startswith(CRASHED)
+
+
+COLUMNS = (
+    ("case", "1", "name of the scene", "sample.case"),
+    ("rows", "1", "row lines", "sample.rows"),
+    ("columns", "1", "column lines", "sample.columns"),
+    ("decades", "1", "decades between the least and the largest cell", "sample.decades"),
+    ("noise", "1", "relative standard deviation of a reading", "sample.noise"),
+    ("seed", "1", "seed of cells and noise", "sample.seed"),
+    ("method", "1", "method"),
+    ("formulation", "1", "formulation"),
+    ("part", "1", "baseline, frame, or the pair of both"),
+    ("verified", "1", "1: an estimate that nothing speaks against"),
+    ("solved", "1", "1: there is an estimate"),
+    ("doubtful", "1", "1: an estimate that the audit does not confirm"),
+    ("status", "1", "how the solve ended"),
+    ("iterations", "1", "iterations of the solver"),
+    ("kkt_residual", "1", "KKT residual of the accepted estimate", "residual"),
+    ("audited_residual", "1", "the same by differences of the exact forward map", "audited"),
+    ("excess", "1", "cost of the estimate over that of the truth, scaled"),
+    ("forward_digits", "1", "LRE of the forward map, 50 digits"),
+    ("model_digits", "1", "LRE of the estimate's two-point resistance"),
+    ("estimate_digits", "1", "LRE against the convex solution"),
+)
 
 
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:

@@ -19,7 +19,7 @@ from lampest.studies.paper.figures import (
 )
 from lampest.studies.paper.published import Published
 from lampest.studies.paper.sides import Side
-from lampest.studies.paper.tables import Held, counts, csv_rows, sheet
+from lampest.studies.paper.tables import Comparison, counts, csv_rows, sheet
 from lampest.studies.study import comma_separated
 
 PAGE, NUMBERS = "paper.html", "numbers.csv"
@@ -91,7 +91,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
 Drawn = Callable[[Figure, str, str, str], Illustration]
 
 
-def _film(published: Published, own: Sequence[Held], drawn: Drawn) -> tuple[Chapter, Chapter]:
+def _film(published: Published, own: Sequence[Comparison], drawn: Drawn) -> tuple[Chapter, Chapter]:
     """Figures 1-e and 2."""
     first = sheet([row for row in own if row.figure.startswith("Fig. 1")], (OURS,))
     second = sheet([row for row in own if row.figure.startswith("Fig. 2")], (OURS,))
@@ -107,7 +107,7 @@ def _film(published: Published, own: Sequence[Held], drawn: Drawn) -> tuple[Chap
     )
 
 
-def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], drawn: Drawn) -> tuple[Chapter, ...]:
+def _maps(sides: Sequence[Side], published: Published, held: Sequence[Comparison], drawn: Drawn) -> tuple[Chapter, ...]:
     """Figures 6, 8 and 9, one picture for each side."""
     names = tuple(side.name for side in sides)
     loads = [
@@ -140,7 +140,9 @@ def _maps(sides: Sequence[Side], published: Published, held: Sequence[Held], dra
     )
 
 
-def _table(held: Sequence[Held], timed: Sequence[Held], names: Sequence[str], published: Published) -> Chapter:
+def _table(
+    held: Sequence[Comparison], timed: Sequence[Comparison], names: Sequence[str], published: Published
+) -> Chapter:
     """Table I."""
     rows = [row for row in held if row.figure == "Table I"]
     sheets = (("Data errors |f(r) − R|/R", sheet(rows, names)), ("Time of a step", sheet(timed, names)))
@@ -148,7 +150,7 @@ def _table(held: Sequence[Held], timed: Sequence[Held], names: Sequence[str], pu
     return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
 
 
-def _summary(held: Sequence[Held], names: Sequence[str]) -> str:
+def _summary(held: Sequence[Comparison], names: Sequence[str]) -> str:
     """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
     checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
     return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I, {counts(checked, names)}"

@@ -13,7 +13,7 @@ from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
 from lampest.studies.study import Row
 from lampest.studies.tradeoff.rows import front
 
-FLOOR = 1e-12
+FLOOR = 1e-12  # where smaller gaps are drawn
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 MARKERS = "osD^vPX"
 SPOTS = ((0, 9), (0, -9), (7, 0), (-7, 0), (7, 7), (-7, 7), (7, -7), (-7, -7), (0, 16), (0, -16), (14, 11), (-14, 11))
