@@ -1,13 +1,16 @@
 """Random mats: every solver against the truth. Readings come from a network that is assembled here, node by node."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lampest.files.errors import InputError
 from lampest.solvers.solution import Settings
 from lampest.studies.bench.mats import LEAST_S, MOST_S, MatAnswer, MatSolve, solved_mats
 from lampest.studies.bench.settings import Mats
+from lampest.studies.study import published_code
 from tests.oracles.published_solvers import PUBLISHED
 
 SIDES = (6, 16)
@@ -76,6 +79,14 @@ def test_a_fixed_point_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("tests.oracles.published_solvers.MOST_STEPS", 3)
     answer = fixed_point(two_point(np.full((4, 4), LEAST_S)))
     assert (answer.converged, answer.iterations) == (False, 3)
+
+
+def test_where_the_solvers_of_others_are_not_there_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("lampest.studies.study.shipped_folder", lambda: tmp_path)
+    with pytest.raises(InputError, match="the solvers of others, to compare with, are not there"):
+        published_code("elsewhere")
 
 
 @pytest.mark.parametrize(
