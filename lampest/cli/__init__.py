@@ -103,12 +103,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], str]] = {  # name → (command, e
     "live": (board.live, "--recording example.h5 --speed 2"),
     "show terms": (results.terms, ""),
     "show schema": (results.schema, "> lampest.schema.json"),
-    "study bench": (studies.study_command("bench"), "bench.yaml --set sizes=[10]"),
-    "study tradeoff": (studies.study_command("tradeoff"), "tradeoff.yaml"),
-    "study extremes": (studies.study_command("extremes"), "extremes.yaml"),
-    "study audit": (studies.study_command("audit"), "audit.yaml"),
+    **{f"study {word}": (studies.study_command(word), f"{word}.yaml --out results/mine") for word in studies.STUDIES},
     "study paper": (studies.paper, "--out results/paper"),
-    "study weights": (studies.study_command("weights"), "run.yaml --out results/weights"),
     "study starts": (studies.starts, "run.yaml --random 50"),
 }
 OLD = {  # word of the release before → new name

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lampest.studies.study import Reported
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
-# Word → the module of the study, and what it says of itself.
+# Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
 STUDIES = {
     "bench": (
         "lampest.studies.bench.report",

@@ -1,5 +1,6 @@
 """`lampest study starts`: how often a sequence's own start reaches the best minimum that random starts find."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +12,11 @@ from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.report.compare import Table
 from lampest.runs.config import Case, Run
 from lampest.solvers.search import solved_from
 from lampest.solvers.solution import Status
 from lampest.solvers.starts import evaluated
-from lampest.studies.study import OnStep, Reported, write_rows
+from lampest.studies.study import OnStep, Reported, screen_table, write_rows
 
 SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
 FARTHEST = 60.0  # random starts reach up to so many times the reading
@@ -86,23 +86,21 @@ def _objectives(
     return found, at.cost_scale - at.objective
 
 
+SCREEN: dict[str, Callable[[Tally], str]] = {
+    "recording": lambda one: one.recording,
+    "estimator": lambda one: one.estimator,
+    "frames at the best": lambda one: f"{one.best}/{one.frames}",
+    "worst excess [%]": lambda one: f"{100 * one.worst_excess:.2g}",
+    "most minima": lambda one: str(one.most_minima),
+    "random solved": lambda one: f"{one.random_solved}/{one.random}",
+}
+
+
 def run_starts(run: Run, random: int, seed: int, out: Path | None, on_step: OnStep) -> Reported:
     """Every case of a run; writes starts.csv where a folder is named. on_step is called with how many are done."""
     found = []
     for number, case in enumerate(run.cases, 1):
         found.append(tally(case, random, seed))
         on_step(number, len(run.cases))
-    headers = ("recording", "estimator", "frames at the best", "worst excess [%]", "most minima", "random solved")
-    rows = tuple(
-        (
-            one.recording,
-            one.estimator,
-            f"{one.best}/{one.frames}",
-            f"{100 * one.worst_excess:.2g}",
-            str(one.most_minima),
-            f"{one.random_solved}/{one.random}",
-        )
-        for one in found
-    )
     files = [] if out is None else [write_rows(out / "starts.csv", Tally.__dataclass_fields__, found)]
-    return Reported([("", Table(headers, rows))], files)
+    return Reported([("", screen_table(found, SCREEN))], files)

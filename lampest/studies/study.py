@@ -130,7 +130,7 @@ def rows_of(groups: Iterable[Any], figures: Figures) -> list[Row]:
     return [Row(**{name: figure(own) for name, figure in figures.items()}) for own in groups]
 
 
-def screen_table(rows: Sequence[Row], columns: Mapping[str, Callable[[Row], str]]) -> Table:
+def screen_table(rows: Iterable[Any], columns: Mapping[str, Callable[[Any], str]]) -> Table:
     """Rows for the screen, by title: the text of a row."""
     return Table(tuple(columns), tuple(tuple(text(row) for text in columns.values()) for row in rows))
 

@@ -102,21 +102,17 @@ def _times(ratio: float | None) -> str:
     return "" if ratio is None else f"{short(ratio)} ×"
 
 
-def growth_table(bench: Bench) -> Table:
-    """Exponents with their standard errors."""
-    cells = tuple(
-        (
-            one.solver,
-            one.method,
-            one.frames,
-            f"{one.exponent:.2f}" + ("" if one.standard_error is None else f" ± {one.standard_error:.2f}"),
-            f"{one.panels}, {GROWTH_FROM} to {one.largest:.0f}",
-        )
-        for one in growth(bench)
-    )
-    return Table(("solver", "method", "frames", "exponent of the side", "panels"), cells)
+def _exponent(one: Growth) -> str:
+    return f"{one.exponent:.2f}" + ("" if one.standard_error is None else f" ± {one.standard_error:.2f}")
 
 
+GROWTH_SCREEN: dict[str, Callable[[Growth], str]] = {
+    "solver": lambda one: one.solver,
+    "method": lambda one: one.method,
+    "frames": lambda one: one.frames,
+    "exponent of the side": _exponent,
+    "panels": lambda one: f"{one.panels}, {GROWTH_FROM} to {one.largest:.0f}",
+}
 MAT_SCREEN: dict[str, Cells] = {
     "mat": lambda row: f"{row.side} × {row.side}",
     "noise": lambda row: f"{row.noise_percent:g} %",
@@ -170,7 +166,7 @@ def tables(bench: Bench) -> Iterator[tuple[str, Table]]:
     titled = (
         ("solvers: all methods together", solvers_table(bench)),
         ("methods: the reduced solver", methods_table(bench)),
-        ("growth: time ∝ side^exponent", growth_table(bench)),
+        ("growth: time ∝ side^exponent", study.screen_table(growth(bench), GROWTH_SCREEN)),
         ("mats: published solvers, no bounds, no penalties", study.screen_table(mat_rows(bench.mats), MAT_SCREEN)),
     )
     yield from ((title, table) for title, table in titled if table.cells)

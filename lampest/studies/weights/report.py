@@ -1,22 +1,18 @@
 """`lampest study weights`: every case of a run that has one penalty, its rules' choices, the curves, a figure."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.whole import write_whole
 from lampest.recording.recording import Recording
-from lampest.report.compare import Table
 from lampest.runs.config import Case, Run, read_run
-from lampest.studies.study import OnStep, Reported, Study, comma_separated, csv_value, samples_file, write_columns
-from lampest.studies.weights.choices import Choice, Tuned, tune
+from lampest.studies import study
+from lampest.studies.weights.choices import Tuned, tune
 from lampest.studies.weights.figure import plot_weights
 from lampest.studies.weights.subject import WeightSubject, squared, why_not
-
-HEADERS = ("recording", "estimator", "frame", "rule", "in_use", "weight", "weight_unit", "solves", "rms_log_error")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +23,7 @@ class TunedCases:
     left_out: Sequence[str]
 
 
-def run_weights(run: Run, on_step: OnStep) -> TunedCases:
+def run_weights(run: Run, on_step: study.OnStep) -> TunedCases:
     """Every case that has one penalty with a squared loss. on_step is called with how many of how many are done.
 
     Raises InputError where there is none, or where a rule needs the noise and it is unknown.
@@ -59,37 +55,34 @@ def _tuned(case: Case) -> Tuned | str:
     return found if any(point.solved for point in found.curves.points) else "it was solved for no weight"
 
 
-def weights_table(found: TunedCases) -> Table:
-    """One row for every rule on every case."""
-    headers = ("recording", "estimator", "rule", "in use", "λ", "unit of λ", "solves", "true error", "over the best")
-    rows = [
-        (
-            one.subject.recording,
-            one.subject.name,
-            choice.rule,
-            "*" if choice.in_use else "",
-            "none" if choice.weight is None else f"{choice.weight:.3g}",
-            one.subject.weight_unit,
-            "" if choice.solves is None else str(choice.solves),
-            "" if choice.error is None else f"{choice.error:.4f}",
-            "" if choice.excess is None else f"{choice.excess:.3f}",
-        )
-        for one in found.tuned
-        for choice in one.choices
-    ]
-    return Table(headers, tuple(rows))
-
-
-def _csv_row(one: Tuned, choice: Choice) -> list[Any]:
-    subject = one.subject
-    start = (subject.recording, subject.name, subject.frame, choice.rule, int(choice.in_use))
-    rest = (choice.weight, subject.weight_unit, choice.solves, choice.error, choice.excess)
-    return [csv_value(value) for value in (*start, *rest)]
+FIGURES: study.Figures = {  # of a case and one rule's choice
+    "recording": lambda both: both[0].recording,
+    "estimator": lambda both: both[0].name,
+    "frame": lambda both: both[0].frame,
+    "rule": lambda both: both[1].rule,
+    "in_use": lambda both: int(both[1].in_use),
+    "weight": lambda both: both[1].weight,
+    "weight_unit": lambda both: both[0].weight_unit,
+    "solves": lambda both: both[1].solves,
+    "rms_log_error": lambda both: both[1].error,
+    "over_best": lambda both: both[1].excess,
+}
+SCREEN: dict[str, Callable[[study.Row], str]] = {
+    "recording": lambda row: row.recording,
+    "estimator": lambda row: row.estimator,
+    "rule": lambda row: row.rule,
+    "in use": lambda row: "*" * row.in_use,
+    "λ": lambda row: study.text_of(row.weight) or "none",
+    "unit of λ": lambda row: row.weight_unit,
+    "solves": lambda row: study.text_of(row.solves, "d"),
+    "true error": lambda row: study.text_of(row.rms_log_error, ".4f"),
+    "over the best": lambda row: study.text_of(row.over_best, ".3f"),
+}
 
 
 def _write_curves(path: Path, found: TunedCases) -> Path:
     """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    with samples_file(path, "tune/1") as entry:
+    with study.samples_file(path, "tune/1") as entry:
         for one in found.tuned:
             recording = entry.require_group(one.subject.recording)
             hdf5.set_attributes(recording, NX_class="NXsubentry")
@@ -115,25 +108,25 @@ def _write_one(group: Any, one: Tuned) -> None:
         ("bound_cells", "1", "cells at a bound, of all frames of the solve"),
         ("solved", "1", "1: solved, 0: failed"),
     )
-    write_columns(group, points, curves, ("weight",), float)
+    study.write_columns(group, points, curves, ("weight",), float)
     choices = group.create_group("choices")
     hdf5.set_attributes(choices, NX_class="NXcollection")
-    write_columns(choices, one.choices, (("rule", "1", "rule"), ("in_use", "1", "1: the estimator's")))
+    study.write_columns(choices, one.choices, (("rule", "1", "rule"), ("in_use", "1", "1: the estimator's")))
     numbers = (
         ("weight", subject.weight_unit, "the rule's weight, NaN where it has none"),
         ("solves", "1", "solves that it took, NaN where it needs the whole curve"),
         ("error", "1", "true root-mean-square error of log resistance"),
         ("excess", "1", "error over that of the best weight in hindsight"),
     )
-    write_columns(choices, one.choices, numbers, (), float)
+    study.write_columns(choices, one.choices, numbers, (), float)
 
 
-def report_weights(found: TunedCases, run: Run, folder: Path) -> Reported:
+def report_weights(found: TunedCases, run: Run, folder: Path) -> study.Reported:
     """Write tune.csv, every choice, tune.h5, the curves, and a figure of each case."""
-    rows = [_csv_row(one, choice) for one in found.tuned for choice in one.choices]
-    write_whole(folder / "tune.csv", comma_separated([(*HEADERS, "over_best"), *rows]))
-    files = (folder / "tune.csv", _write_curves(folder / "tune.h5", found), *plot_weights(found.tuned, folder))
-    return Reported([("", weights_table(found))], files, left_out=found.left_out)
+    rows = study.rows_of([(one.subject, choice) for one in found.tuned for choice in one.choices], FIGURES)
+    samples = _write_curves(folder / "tune.h5", found)
+    files = (study.write_rows(folder / "tune.csv", FIGURES, rows), samples, *plot_weights(found.tuned, folder))
+    return study.Reported([("", study.screen_table(rows, SCREEN))], files, left_out=found.left_out)
 
 
-STUDY: Study[Run, TunedCases] = Study("cases", "tune.yaml", read_run, run_weights, report_weights)
+STUDY: study.Study[Run, TunedCases] = study.Study("cases", "tune.yaml", read_run, run_weights, report_weights)
