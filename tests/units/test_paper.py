@@ -7,7 +7,7 @@ import numpy as np
 from lampest.runs.config import read_run
 from lampest.studies.paper.figures import covered
 from lampest.studies.paper.published import published_numbers
-from lampest.studies.paper.tables import Comparison, counts
+from lampest.studies.paper.tables import PublishedNumber, counts
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -22,7 +22,7 @@ def test_table_one_is_the_same_in_the_shipped_run() -> None:
 
 
 def test_a_quarter_is_of_the_published_number() -> None:
-    row = Comparison("Fig. 8-a", "measured", "%", -80.0, (-60.0, -59.9, -100.1, float("nan")))
+    row = PublishedNumber("Fig. 8-a", "measured", "%", -80.0, (-60.0, -59.9, -100.1, float("nan")))
     assert [row.reproduced(number) for number in range(4)] == [True, False, False, False]
     assert counts([row], ["one"]).endswith("1 of 1 (one).")
 

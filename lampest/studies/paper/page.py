@@ -19,7 +19,7 @@ from lampest.studies.paper.figures import (
 )
 from lampest.studies.paper.published import Published
 from lampest.studies.paper.sides import Side
-from lampest.studies.paper.tables import Comparison, counts, csv_rows, sheet
+from lampest.studies.paper.tables import PublishedNumber, counts, csv_rows, sheet
 from lampest.studies.study import comma_separated
 
 PAGE, NUMBERS = "paper.html", "numbers.csv"
@@ -91,7 +91,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
 Drawn = Callable[[Figure, str, str, str], Illustration]
 
 
-def _film(published: Published, own: Sequence[Comparison], drawn: Drawn) -> tuple[Chapter, Chapter]:
+def _film(published: Published, own: Sequence[PublishedNumber], drawn: Drawn) -> tuple[Chapter, Chapter]:
     """Figures 1-e and 2."""
     first = sheet([row for row in own if row.figure.startswith("Fig. 1")], (OURS,))
     second = sheet([row for row in own if row.figure.startswith("Fig. 2")], (OURS,))
@@ -107,7 +107,9 @@ def _film(published: Published, own: Sequence[Comparison], drawn: Drawn) -> tupl
     )
 
 
-def _maps(sides: Sequence[Side], published: Published, held: Sequence[Comparison], drawn: Drawn) -> tuple[Chapter, ...]:
+def _maps(
+    sides: Sequence[Side], published: Published, held: Sequence[PublishedNumber], drawn: Drawn
+) -> tuple[Chapter, ...]:
     """Figures 6, 8 and 9, one picture for each side."""
     names = tuple(side.name for side in sides)
     loads = [
@@ -141,7 +143,7 @@ def _maps(sides: Sequence[Side], published: Published, held: Sequence[Comparison
 
 
 def _table(
-    held: Sequence[Comparison], timed: Sequence[Comparison], names: Sequence[str], published: Published
+    held: Sequence[PublishedNumber], timed: Sequence[PublishedNumber], names: Sequence[str], published: Published
 ) -> Chapter:
     """Table I."""
     rows = [row for row in held if row.figure == "Table I"]
@@ -150,7 +152,7 @@ def _table(
     return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
 
 
-def _summary(held: Sequence[Comparison], names: Sequence[str]) -> str:
+def _summary(held: Sequence[PublishedNumber], names: Sequence[str]) -> str:
     """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
     checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
     return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I, {counts(checked, names)}"

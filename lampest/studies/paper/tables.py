@@ -18,7 +18,7 @@ WITHIN = 0.25  # of the published number: what counts as reproduced
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PublishedNumber:
     """A published number and ours. ours : one for each side, NaN where it is not to be had."""
 
     figure: str
@@ -32,7 +32,7 @@ class Comparison:
         return abs(self.ours[number] - self.published) <= WITHIN * abs(self.published)
 
 
-def built_in(published: Published, sides: int) -> list[Comparison]:
+def built_in(published: Published, sides: int) -> list[PublishedNumber]:
     """Figures 1-e and 2: what lampest's response was made from, read back; the same on every side."""
     found = [
         ("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, 100 * _change(one.kpa))
@@ -48,25 +48,27 @@ def built_in(published: Published, sides: int) -> list[Comparison]:
         found.append(("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, flat * film.lowering))
         change = 100 * ((1 + _change(40.0)) ** film.answer - 1)
         found.append(("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {at}", "%", cell.percent, change))
-    return [Comparison(place, name, unit, number, (float(ours),) * sides) for place, name, unit, number, ours in found]
+    return [
+        PublishedNumber(place, name, unit, number, (float(ours),) * sides) for place, name, unit, number, ours in found
+    ]
 
 
 def _change(kpa: float) -> float:
     return float(relative_change_from_pressure(kpa))
 
 
-def map_ranges(sides: Sequence[Side], published: Published) -> list[Comparison]:
+def map_ranges(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Figure 8: the smallest and the largest change of every map."""
     rows = []
     for one in published.ranges.maps:
         changes = [side.change(one.method) for side in sides]
         for name, value, end in (("smallest", one.low, np.nanmin), ("largest", one.high, np.nanmax)):
             ours = tuple(float(end(change)) for change in changes)
-            rows.append(Comparison(f"Fig. 8-{one.letter}", f"{one.method}, {name} change", "%", value, ours))
+            rows.append(PublishedNumber(f"Fig. 8-{one.letter}", f"{one.method}, {name} change", "%", value, ours))
     return rows
 
 
-def covered_cells(sides: Sequence[Side], published: Published) -> list[Comparison]:
+def covered_cells(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Figure 9: how many rows and columns a mouth covers."""
     rows = []
     for number, mouth in enumerate(published.mouths.maps):
@@ -74,32 +76,34 @@ def covered_cells(sides: Sequence[Side], published: Published) -> list[Compariso
         for name, place in (("rows", 0), ("columns", 1)):
             quantity = f"mouth of {mouth.diameter_mm:g} mm, {name} covered"
             ours = tuple(float(one[place]) for one in seen)
-            rows.append(Comparison(f"Fig. 9-{mouth.letter}", quantity, "cells", float(mouth.cells), ours))
+            rows.append(PublishedNumber(f"Fig. 9-{mouth.letter}", quantity, "cells", float(mouth.cells), ours))
     return rows
 
 
-def data_errors(sides: Sequence[Side], published: Published) -> list[Comparison]:
+def data_errors(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Table I: data errors, mean and standard deviation over the readings of all steps."""
     rows = []
     for row in published.errors.rows:
         seen = [side.steps(row.method, row.steps) for side in sides]
         name = f"{row.method}, {row.steps} steps"
         means, deviations = tuple(one.error for one in seen), tuple(one.error_sd for one in seen)
-        rows.append(Comparison("Table I", f"{name}: data error", "%", row.error_percent, means))
-        rows.append(Comparison("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, deviations))
+        rows.append(PublishedNumber("Table I", f"{name}: data error", "%", row.error_percent, means))
+        rows.append(
+            PublishedNumber("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, deviations)
+        )
     return rows
 
 
-def step_times(sides: Sequence[Side], published: Published) -> list[Comparison]:
+def step_times(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Table I: time of a step. Ours is another program on another machine."""
     rows = []
     for row in published.errors.rows:
         ours = tuple(side.steps(row.method, row.steps).time for side in sides)
-        rows.append(Comparison("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, ours))
+        rows.append(PublishedNumber("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, ours))
     return rows
 
 
-def sheet(rows: Sequence[Comparison], names: Sequence[str]) -> Sheet:
+def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Sheet:
     """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
     headers, texts, best = ("", "place", "published", *names), [], set()
     for place, row in enumerate(rows):
@@ -109,7 +113,7 @@ def sheet(rows: Sequence[Comparison], names: Sequence[str]) -> Sheet:
     return Sheet(headers, tuple(texts), frozenset(best))
 
 
-def counts(rows: Sequence[Comparison], names: Sequence[str]) -> str:
+def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
     """'13 of 19 within a quarter (clean scenes), …' over rows that all sides have."""
     parts = [
         f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
@@ -117,7 +121,7 @@ def counts(rows: Sequence[Comparison], names: Sequence[str]) -> str:
     return f"within a quarter of the published number: {', '.join(parts)}."
 
 
-def csv_rows(rows: Sequence[Comparison], names: Sequence[str]) -> list[list[object]]:
+def csv_rows(rows: Sequence[PublishedNumber], names: Sequence[str]) -> list[list[object]]:
     """A header and one line for each number."""
     lines: list[list[object]] = [["figure", "quantity", "unit", "published", *names]]
     return lines + [[row.figure, row.quantity, row.unit, row.published, *row.ours] for row in rows]
