@@ -18,7 +18,7 @@ from lampest.recording.simulation import Simulation, simulate
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.live.state import SecondLook
+from lampest.report.live.state import PanelState
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 TWO = (8, 9, 15, 23)  # frames that once ended 0.4 to 0.7 % above the lower minimum
@@ -57,8 +57,8 @@ def test_a_second_look_at_a_frame_solved_in_haste_finds_the_lower_of_two_minima(
         before = hasty
         hasty, step = before.push(readings[frame])
         assert step.solution.starts == 1 and step.status == "optimum verified"
-        load = PressureTrack.begin(recording.scene)
-        look = SecondLook.at(int(frame), 0.0, before, load, readings[frame], step, None)
+        state = PanelState(before, PressureTrack.begin(recording.scene))
+        look = state.second_look(int(frame), 0.0, readings[frame], step)
         found = None if look is None else look.findings()
         if found is not None and found.lower is not None:
             lower += 1

@@ -54,6 +54,12 @@ class Series:
         """Whether its values are texts."""
         return isinstance(self.values, tuple)
 
+    @property
+    def meaning(self) -> str:
+        """The long name, with what each value of a flag means."""
+        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
+        return f"{self.long_name} ({flags})" if flags else self.long_name
+
 
 def series_of(case: CaseResult) -> list[Series]:
     """Every column and figure that the case holds, in its readout's unit; a cost is called cost_misfit."""

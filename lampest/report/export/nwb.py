@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.files.errors import InputError, extra
 from lampest.panel.scene import Scene
-from lampest.report.export.export import Export, Series, series_of
+from lampest.report.export.export import Export, series_of
 from lampest.runs.case import CaseResult, about
 from lampest.runs.columns import CELLS, TIME
 
@@ -87,17 +87,14 @@ def _describe(session: Any, scene: Scene) -> None:
     subject, experiment = scene.subject, scene.experiment
     if subject is not None:
         length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
-        session.subject = Subject(
-            subject_id=subject.id or None,
-            species=subject.species or None,
-            weight=None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg",
-            description="; ".join(filter(None, (length, subject.note))) or None,
-        )
+        weight = None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg"
+        words = "; ".join(filter(None, (length, subject.note))) or None
+        named = {"subject_id": subject.id or None, "species": subject.species or None}
+        session.subject = Subject(**named, weight=weight, description=words)
     if experiment is not None:
         celsius = experiment.water_temperature_celsius
         water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
-        words = "; ".join(filter(None, (experiment.title, water, experiment.note)))
-        session.experiment_description = words or None
+        session.experiment_description = "; ".join(filter(None, (experiment.title, water, experiment.note))) or None
         session.experimenter = (experiment.experimenter,) if experiment.experimenter else None
         session.institution = experiment.institution or None
 
@@ -110,28 +107,21 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
     held = [one for one in series_of(case) if one.shared == shared and one.name != TIME.name]
     for one in held:
         if not one.is_text and one.axes != CELLS:
-            known = {"unit": one.units, "description": _meaning(one)}
+            known = {"unit": one.units, "description": one.meaning}
             yield TimeSeries(name=one.name, data=one.values, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
     x, y = case.scene.panel.centres_mm()
-    cells: list[tuple[str, str, Any]] = [("row", "row line", rows), ("column", "column line", lines)]
-    cells += [("y_mm", "position of the row, mm", y[rows]), ("x_mm", "position of the column, mm", x[lines])]
-    frames: list[tuple[str, str, Any]] = [("time", "time of the frame, s", case.time)]
+    cells = [("row", "row line", rows), ("column", "column line", lines)]
+    places = [("y_mm", "position of the row, mm", y[rows]), ("x_mm", "position of the column, mm", x[lines])]
+    time = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
-        ("frames", "what frames say in words", frames, [one for one in held if one.is_text]),
-        ("cells", "what has no time", cells, [one for one in held if one.axes == CELLS]),
+        ("frames", "what frames say in words", time, [one for one in held if one.is_text]),
+        ("cells", "what has no time", [*cells, *places], [one for one in held if one.axes == CELLS]),
     ):
-        further = [(one.name, f"{_meaning(one)}, {one.units}", one.values) for one in wanted]
-        columns = [
-            VectorData(
-                name=name, description=words, data=list(values) if isinstance(values, tuple) else np.ravel(values)
-            )
-            for name, words, values in [*first, *further]
+        columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]
+        vectors = [
+            VectorData(name=called, description=text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
+            for called, text, one in columns
         ]
         if wanted:
-            yield DynamicTable(name=name, description=words, columns=columns)
-
-
-def _meaning(series: Series) -> str:
-    flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in series.flags)
-    return f"{series.long_name} ({flags})" if flags else series.long_name
+            yield DynamicTable(name=name, description=words, columns=vectors)

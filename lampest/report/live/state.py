@@ -58,28 +58,6 @@ class SecondLook:
     objective: float
     due: bool
 
-    @classmethod
-    def at(
-        cls,
-        number: int,
-        time: float,
-        stream: Stream,
-        load: PressureTrack,
-        readings: Readings,
-        step: Step,
-        track: Track | None,
-    ) -> "SecondLook | None":
-        """None where the frame left nothing open.
-
-        step : how it was solved. track : for error bars, of the unloaded panel; None: none are wanted.
-        """
-        due = step.solution.unsearched or stream.due(readings)
-        if not stream.hasty or not step.solution.solved or not (due or track is not None):
-            return None
-        baseline = None if stream.baseline is None else stream.baseline.bare()
-        stream = replace(stream, hasty=False, prepared=None, track=track, baseline=baseline)
-        return cls(number, time, stream, load, readings, step.solution.objective, due)
-
     def findings(self) -> Findings:
         """Solve the frame once more."""
         stream, step = self.stream.push(self.readings)
@@ -148,6 +126,15 @@ class PanelState:
             return here
         return here._zeroed(here.recent[: tare.frames // 2], time, tared)
 
+    def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
+        """At the frame that comes next, once it was solved in haste; None where it left nothing open."""
+        stream, due = self.stream, step.solution.unsearched or self.stream.due(readings)
+        if not stream.hasty or not step.solution.solved or not (due or self.track is not None):
+            return None
+        baseline = None if stream.baseline is None else stream.baseline.bare()
+        stream = replace(stream, hasty=False, prepared=None, track=self.track, baseline=baseline)
+        return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
+
     def without_outliers(self, readings: Readings) -> tuple["PanelState", Readings, int]:
         """With a frame among those before the next; the frame without its outliers, and how many there are."""
         stream, after = self.stream, replace(self, before=self.before.after(readings))
@@ -189,7 +176,7 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
         stream, step = state.stream.push(readings)
     except InputError as error:
         return state, replace(picture, status=str(error))
-    look = SecondLook.at(picture.number, picture.time, state.stream, state.load, readings, step, state.track)
+    look = state.second_look(picture.number, picture.time, readings, step)
     here, solution = replace(state, stream=stream, look=look), step.solution
     picture = replace(picture, status=solution.status.value, seconds=step.seconds)
     ratio = here.ratio(step)

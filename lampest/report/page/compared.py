@@ -114,18 +114,20 @@ def _pair(scores: Scores, one: int, other: int, drawn: Picks) -> Pair:
 class Criterion:
     """What estimators are ranked by; smaller is better.
 
-    name : fits 'the smallest …'. unit, difference_unit : of the figure and of a difference. meaning : how it is
-    defined. decides : whether a smaller figure is evidence of a better estimate. per_cell : (frames, rows, columns) of
-    a case. average : over cells and frames.
+    name : fits 'the smallest …'. unit : of the figure. meaning : how it is defined. decides : whether a smaller figure
+    is evidence of a better estimate. per_cell : (frames, rows, columns) of a case. average : over cells and frames.
     """
 
     name: str
     unit: str
-    difference_unit: str
     meaning: str
     decides: bool
     per_cell: Callable[[CaseResult], Array]
     average: Callable[..., Any]
+
+    @property
+    def difference_unit(self) -> str:
+        return "percentage points" if self.unit == "%" else self.unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,6 @@ def _residual(case: CaseResult) -> Array:
 CELL_ERROR = Criterion(
     "error of the cells",
     "%",
-    "percentage points",
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
     True,
     log_error,
@@ -176,7 +177,6 @@ CELL_ERROR = Criterion(
 )
 PREDICTION = Criterion(
     "prediction error",
-    "σ²",
     "σ²",
     "what fresh readings are expected to deviate by from those of the estimated cells, squared and in units of their "
     "noise (Mallows' C); the truth is unknown",
@@ -187,7 +187,6 @@ PREDICTION = Criterion(
 WEIGHTED = Criterion(
     "data error",
     "σ",
-    "σ",
     "|model − measured|/σ, its median over readings and frames",
     False,
     lambda case: np.abs(_residual(case)),
@@ -196,7 +195,6 @@ WEIGHTED = Criterion(
 DATA_ERROR = Criterion(
     "data error",
     "%",
-    "percentage points",
     "100·|model − measured|/measured, its median over readings and frames",
     False,
     data_error,

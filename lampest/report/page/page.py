@@ -1,7 +1,7 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,21 +21,13 @@ from lampest.runs.executors import each_of
 
 SEED = 20190604
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
-WISHED = (
-    ("sigma", "the noise of the readings"),
-    ("cell_resistance_lower", "error bars"),
-    ("resolution", "resolution"),
-    ("truth", "the truth"),
-)
-
-
-@dataclass(frozen=True)
-class Origin:
-    """An estimator's resolved case as YAML text, and the versions that solved it."""
-
-    estimator: str
-    text: str
-    versions: str
+WISHED = {
+    "sigma": "the noise of the readings",
+    "cell_resistance_lower": "error bars",
+    "resolution": "resolution",
+    "truth": "the truth",
+    "weights": "the weights",
+}
 
 
 def write_report(
@@ -84,7 +76,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         together=batch_sheet(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
         whole=[part for part in sections if part.name in whole],
         others=[part for part in sections if part.name not in whole],
-        chosen=(*_why_whole(comparison, advice, len(batch.subjects)), *_why_drawn(comparison, len(batch.estimators))),
+        chosen=tuple(_why_shown(batch, comparison, advice)),
         origins=origins(batch),
         draws=f"{DRAWS:,}",
     )
@@ -120,43 +112,43 @@ def shown_estimators(batch: Batch, comparison: Comparison | None) -> tuple[str, 
     return tuple(dict.fromkeys((*standing, *batch.estimators)))[:MOST_DRAWN]
 
 
-def _why_drawn(comparison: Comparison | None, count: int) -> tuple[str, ...]:
-    if count <= MOST_DRAWN:
-        return ()
-    first = "first" if comparison is None else f"first by the {comparison.criterion.name}"
-    return (f"The figures of recordings show the {MOST_DRAWN} estimators that stand {first}, the tables all {count}.",)
-
-
-def _why_whole(comparison: Comparison | None, advice: Advice, count: int) -> tuple[str, ...]:
-    if count <= MOST_WHOLE:
-        return ()
-    if comparison is None or comparison.scores.over_frames:
-        return (f"All figures for the first {MOST_WHOLE} of {count} recordings.",)
-    return (
-        f"All figures for {MOST_WHOLE} of {count} recordings: those where {_shown(comparison, advice)} has the two "
-        f"smallest, the two middle and the two largest values of the {comparison.criterion.name}.",
-    )
+def _why_shown(batch: Batch, comparison: Comparison | None, advice: Advice) -> Iterator[str]:
+    """Why these recordings are shown whole, and why these estimators in figures, where not all are."""
+    recordings, estimators = len(batch.subjects), len(batch.estimators)
+    if recordings > MOST_WHOLE:
+        if comparison is None or comparison.scores.over_frames:
+            yield f"All figures for the first {MOST_WHOLE} of {recordings} recordings."
+        else:
+            yield (
+                f"All figures for {MOST_WHOLE} of {recordings} recordings: those where {_shown(comparison, advice)} "
+                f"has the two smallest, the two middle and the two largest values of the {comparison.criterion.name}."
+            )
+    if estimators > MOST_DRAWN:
+        first = "first" if comparison is None else f"first by the {comparison.criterion.name}"
+        shown = f"The figures of recordings show the {MOST_DRAWN} estimators that stand {first}"
+        yield f"{shown}, the tables all {estimators}."
 
 
 def missing(batch: Batch) -> str:
     """One sentence on what the results do not hold; empty where they hold all."""
     cases = [case for subject in batch.subjects for case in subject.cases]
     parts = []
-    for field, name in WISHED:
-        lacking = sum(getattr(case, field) is None for case in cases)
+    for field, name in WISHED.items():
+        known = [getattr(case, field) for case in cases]
+        lacking = sum(value is None or (isinstance(value, dict) and not value) for value in known)
         if lacking:
             parts.append(name + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
-    lacking = sum(not case.weights for case in cases)
-    if lacking:
-        parts.append("the weights" + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
     return f"These results lack {listed(parts)}; what follows from them is left out." if parts else ""
 
 
-def origins(batch: Batch) -> tuple[Origin, ...]:
-    """The first case of every estimator."""
-    found = []
-    for name in batch.estimators:
-        case = next(case for subject in batch.subjects for case in subject.cases if case.estimator == name)
-        versions = ", ".join(f"{library} {number}" for library, number in sorted(case.versions.items()))
-        found.append(Origin(name, case.case_yaml, versions))
-    return tuple(found)
+def origins(batch: Batch) -> list[dict[str, str]]:
+    """The first case of every estimator: `estimator`, the resolved case as YAML `text`, `versions` that solved it."""
+    first = {case.estimator: case for subject in reversed(batch.subjects) for case in reversed(subject.cases)}
+    return [
+        {
+            "estimator": name,
+            "text": first[name].case_yaml,
+            "versions": ", ".join(f"{library} {number}" for library, number in sorted(first[name].versions.items())),
+        }
+        for name in batch.estimators
+    ]

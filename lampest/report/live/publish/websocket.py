@@ -18,7 +18,6 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 from lampest.report.live.server import MOST_STREAMS, Access
 
 CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
-MOST_BYTES_IN = 1024  # nobody has anything to say
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 
 
@@ -46,11 +45,13 @@ class WebsocketPublish(Publish):
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
         newest, listeners = Newest(""), set[Any]()
-        server, where = self._server(newest, listeners)
+        access = Access.of(self.token, ipaddress.ip_address(self.host).is_loopback, self.port)
+        server = self._server(newest, listeners, access)
         thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
         thread.start()
+        host, token = f"[{self.host}]" if ":" in self.host else self.host, access.token and f"?token={access.token}"
         try:
-            yield where, lambda message: newest.put(message.text())
+            yield f"ws://{host}:{server.socket.getsockname()[1]}/{token}", lambda message: newest.put(message.text())
         finally:
             newest.close()
             until = time.monotonic() + CLOSE_SECONDS
@@ -62,13 +63,11 @@ class WebsocketPublish(Publish):
             server.shutdown()
             thread.join()
 
-    def _server(self, newest: Newest[str], listeners: set[Any]) -> tuple[Any, str]:
-        """The server and its address. Raises InputError where it cannot listen."""
+    def _server(self, newest: Newest[str], listeners: set[Any], access: Access) -> Any:
+        """A thread for each listener, which sends it what is newest. Raises InputError where it cannot listen."""
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
             from websockets.sync.server import serve
-        local = ipaddress.ip_address(self.host).is_loopback
-        access = Access.of(self.token, local, self.port)
 
         def admitted(connection: Any, request: Any) -> Any:
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
@@ -85,22 +84,12 @@ class WebsocketPublish(Publish):
                     connection.send(text)
             listeners.discard(connection)
 
+        settings: dict[str, Any] = {"open_timeout": CLOSE_SECONDS, "close_timeout": CLOSE_SECONDS, "compression": None}
+        settings |= {"family": socket.AF_INET6} if ":" in self.host else {}
+        settings |= {"max_size": 1024}  # bytes: no listener has anything to say
+        settings |= {"origins": [None, LOCAL_PAGES]} if ipaddress.ip_address(self.host).is_loopback else {}
         try:
-            server = serve(
-                listening,
-                self.host,
-                self.port,
-                origins=[None, LOCAL_PAGES] if local else None,
-                family=socket.AF_INET6 if ":" in self.host else socket.AF_INET,
-                process_request=admitted,
-                compression=None,
-                max_size=MOST_BYTES_IN,
-                open_timeout=CLOSE_SECONDS,
-                close_timeout=CLOSE_SECONDS,
-            )
+            return serve(listening, self.host, self.port, process_request=admitted, **settings)
         except OSError as error:
             said = error.strerror or error
             raise InputError(f"--publish: websocket: cannot listen at {self.host}:{self.port} ({said})") from error
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        token = f"?token={access.token}" if access.token else ""
-        return server, f"ws://{host}:{server.socket.getsockname()[1]}/{token}"
