@@ -47,7 +47,7 @@ def _about(
 
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --memory; it writes over no file that it was told to read."""
+    """The command with the option --memory; it writes over no file that it reads."""
     signature = inspect.signature(command, eval_str=True)
     outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 

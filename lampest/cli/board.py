@@ -31,6 +31,10 @@ Port = Annotated[
 ]
 SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
 Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames, such as 600.")]
+TOKEN = "What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up."
+Token = Annotated[str | None, typer.Option("--token", envvar="LAMPEST_TOKEN", help=TOKEN)]
+PUBLISH = "lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest. Repeatable."
+Publish = Annotated[list[str] | None, typer.Option("--publish", metavar="WHERE", help=PUBLISH)]
 Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else 1.")]
 
 
@@ -146,8 +150,7 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
     from lampest.loads.known_loads import read_known_loads
     from lampest.recording.recording import Recording
 
-    told = read_known_loads(loads)
-    found = calibrate_loads([Recording.load(file) for file in files], told, tolerance)
+    found = calibrate_loads([Recording.load(file) for file in files], read_known_loads(loads), tolerance)
     if out is None:
         say_text(found.text().removesuffix("\n"))
         return
@@ -167,14 +170,7 @@ def live(
     http: Annotated[
         str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
-    token: Annotated[
-        str | None,
-        typer.Option(
-            "--token",
-            envvar="LAMPEST_TOKEN",
-            help="What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up.",
-        ),
-    ] = None,
+    token: Token = None,
     frames: Frames = None,
     baseline: Annotated[
         int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
@@ -182,19 +178,10 @@ def live(
     scene: SceneFile = None,
     period: Period = None,
     out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
-    publish: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--publish",
-            metavar="WHERE",
-            help="lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest; may come "
-            "several times.",
-        ),
-    ] = None,
+    publish: Publish = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
     from lampest.files.interrupts import ending_signals
-    from lampest.recording.foreign.importing import read_scene
     from lampest.report.live.run import LiveBoard, Replay
     from lampest.report.live.run import live as run_live
 
@@ -204,12 +191,10 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    if recording is None:
-        source: LiveBoard | Replay = LiveBoard(port, read_scene(scene) if scene else None, baseline, period, out)
-    else:
+    source: LiveBoard | Replay = LiveBoard(port, scene_of(scene, None), baseline, period, out)
+    if recording is not None:
         source = Replay(recording, speed, baseline)
-    # A board is told to stop, however live ends.
-    with ending_signals():
+    with ending_signals():  # a board gets its command to stop, however live ends
         done = run_live(
             source,
             estimator,
@@ -227,7 +212,7 @@ def live(
 
 
 def report_recorded(done: "Recorded") -> None:
-    """Say what was recorded, and what no scene told; a recording that was interrupted ends with 130."""
+    """Say what was recorded, and which resistance may be missing; a recording that was interrupted ends with 130."""
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:

@@ -100,10 +100,10 @@ def import_(
     from lampest.report.info import understood_lines
 
     check_positive("--period", period)
-    told = scene_of(scene, assign)
+    agreed = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, told, unit, baseline, transpose, variable, period=period, missing=missing
+            file, rows, columns, agreed, unit, baseline, transpose, variable, period=period, missing=missing
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

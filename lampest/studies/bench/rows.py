@@ -121,7 +121,7 @@ def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[
 def growth(bench: Bench) -> list[Growth]:
     """By solver, method and kind of frames; nothing where there are fewer than two such panels.
 
-    `all` methods are told of later frames alone: which first frames are pairs differs from method to method.
+    `all` methods have later frames alone: which first frames are pairs differs from method to method.
     """
     rows = [row for row in bench_rows(bench) if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     found: list[Growth] = []

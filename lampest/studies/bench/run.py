@@ -50,11 +50,11 @@ class Timing(TimedFrames):
     inverse_s: float
 
     def times(self) -> Array:
-        """(frames) s: median of a frame's wall times; the processor's where something else has held it up."""
+        """(frames) s: median of a frame's wall times; the processor's where something else disturbed it."""
         return np.asarray(np.nanmedian(np.where(undisturbed(self.wall, self.cpu), self.wall, self.cpu), axis=1))
 
     def clean(self) -> float:
-        """The share of solves that nothing held up."""
+        """The share of undisturbed solves."""
         return float(np.mean(undisturbed(self.wall, self.cpu)[np.isfinite(self.wall)]))
 
     def verified(self) -> NDArray[np.bool_]:

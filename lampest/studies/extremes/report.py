@@ -112,9 +112,11 @@ def mild(solve: Solve) -> bool:
 
 def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     """The promise in numbers, and how the others ended."""
-    told = sum(not solve.crashed and not solve.doubtful for solve in solves)
+    named = sum(not solve.crashed and not solve.doubtful for solve in solves)
     tame = [solve for solve in solves if mild(solve)]
-    lines = [f"{told} of {len(solves)} solves end with a verified optimum or a sentence ({_share(told, len(solves))})"]
+    lines = [
+        f"{named} of {len(solves)} solves end with a verified optimum or a sentence ({_share(named, len(solves))})"
+    ]
     for title, chosen in (
         ("all", list(solves)),
         ("contrast up to 10⁶ or a single fault, noise up to 1 %", tame),

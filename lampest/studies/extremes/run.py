@@ -1,4 +1,4 @@
-"""The measurement: every scene by every method, and of each solve what it says and what is true of it."""
+"""The measurement: every scene by every method; of each solve how it ended, and how right it is."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

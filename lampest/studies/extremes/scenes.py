@@ -49,7 +49,7 @@ class AtlasSample:
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """Cells (2, rows, columns) ohm, unloaded and loaded, with what the scene says of them.
+    """Cells (2, rows, columns) ohm, unloaded and loaded, with what the scene states of them.
 
     still : both frames are the same, noise included. weight : of all penalties in place of their own, or None.
     scale : the estimate must be this times that from readings smaller by as much.
@@ -113,14 +113,14 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
 
 
 def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
-    """What one conversion says of a resistance."""
+    """A resistance as one conversion reads it."""
     noise = readout.noise_volt() * rng.standard_normal(total.shape)
     code = readout.code_from_volt(readout.volt_from_recorded(total) + noise)
     return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 
 
 def _times(factor: float, where: Where, faults: Callable[[AtlasSample], Faults] | None = None) -> Extreme:
-    """Some of the cells times a factor; faults : what the scene says of them, or None."""
+    """Some of the cells times a factor; faults : what the scene states of them, or None."""
 
     def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
         broken = np.zeros(sample.shape, dtype=bool)

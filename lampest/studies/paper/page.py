@@ -62,7 +62,7 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
     Raises InputError where the folder cannot be written.
     """
     names = tuple(side.name for side in sides)
-    held = [
+    numbers = [
         *tables.map_ranges(sides, published),
         *tables.covered_cells(sides, published),
         *tables.data_errors(sides, published),
@@ -79,12 +79,12 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
     with verbatim():
         chapters = (
             *_film(published, own, drawn),
-            *_maps(sides, published, held, drawn),
-            _table(held, timed, names, published),
+            *_maps(sides, published, numbers, drawn),
+            _table(numbers, timed, names, published),
         )
-    text = filled("lampest.studies.paper", chapters=chapters, sides=sides, summary=_summary(held, names))
+    text = filled("lampest.studies.paper", chapters=chapters, sides=sides, summary=_summary(numbers, names))
     write_whole(folder / PAGE, text)
-    write_whole(folder / NUMBERS, comma_separated(csv_rows([*held, *timed, *own], names)))
+    write_whole(folder / NUMBERS, comma_separated(csv_rows([*numbers, *timed, *own], names)))
     return (folder / PAGE, folder / NUMBERS, *pictures)
 
 
@@ -108,7 +108,7 @@ def _film(published: Published, own: Sequence[PublishedNumber], drawn: Drawn) ->
 
 
 def _maps(
-    sides: Sequence[Side], published: Published, held: Sequence[PublishedNumber], drawn: Drawn
+    sides: Sequence[Side], published: Published, numbers: Sequence[PublishedNumber], drawn: Drawn
 ) -> tuple[Chapter, ...]:
     """Figures 6, 8 and 9, one picture for each side."""
     names = tuple(side.name for side in sides)
@@ -119,8 +119,8 @@ def _maps(
         drawn(methods_figure(side, published), f"fig8_{side.word}", "Maps of six methods", METHODS) for side in sides
     ]
     small = [drawn(mouths_figure(side, published), f"fig9_{side.word}", "Maps of two mouths", MOUTHS) for side in sides]
-    of_maps = [row for row in held if row.figure.startswith("Fig. 8")]
-    of_mouths = [row for row in held if row.figure.startswith("Fig. 9")]
+    of_maps = [row for row in numbers if row.figure.startswith("Fig. 8")]
+    of_mouths = [row for row in numbers if row.figure.startswith("Fig. 9")]
     return (
         Chapter("Six loads as measured", "loads", published.loads.place, "", (), tuple(loads)),
         Chapter(
@@ -143,16 +143,16 @@ def _maps(
 
 
 def _table(
-    held: Sequence[PublishedNumber], timed: Sequence[PublishedNumber], names: Sequence[str], published: Published
+    numbers: Sequence[PublishedNumber], timed: Sequence[PublishedNumber], names: Sequence[str], published: Published
 ) -> Chapter:
     """Table I."""
-    rows = [row for row in held if row.figure == "Table I"]
+    rows = [row for row in numbers if row.figure == "Table I"]
     sheets = (("Data errors |f(r) − R|/R", sheet(rows, names)), ("Time of a step", sheet(timed, names)))
     about = f"Of the errors, {counts(rows, names)} Times are those of another program on another machine."
     return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
 
 
-def _summary(held: Sequence[PublishedNumber], names: Sequence[str]) -> str:
+def _summary(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> str:
     """The checked numbers: the ranges of figure 8 and the mean errors of table I."""
-    checked = [row for row in held if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
+    checked = [row for row in numbers if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
     return f"Of the twelve ranges of Fig. 8 and the seven mean errors of Table I, {counts(checked, names)}"

@@ -182,14 +182,14 @@ def _optima(
                 return np.asarray(case.relative_change)
         raise InputError(f"{name}: there are no results of {method}")
 
-    def seen(method: str, steps: Steps) -> StepsSeen:
+    def taken(method: str, steps: Steps) -> StepsSeen:
         for row in compare(results):
             if (row.recording, row.estimator, row.steps) == (mouths[0].name, method, steps) and row.data_error:
                 time = NAN if row.solve_time is None else row.solve_time.mean
                 return StepsSeen(row.data_error.mean, row.data_error.sd or NAN, time)
         return StepsSeen(NAN, NAN, NAN)
 
-    return estimated, seen
+    return estimated, taken
 
 
 def _left_by_solver(
@@ -204,7 +204,7 @@ def _left_by_solver(
         found: LeftBySolver = solve(method, recording.scene.panel, unloaded(recording), frames, WEIGHTS)
         return found
 
-    def seen(method: str, steps: Steps) -> StepsSeen:
+    def taken(method: str, steps: Steps) -> StepsSeen:
         found = left(method, 0)
         parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
         if steps not in parts:
@@ -213,7 +213,7 @@ def _left_by_solver(
         time = EVALUATION_S * float(found.evaluations[parts[steps]].mean())
         return StepsSeen(NAN, NAN, time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
 
-    return lambda method, number: left(method, number).change, seen
+    return lambda method, number: left(method, number).change, taken
 
 
 def _made(config: Path, folder: Path) -> Path:

@@ -60,7 +60,7 @@ class Measured(TimedFrames):
         return self.subject.shape
 
     def times(self) -> Array:
-        """(frames) s: the least of the repeats; the processor's time where something else has held the solve up."""
+        """(frames) s: the least of the repeats; the processor's time where something else disturbed it."""
         return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
 
 

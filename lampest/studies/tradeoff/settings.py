@@ -80,7 +80,7 @@ class Simulated:
     Parameters
     ----------
     sizes : sides of square panels, or [rows, columns].
-    noise : readouts by name. scenes : what the estimator is not told, by name.
+    noise : readouts by name. scenes : unmodelled effects by name.
     diameter_mm : of the mouth. seed : of all random numbers.
 
     Raises ValueError where a number is out of range.
