@@ -49,12 +49,12 @@ class SumOfSquares:
     jacobian: Array
     ridge: float = 0.0
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """½ |f|²."""
         return float(self.residual @ self.residual) / 2
 
-    @property
+    @cached_property
     def gradient(self) -> Array:
         """Jᵀ f."""
         return np.asarray(self.jacobian.T @ self.residual)
@@ -62,7 +62,9 @@ class SumOfSquares:
     @cached_property
     def normal(self) -> Array:
         """JᵀJ + ridge."""
-        return np.asarray(self.jacobian.T @ self.jacobian + self.ridge * np.eye(self.jacobian.shape[1]))
+        normal = self.jacobian.T @ self.jacobian
+        normal[np.diag_indices(len(normal))] += self.ridge
+        return np.asarray(normal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +130,12 @@ class LevenbergMarquardt:
 
     def _step(self, here: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
         """The damped step (unknowns), within its longest."""
-        step, normal = np.zeros(len(free)), here.normal[np.ix_(free, free)]
-        own = np.diag(normal)
-        damped = normal + damping * np.diag(np.where(own > 0, own, 1.0))
-        step[free] = -np.linalg.solve(damped, here.gradient[free])
+        normal, gradient = (
+            (here.normal, here.gradient) if free.all() else (here.normal[free][:, free], here.gradient[free])
+        )
+        damped, own = normal.copy(), normal.diagonal()
+        damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)
+        step = np.zeros(len(free))
+        step[free] = -np.linalg.solve(damped, gradient)
         size = np.abs(step)
         return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(size, 1e-300)))))
