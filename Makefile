@@ -2,8 +2,9 @@
 #
 #   make run       set-up, then two lampreys with five methods: table on screen; table, results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
-#   make test      set-up with what tests need, then all tests
-#   make quick     laws, golden results, oracles without the mark `slow`, the house's rules: for while you work, about 40 s; Python alone
+#   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
+#   make test-all  all tests: those of `make test`, then the others, which carry the mark `slow`
+#   make quick     laws, golden results, the house's rules: for while you work, about 20 s; Python alone
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
 #   make lock      after a change of dependencies: the locks with hashes, from pyproject.toml and constraints.txt
@@ -18,7 +19,9 @@ QUIETLY = --quiet --disable-pip-version-check --no-input
 LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes --no-deps --requirement
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
-QUICK = tests/laws tests/golden tests/oracles tests/contracts/test_architecture.py
+QUICK = tests/laws tests/golden tests/contracts/test_architecture.py
+PYTEST = $(BIN)/python -m pytest -q
+SPREAD = --numprocesses auto --maxprocesses 4
 
 install: $(VENV)/.installed
 
@@ -28,11 +31,14 @@ run: install
 	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
 
 test: $(VENV)/.installed-dev board-packages
-	@$(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --ignore tests/board
-	@$(BIN)/python -m pytest -q tests/board
+	@$(PYTEST) $(SPREAD) -m 'not slow' --ignore tests/board
+	@$(PYTEST) tests/board
+
+test-all: test
+	@$(PYTEST) $(SPREAD) -m slow --ignore tests/board
 
 quick: $(VENV)/.installed-dev
-	@$(BIN)/python -m pytest -q -m 'not slow' $(QUICK)
+	@$(PYTEST) $(SPREAD) -m 'not slow' $(QUICK)
 
 lint: $(VENV)/.installed-dev
 	@$(BIN)/ruff check .
@@ -87,4 +93,4 @@ clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test quick lint docs lock licences audit board-packages clean
+.PHONY: install run test test-all quick lint docs lock licences audit board-packages clean

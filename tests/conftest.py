@@ -15,6 +15,24 @@ os.environ.update({name: value for name, value in ONE_THREAD.items() if name not
 sys.path.insert(0, str(Path(__file__).parent))
 
 
+FEW = 4  # variants of a test that `make test` runs where there are many
+THINNED = ("oracles", "units")  # laws and contracts keep all of theirs
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with many variants all but FEW, spread over them, carry the mark `slow`."""
+    variants: dict[tuple[Path, str], list[pytest.Item]] = {}
+    for item in items:
+        if item.path.parent.name in THINNED:
+            variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
+    for several in variants.values():
+        chosen = {round(number * (len(several) - 1) / (FEW - 1)) for number in range(FEW)}
+        for number, item in enumerate(several if len(several) > FEW else ()):
+            if number not in chosen:
+                item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture
 def disk(tmp_path: Path) -> SimpleNamespace:
     """A folder with small.h5 and run.yaml, and what writes more of them."""

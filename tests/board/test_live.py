@@ -239,8 +239,8 @@ def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
     assert Recording.load(other).role[:4].tolist() == [0, 0, 0, 1], "Ctrl-C leaves a clean file"
 
 
-def check_thirty_frames_a_second(folder: Path, seconds: float) -> None:
-    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once."""
+def thirty_frames_a_second(folder: Path, seconds: float) -> int:
+    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; how many are kept."""
     cells, _ = truth_of(LAMPREY)
     with (
         bench(folder, cells, "--real-time", "--loop") as board,
@@ -267,6 +267,7 @@ def check_thirty_frames_a_second(folder: Path, seconds: float) -> None:
     )
     assert (len(found.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
     assert latency[0] <= 100
+    return len(found.time)
 
 
 def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,9 +277,9 @@ def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch:
 
 
 def test_five_seconds_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
-    check_thirty_frames_a_second(tmp_path, 5)
+    assert thirty_frames_a_second(tmp_path, 5) == 150
 
 
 @pytest.mark.soak
 def test_ten_minutes_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
-    check_thirty_frames_a_second(tmp_path, 600)
+    assert thirty_frames_a_second(tmp_path, 600) == 18_000

@@ -165,6 +165,7 @@ def test_no_such_run(disk: SimpleNamespace, lampest: Command) -> None:
     refused(lampest("run", disk.folder / "latin.yaml"), "UTF-8")
     (disk.folder / "empty.yaml").write_text("")
     refused(lampest("run", disk.folder / "empty.yaml"), "empty.yaml")
+    assert not list(disk.folder.rglob("results.h5"))
 
 
 def test_recordings_of_one_name(disk: SimpleNamespace, lampest: Command) -> None:
@@ -172,6 +173,7 @@ def test_recordings_of_one_name(disk: SimpleNamespace, lampest: Command) -> None
     disk.recording(disk.folder / "other" / "small.h5")
     path = disk.run(disk.text.replace("[small.h5]", "[small.h5, other/small.h5]"))
     refused(lampest("run", path, "--out", disk.folder / "out"), "two files are called small")
+    assert not (disk.folder / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -248,7 +250,9 @@ def test_full_disk_in_the_library(disk: SimpleNamespace, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("command", ["info", "compare", "plot"])
 def test_other_commands_on_no_results(disk: SimpleNamespace, lampest: Command, command: str) -> None:
+    before = sorted(disk.folder.rglob("*"))
     refused(lampest(command, disk.folder / "none.h5"), "none.h5", "no such file")
     refused(lampest(command, disk.folder / "run.yaml"), "run.yaml", "not a readable HDF5 file")
     if command != "info":
         refused(lampest(command, disk.folder / "small.h5"), "small.h5", "no results file")
+    assert sorted(disk.folder.rglob("*")) == before

@@ -50,3 +50,4 @@ def test_fifty_kills(tmp_path: Path) -> None:
     made = batch(tmp_path, 8, (1e-4, 1e-3, 1e-2))
     counts = killed_again_and_again(tmp_path, made, 50, 2)
     print(f"\n{made.cases} cases; {dict(counts)}; no result lost, none altered")
+    assert counts["kills"] == 50

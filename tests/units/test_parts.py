@@ -23,7 +23,7 @@ from lampest.recording.board.record import repair
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import Recording
 from lampest.report.checked import checked_sentence
-from lampest.runs import long_case, watched
+from lampest.runs import long_case
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -189,7 +189,7 @@ def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest
 
     save(tmp_path, frames(60))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
-    monkeypatch.setattr(watched, "EVERY_SECONDS", 0.01)
+    monkeypatch.setattr(long_case, "EVERY_SECONDS", 0.01)
     monkeypatch.setattr(long_case, "write_results", written)
     assert run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial(), on_long=heard).done == 1
     assert any(re.fullmatch(r"long × auto: 20 of 60 frames, \d+ s left", sentence) for sentence in told), told
@@ -202,7 +202,7 @@ def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest
 
 
 def test_time_that_is_left_time_in_words() -> None:
-    found = [watched.time_in_words(seconds) for seconds in (40.2, 200, 3599, 11100)]
+    found = [long_case.time_in_words(seconds) for seconds in (40.2, 200, 3599, 11100)]
     assert found == ["40 s", "3 min", "1 h 0 min", "3 h 5 min"]
 
 

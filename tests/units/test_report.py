@@ -109,7 +109,8 @@ def test_what_comes_from_files_is_text() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
 def test_every_shape(shape: tuple[int, int, int]) -> None:
-    Page(report(batch(*(certain(invented_case(method, shape=shape)) for method in METHODS[:2]))))
+    page = Page(report(batch(*(certain(invented_case(method, shape=shape)) for method in METHODS[:2]))))
+    assert all(method in page.text for method in METHODS[:2])
 
 
 def test_frames_without_a_baseline_to_compare_with_are_shown() -> None:
