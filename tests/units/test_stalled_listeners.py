@@ -14,7 +14,7 @@ from paho.mqtt.client import Client
 
 from lampest.panel.panel import Panel
 from lampest.report.live.message import Message, Picture, View
-from lampest.report.live.publish import publish_at
+from lampest.report.live.publish import publish_at, websocket
 from lampest.report.live.publish.publish import Send
 
 FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
@@ -100,6 +100,30 @@ def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the
         ear.join(PATIENCE_SECONDS)
         assert came[-1] == FRAMES and came == sorted(set(came)), "who listens gets the newest frame, in order"
         assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, "what it did not take is not kept for it"
+
+
+def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    monkeypatch.setattr(websocket, "MOST_STREAMS", 1)
+    monkeypatch.setattr(websocket, "STALLED_SECONDS", 0.2)
+    with publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None) as (where, send):
+        port = int(where.split(":")[2].strip("/"))
+        with closing(small_socket()) as asleep:
+            asleep.connect(("127.0.0.1", port))
+            asleep.sendall(HANDSHAKE.format(port=port).encode())
+            sent(send)
+
+            def admitted() -> None:
+                while True:
+                    try:
+                        with connect(where, max_size=None):
+                            return
+                    except InvalidStatus:
+                        time.sleep(0.1)
+
+            within(admitted)
 
 
 def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None:

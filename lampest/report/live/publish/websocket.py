@@ -1,6 +1,7 @@
 """WebSocket: a server that sends each message as a line of JSON to all listeners."""
 
 import ipaddress
+import math
 import re
 import socket
 import time
@@ -18,6 +19,7 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 from lampest.report.live.server import MOST_STREAMS, Access
 
 CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
+STALLED_SECONDS = 40.0  # for a listener to take any other, before its place is given away
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 
 
@@ -44,7 +46,7 @@ class WebsocketPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        newest, listeners = Newest(""), set[Any]()
+        newest, listeners = Newest(""), dict[Any, float]()
         access = Access.of(self.token, ipaddress.ip_address(self.host).is_loopback, self.port)
         server = self._server(newest, listeners, access)
         thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
@@ -57,14 +59,15 @@ class WebsocketPublish(Publish):
             until = time.monotonic() + CLOSE_SECONDS
             while listeners and time.monotonic() < until:
                 time.sleep(0.01)
-            for connection in tuple(listeners):  # they do not read, and what they were sent keeps them open
-                with suppress(OSError):
-                    connection.socket.shutdown(socket.SHUT_RDWR)
+            _cut_off(listeners, until)
             server.shutdown()
             thread.join()
 
-    def _server(self, newest: Newest[str], listeners: set[Any], access: Access) -> Any:
-        """A thread for each listener, which sends it what is newest. Raises InputError where it cannot listen."""
+    def _server(self, newest: Newest[str], listeners: dict[Any, float], access: Access) -> Any:
+        """A thread for each listener, which sends it what is newest. Raises InputError where it cannot listen.
+
+        listeners : connection → when the message that it has not yet taken was sent; infinite where there is none.
+        """
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
             from websockets.sync.server import serve
@@ -72,17 +75,18 @@ class WebsocketPublish(Publish):
         def admitted(connection: Any, request: Any) -> Any:
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
                 return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
+            _cut_off(listeners, time.monotonic() - STALLED_SECONDS)
             full = len(listeners) >= MOST_STREAMS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
 
         def listening(connection: Any) -> None:
-            listeners.add(connection)
-            seen = 0
+            seen, listeners[connection] = 0, math.inf
             with suppress(ConnectionClosed, OSError):
                 while (news := newest.after(seen)) is not None:
-                    seen, text = news
+                    (seen, text), listeners[connection] = news, time.monotonic()
                     connection.send(text)
-            listeners.discard(connection)
+                    listeners[connection] = math.inf
+            del listeners[connection]
 
         settings: dict[str, Any] = {"open_timeout": CLOSE_SECONDS, "close_timeout": CLOSE_SECONDS, "compression": None}
         settings |= {"family": socket.AF_INET6} if ":" in self.host else {}
@@ -93,3 +97,11 @@ class WebsocketPublish(Publish):
         except OSError as error:
             said = error.strerror or error
             raise InputError(f"--publish: websocket: cannot listen at {self.host}:{self.port} ({said})") from error
+
+
+def _cut_off(listeners: dict[Any, float], before: float) -> None:
+    """Those that have not taken what was sent before that time, s of the monotonic clock."""
+    for connection, sent in tuple(listeners.items()):
+        with suppress(OSError):
+            if sent <= before:
+                connection.socket.shutdown(socket.SHUT_RDWR)
