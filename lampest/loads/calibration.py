@@ -29,7 +29,6 @@ LEVEL, WALK = 1.0, 0.4
 LEAST_SD = 1e-3  # of ln(r/r0): no answer counts as better known
 BEGIN, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
 ROUNDS = 4  # of least squares and evidence, one after the other
-LEAST_SQUARES = LevenbergMarquardt(evaluations=100, settled=1e-9)
 AN_OCTAVE, LEAST_KPA = 3, 0.25  # points of the table: how many an octave, and the one next to 0 kPa
 UNLOADED_OHM = 1000.0  # of the table: only ratios to it count
 
@@ -155,7 +154,8 @@ class _Answers:
             residual = np.concatenate([weight * (answer - self.change), prior @ state])
             return SumOfSquares(residual, np.vstack([np.hstack([own, weight[:, None] * parts]), prior]))
 
-        ended = LEAST_SQUARES.minimum(model, np.concatenate([found.gains, found.pieces]))
+        least_squares = LevenbergMarquardt(evaluations=100, settled=1e-9)
+        ended = least_squares.minimum(model, np.concatenate([found.gains, found.pieces]))
         return replace(split(ended.position), covariance=np.linalg.inv(ended.at.normal))
 
     def supposed(self, found: Fitted) -> Fitted:

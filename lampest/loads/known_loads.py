@@ -17,7 +17,7 @@ from lampest.loads.shapes import Block, Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel
 
-MOST_LINES = 20_000
+MOST_LINES = 20_000  # of a file: more is no list of loads
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,6 @@ from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import usual
 
 GRAVITY = 9.81  # m/s²
-KPA_PER_MM_OF_WATER = 1e-6 * 1000 * GRAVITY
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
 
 
@@ -182,7 +181,8 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
     if water is None:
         return np.zeros(panel.shape)
     depth = water.top_row_depth_mm + panel.centres_mm()[1]
-    return np.repeat(KPA_PER_MM_OF_WATER * depth[:, None], panel.columns, axis=1)
+    kpa_per_mm = 1e-6 * 1000 * GRAVITY
+    return np.repeat(kpa_per_mm * depth[:, None], panel.columns, axis=1)
 
 
 def _check(ratio: Array, lower: Array, upper: Array, panel: Panel) -> None:

@@ -24,7 +24,6 @@ CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by mo
 NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
 STILL, ONE_MOVED = 0.02, 2.0  # relative change of readings, and times that or 6 σ of one alone, that ask for a search
 MOST_AT_ONCE = 3  # loads
-CALM = frozenset(candidate.label for candidate in UNIFORM)
 OF_MEDIAN = 1.2533  # standard deviation of a median over that of a mean
 COUNTED = 0.02  # share below which a kind hardly counts for a load's size
 
@@ -195,7 +194,8 @@ class Zero:
 
     def after(self, frame: Direct, verdict: Verdict, detector: Detector) -> tuple["Zero", Detector]:
         """(zero after a frame that `seen` has given, the detector for the next one)."""
-        quiet = frozenset(verdict.label.split(OR)) <= CALM and verdict.best.candidate is NOTHING
+        calm = {candidate.label for candidate in UNIFORM}
+        quiet = calm.issuperset(verdict.label.split(OR)) and verdict.best.candidate is NOTHING
         if not (self.count and quiet):
             return self.broken(), detector
         here = replace(self, calm=(*self.calm, (frame, detector.remembered)), said="")

@@ -35,6 +35,7 @@ UNEVEN = (0.05, 0.05, 0.17, 0.17)
 MADE = (0.02, 0.02, 0.08, 0.08)
 # An assumption: films are cut to a millimetre and rims are rounded, so that both edges of a disc may seem that far off.
 EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
+# Where the search begins with what sucks: mm, and a suction that shows as clearly as the rim.
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
 QUANTITIES = (
     Quantity("centre_x", "mm", "x", "centre of the load across the columns, column 0 at 0"),
@@ -46,8 +47,6 @@ QUANTITIES = (
     ),
     Quantity("rim_pressure", "kPa", "rim", "mean contact pressure under the rim, or under a rod"),
 )
-# The parameter without which a disc has no such quantity.
-NEEDED = ("diameter", "diameter", "diameter", "width", "suction", "diameter")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,8 +214,9 @@ class RoundCandidate(Candidate):
 
     @property
     def _reported(self) -> list[int]:
-        """Which of QUANTITIES it has."""
-        return [number for number, name in enumerate(NEEDED) if name in self.numbers]
+        """Which of QUANTITIES it has: some need a parameter."""
+        needed = ("diameter", "diameter", "diameter", "width", "suction", "diameter")
+        return [number for number, name in enumerate(needed) if name in self.numbers]
 
 
 def _share(solid: float) -> tuple[float, float]:
