@@ -87,7 +87,7 @@ def paper(
 
     Writes paper.html with everything in it, numbers.csv and every picture as PNG.
     """
-    from lampest.studies.paper.run import write_paper
+    from lampest.studies.paper.page import write_paper
 
     with progress("cases") as on_case:
         reported = write_paper(config, out, jobs, on_case)

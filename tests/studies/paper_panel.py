@@ -127,11 +127,11 @@ def published() -> dict[tuple[str, str], float]:
     """The same of the paper, standard deviations included."""
     numbers = published_numbers()
     found: dict[tuple[str, str], float] = {}
-    for one in numbers.ranges.maps:
+    for one in numbers.ranges:
         found[one.method, "low"], found[one.method, "high"] = one.low, one.high
         if METHODS.get(one.method, ("", False))[1]:
             found[one.method, "inside"] = one.high
-    for row in numbers.errors.rows:
+    for row in numbers.errors:
         found[row.method, row.steps], found[row.method, f"{row.steps} sd"] = row.error_percent, row.error_sd_percent
     return found
 

@@ -12,7 +12,7 @@ from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, change_text, new_figure
-from lampest.studies.paper.published import Published, PublishedBending, PublishedResponse
+from lampest.studies.paper.published import Published
 from lampest.studies.paper.sides import MEASURED, Side
 
 CHANGE = "relative change of resistance [%]"
@@ -21,7 +21,7 @@ BENT_KPA = np.linspace(0.0, 40.0, 161)
 COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
-def response_figure(published: PublishedResponse) -> Figure:
+def response_figure(published: Published) -> Figure:
     """Figure 1-e with its inset: the curve that lampest uses through the published numbers."""
     figure = new_figure(3.2)
     axes = figure.subplots()
@@ -42,21 +42,21 @@ def response_figure(published: PublishedResponse) -> Figure:
     return figure
 
 
-def bending_figure(published: PublishedBending) -> Figure:
+def bending_figure(published: Published) -> Figure:
     """Figure 2-a and 2-d: unloaded resistance over curvature, and the answer of bent cells up to 40 kPa."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    curvature = np.linspace(0, published.cells[-1].curvature_per_m, 120)
-    unloaded = published.cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
+    curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
+    unloaded = published.bent_cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
     left.plot(curvature, unloaded, color=BLUE, lw=1.2, label="lampest")
-    points = [(cell.curvature_per_m, cell.ohm) for cell in published.cells]
+    points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
     left.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
     left.set_yscale("log")
     left.set_yticks([300, 500, 1000, 2000, 3000], ["300", "500", "1000", "2000", "3000"])
     left.minorticks_off()
     left.legend(fontsize=SMALL_POINT, frameon=False)
     _dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
-    for cell, colour in zip(published.cells, COLOURS, strict=True):
+    for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
         answer = Film(curvature_per_m=cell.curvature_per_m).answer
         change = 100 * (ratio_from_pressure(BENT_KPA) ** answer - 1)
         name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
@@ -70,7 +70,7 @@ def bending_figure(published: PublishedBending) -> Figure:
 def loads_figure(side: Side, published: Published) -> Figure:
     """Figure 6: what was measured of six loads, in the frame in which the film feels what is named."""
     tiles = []
-    for load in published.loads.maps:
+    for load in published.loads:
         seen = side.loads[load.letter]
         note = f"measured {_span(seen.change)}\nfilm feels {_plain(seen.felt[0])} … {_plain(seen.felt[1])} kPa"
         tiles.append(Tile(f"({load.letter}) {_wrapped(load.condition)}", seen.change, note))
@@ -80,7 +80,7 @@ def loads_figure(side: Side, published: Published) -> Figure:
 def methods_figure(side: Side, published: Published) -> Figure:
     """Figure 8: six maps of one frame; the published range stands below ours."""
     tiles = []
-    for one in published.ranges.maps:
+    for one in published.ranges:
         change = side.change(one.method)
         note = f"ours {_span(change)}\npaper {_plain(one.low)} … {_plain(one.high)} %"
         tiles.append(
@@ -92,12 +92,12 @@ def methods_figure(side: Side, published: Published) -> Figure:
 def mouths_figure(side: Side, published: Published) -> Figure:
     """Figure 9: a large and a small mouth by one method."""
     tiles = []
-    for number, mouth in enumerate(published.mouths.maps):
-        change = side.change(published.mouths.method, number)
+    for number, mouth in enumerate(published.mouths):
+        change = side.change(published.mouth_method, number)
         rows, columns = covered(change)
         note = f"ours {rows} × {columns} cells, paper {mouth.cells} × {mouth.cells}"
         tiles.append(
-            Tile(f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouths.method}", change, note)
+            Tile(f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}", change, note)
         )
     return maps_figure_of(tiles, side.panel, side.name, 2)
 

@@ -1,4 +1,4 @@
-"""The paper's figures and table beside ours as one HTML file, with pictures and a table of numbers beside it."""
+"""`lampest study paper`: the paper's figures and table beside ours as one HTML file, with pictures and numbers.csv."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from lampest.files.whole import write_whole
+from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.page.template import Illustration, Sheet, filled
 from lampest.report.plots.style import data_uri, save, verbatim
 from lampest.studies.paper import tables
@@ -17,10 +18,10 @@ from lampest.studies.paper.figures import (
     mouths_figure,
     response_figure,
 )
-from lampest.studies.paper.published import Published
-from lampest.studies.paper.sides import Side
+from lampest.studies.paper.published import Published, published_numbers
+from lampest.studies.paper.sides import Side, all_sides
 from lampest.studies.paper.tables import PublishedNumber, counts, csv_rows, sheet
-from lampest.studies.study import comma_separated
+from lampest.studies.study import Reported, comma_separated
 
 PAGE, NUMBERS = "paper.html", "numbers.csv"
 OURS = "lampest"
@@ -42,6 +43,16 @@ MOUTHS = (
     "A large and a small mouth. Covered are rows and columns with a cell that fell by more than half as much as the "
     "one that fell most."
 )
+
+
+def write_paper(numbers: Path | None, folder: Path, jobs: int | None, on_case: Callable[[int, int], None]) -> Reported:
+    """Solve, draw and write all of it into a folder; what was solved there before is taken from it.
+
+    numbers : a file of published ones, or None. Raises InputError where a shipped file is missing, a case fails, or the
+    folder cannot be written.
+    """
+    published = published_numbers(numbers)
+    return Reported((), write_page(folder, all_sides(shipped_folder(), folder, published, jobs, on_case), published))
 
 
 @dataclass(frozen=True)
@@ -95,15 +106,13 @@ def _film(published: Published, own: Sequence[PublishedNumber], drawn: Drawn) ->
     """Figures 1-e and 2."""
     first = sheet([row for row in own if row.figure.startswith("Fig. 1")], (OURS,))
     second = sheet([row for row in own if row.figure.startswith("Fig. 2")], (OURS,))
-    response = drawn(
-        response_figure(published.response), "fig1e", "Relative change over pressure, and its slope", RESPONSE
-    )
-    bending = drawn(
-        bending_figure(published.bending), "fig2", "Bent cells: resistance, and change under pressure", BENDING
-    )
+    response = drawn(response_figure(published), "fig1e", "Relative change over pressure, and its slope", RESPONSE)
+    bending = drawn(bending_figure(published), "fig2", "Bent cells: resistance, and change under pressure", BENDING)
     return (
-        Chapter("The answer of a cell", "response", published.response.place, "", (("The curve", first),), (response,)),
-        Chapter("A bent cell", "bending", published.bending.place, "", (("Bent cells", second),), (bending,)),
+        Chapter(
+            "The answer of a cell", "response", published.places["response"], "", (("The curve", first),), (response,)
+        ),
+        Chapter("A bent cell", "bending", published.places["bending"], "", (("Bent cells", second),), (bending,)),
     )
 
 
@@ -112,21 +121,22 @@ def _maps(
 ) -> tuple[Chapter, ...]:
     """Figures 6, 8 and 9, one picture for each side."""
     names = tuple(side.name for side in sides)
-    loads = [
-        drawn(loads_figure(side, published), f"fig6_{side.word}", "Maps of six loads", LOADS) for side in sides[:2]
-    ]
-    methods = [
-        drawn(methods_figure(side, published), f"fig8_{side.word}", "Maps of six methods", METHODS) for side in sides
-    ]
-    small = [drawn(mouths_figure(side, published), f"fig9_{side.word}", "Maps of two mouths", MOUTHS) for side in sides]
+
+    def maps(figure: Callable[[Side, Published], Figure], word: str, what: str, caption: str) -> list[Illustration]:
+        beside = sides[:2] if word == "fig6" else sides  # the solver's scenes are those of the second side
+        return [drawn(figure(side, published), f"{word}_{side.word}", f"Maps of {what}", caption) for side in beside]
+
+    loads = maps(loads_figure, "fig6", "six loads", LOADS)
+    methods = maps(methods_figure, "fig8", "six methods", METHODS)
+    small = maps(mouths_figure, "fig9", "two mouths", MOUTHS)
     of_maps = [row for row in numbers if row.figure.startswith("Fig. 8")]
     of_mouths = [row for row in numbers if row.figure.startswith("Fig. 9")]
     return (
-        Chapter("Six loads as measured", "loads", published.loads.place, "", (), tuple(loads)),
+        Chapter("Six loads as measured", "loads", published.places["loads"], "", (), tuple(loads)),
         Chapter(
             "Six methods",
             "methods",
-            published.ranges.place,
+            published.places["ranges"],
             f"Of the ranges, {counts(of_maps, names)}",
             (("Ranges of the maps", sheet(of_maps, names)),),
             tuple(methods),
@@ -134,7 +144,7 @@ def _maps(
         Chapter(
             "Two mouths",
             "mouths",
-            published.mouths.place,
+            published.places["mouths"],
             f"Of rows and columns, {counts(of_mouths, names)}",
             (("Cells covered", sheet(of_mouths, names)),),
             tuple(small),
@@ -149,7 +159,7 @@ def _table(
     rows = [row for row in numbers if row.figure == "Table I"]
     sheets = (("Data errors |f(r) − R|/R", sheet(rows, names)), ("Time of a step", sheet(timed, names)))
     about = f"Of the errors, {counts(rows, names)} Times are those of another program on another machine."
-    return Chapter("Errors and times", "errors", published.errors.place, about, sheets, ())
+    return Chapter("Errors and times", "errors", published.places["errors"], about, sheets, ())
 
 
 def _summary(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> str:

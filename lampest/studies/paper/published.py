@@ -11,42 +11,27 @@ FILE = "published.yaml"
 
 
 class ChangeAt(NamedTuple):
-    """ΔR/R₀ of a cell in percent at a pressure in kPa."""
+    """Figure 1-e: ΔR/R₀ of a flat cell in percent at a pressure in kPa."""
 
     kpa: float
     percent: float
 
 
 class SlopeOver(NamedTuple):
-    """δ(ΔR/R₀)/δP per kPa between two pressures in kPa."""
+    """Its inset: δ(ΔR/R₀)/δP per kPa between two pressures in kPa."""
 
     from_kpa: float
     to_kpa: float
     per_kpa: float
 
 
-class PublishedResponse(NamedTuple):
-    """Figure 1-e: a flat cell under pressure, and its inset."""
-
-    place: str
-    changes: tuple[ChangeAt, ...]
-    slopes: tuple[SlopeOver, ...]
-
-
 class BentCell(NamedTuple):
-    """A bent cell: unloaded resistance, and ΔR/R₀ in percent at 40 kPa."""
+    """Figure 2, a bent cell: unloaded resistance, and ΔR/R₀ in percent at 40 kPa."""
 
     curvature_per_m: float
     ohm: float
     percent: float
     radius_mm: float | None = None
-
-
-class PublishedBending(NamedTuple):
-    """Figure 2."""
-
-    place: str
-    cells: tuple[BentCell, ...]
 
 
 class LoadMap(NamedTuple):
@@ -55,13 +40,6 @@ class LoadMap(NamedTuple):
     letter: str
     recording: str
     condition: str
-
-
-class PublishedLoads(NamedTuple):
-    """Figure 6."""
-
-    place: str
-    maps: tuple[LoadMap, ...]
 
 
 class RangeMap(NamedTuple):
@@ -73,27 +51,12 @@ class RangeMap(NamedTuple):
     high: float
 
 
-class PublishedRanges(NamedTuple):
-    """Figure 8."""
-
-    place: str
-    maps: tuple[RangeMap, ...]
-
-
 class MouthMap(NamedTuple):
     """A map of figure 9: `cells` by `cells` of the grid are covered."""
 
     letter: str
     diameter_mm: float
     cells: int
-
-
-class PublishedMouths(NamedTuple):
-    """Figure 9."""
-
-    place: str
-    method: str
-    maps: tuple[MouthMap, ...]
 
 
 class ErrorRow(NamedTuple):
@@ -107,23 +70,19 @@ class ErrorRow(NamedTuple):
     time_sd_s: float | None = None
 
 
-class PublishedErrors(NamedTuple):
-    """Table I."""
-
-    place: str
-    rows: tuple[ErrorRow, ...]
-
-
 class Published(NamedTuple):
-    """All of it."""
+    """All of it; places : where in the paper, by subject."""
 
     schema: Literal[1]
-    response: PublishedResponse
-    bending: PublishedBending
-    loads: PublishedLoads
-    ranges: PublishedRanges
-    mouths: PublishedMouths
-    errors: PublishedErrors
+    places: dict[str, str]
+    changes: tuple[ChangeAt, ...]
+    slopes: tuple[SlopeOver, ...]
+    bent_cells: tuple[BentCell, ...]
+    loads: tuple[LoadMap, ...]
+    ranges: tuple[RangeMap, ...]
+    mouth_method: str
+    mouths: tuple[MouthMap, ...]
+    errors: tuple[ErrorRow, ...]
 
 
 def published_numbers(path: Path | None = None) -> Published:

@@ -153,7 +153,7 @@ def all_sides(shipped: Path, folder: Path, published: Published, jobs: int | Non
     cannot be written.
     """
     configs, data, made = shipped / "configs", shipped / "data", folder / "recordings"
-    letters = {load.letter: load.recording for load in published.loads.maps}
+    letters = {load.letter: load.recording for load in published.loads}
     loads = {letter: LoadSeen.of(Recording.load(data / f"{name}.h5")) for letter, name in letters.items()}
     mouths = Recording.load(data / "lamprey_35mm.h5"), Recording.load(data / "lamprey_25mm.h5")
     results = _solved(configs / "table1.yaml", (), folder / "clean", jobs, on_case)

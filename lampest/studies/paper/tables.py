@@ -36,14 +36,14 @@ def built_in(published: Published, sides: int) -> list[PublishedNumber]:
     """Figures 1-e and 2: what lampest's response was made from, read back; the same on every side."""
     found = [
         ("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, 100 * _change(one.kpa))
-        for one in published.response.changes
+        for one in published.changes
     ]
-    for part in published.response.slopes:
+    for part in published.slopes:
         slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
         name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
         found.append(("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope))
-    flat = published.bending.cells[0].ohm
-    for cell in published.bending.cells:
+    flat = published.bent_cells[0].ohm
+    for cell in published.bent_cells:
         film, at = Film(curvature_per_m=cell.curvature_per_m), f"at {cell.curvature_per_m:g} 1/m"
         found.append(("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, flat * film.lowering))
         change = 100 * ((1 + _change(40.0)) ** film.answer - 1)
@@ -60,7 +60,7 @@ def _change(kpa: float) -> float:
 def map_ranges(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Figure 8: the smallest and the largest change of every map."""
     rows = []
-    for one in published.ranges.maps:
+    for one in published.ranges:
         changes = [side.change(one.method) for side in sides]
         for name, value, end in (("smallest", one.low, np.nanmin), ("largest", one.high, np.nanmax)):
             ours = tuple(float(end(change)) for change in changes)
@@ -71,8 +71,8 @@ def map_ranges(sides: Sequence[Side], published: Published) -> list[PublishedNum
 def covered_cells(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Figure 9: how many rows and columns a mouth covers."""
     rows = []
-    for number, mouth in enumerate(published.mouths.maps):
-        seen = [covered(side.change(published.mouths.method, number)) for side in sides]
+    for number, mouth in enumerate(published.mouths):
+        seen = [covered(side.change(published.mouth_method, number)) for side in sides]
         for name, place in (("rows", 0), ("columns", 1)):
             quantity = f"mouth of {mouth.diameter_mm:g} mm, {name} covered"
             ours = tuple(float(one[place]) for one in seen)
@@ -83,7 +83,7 @@ def covered_cells(sides: Sequence[Side], published: Published) -> list[Published
 def data_errors(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Table I: data errors, mean and standard deviation over the readings of all steps."""
     rows = []
-    for row in published.errors.rows:
+    for row in published.errors:
         seen = [side.steps(row.method, row.steps) for side in sides]
         name = f"{row.method}, {row.steps} steps"
         means, deviations = tuple(one.error for one in seen), tuple(one.error_sd for one in seen)
@@ -97,7 +97,7 @@ def data_errors(sides: Sequence[Side], published: Published) -> list[PublishedNu
 def step_times(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
     """Table I: time of a step. Ours is another program on another machine."""
     rows = []
-    for row in published.errors.rows:
+    for row in published.errors:
         ours = tuple(side.steps(row.method, row.steps).time for side in sides)
         rows.append(PublishedNumber("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, ours))
     return rows
