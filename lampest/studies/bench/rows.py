@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.stats import linregress
 
 from lampest.panel.panel import Array
 from lampest.studies.bench.run import Bench, Timing
@@ -142,10 +143,6 @@ def _grown(method: str, solver: str, frames: Kind, times: dict[int, float]) -> I
     """times : logarithms by M + N."""
     if len(times) < 2:
         return
-    lines, logarithms = np.log(list(times)), np.array(list(times.values()))
-    from_mean = lines - lines.mean()
-    exponent = float(from_mean @ logarithms / (from_mean @ from_mean))
-    scatter = logarithms - logarithms.mean() - exponent * from_mean
-    free = len(times) - 2
-    error = float(np.sqrt(scatter @ scatter / free / (from_mean @ from_mean))) if free else None
-    yield Growth(method, solver, frames, exponent, error, len(times), max(times) / 2)
+    line = linregress(np.log(list(times)), list(times.values()))
+    error = float(line.stderr) if len(times) > 2 else None
+    yield Growth(method, solver, frames, float(line.slope), error, len(times), max(times) / 2)
