@@ -21,7 +21,7 @@ from lampest.recording.touching import touching_columns, touching_rows
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
-MOST_ROWS, MOST_COLUMNS = 24, 12
+MOST_ROWS, MOST_COLUMNS = 24, 12  # of a map, which a terminal of 100 × 40 signs shows
 
 
 def describe(path: str | Path) -> list[str]:

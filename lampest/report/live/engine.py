@@ -24,7 +24,7 @@ from lampest.report.live.state import Findings, PanelState, SecondLook, solved_p
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
-LOADED_FRAMES = 3
+LOADED_FRAMES = 3  # with which the circuit is checked: one alone may have a wrong reading
 
 
 @dataclass(frozen=True, eq=False)

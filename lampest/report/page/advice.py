@@ -10,10 +10,10 @@ from lampest.report.page.compared import PREDICTION, Comparison, Standing
 from lampest.report.page.measures import Measures
 from lampest.report.page.words import between, counted, digits, listed, signed, weights_text
 
-FEW, MOST_NAMED = 5, 4
+FEW, MOST_NAMED = 5, 4  # units whose intervals are rough, estimators that a sentence names
 FASTER = 1.1  # times of two estimators are the same below this ratio
 LARGEST_SPREAD = 1.5  # of residuals in units of the noise, up to which they are taken for noise
-LEAST_COVERAGE = 90.0
+LEAST_COVERAGE = 90.0  # percent of true values in 95 % intervals, below which a warning is due
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from lampest.report.page.statistics import Interval, block_length, mean_interval
 from lampest.runs.case import CaseResult
 
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-SMALLEST = 1e-300  # ohm
+SMALLEST = 1e-300  # ohm: the logarithm of none is none
 
 
 @dataclass(frozen=True)

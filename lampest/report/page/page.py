@@ -19,7 +19,7 @@ from lampest.report.page.words import counted, listed
 from lampest.report.plots.style import verbatim
 from lampest.runs.executors import each_of
 
-SEED = 20190604
+SEED = 20190604  # of the bootstrap: the same files give the same page
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
 WISHED = {
     "sigma": "the noise of the readings",

@@ -29,7 +29,7 @@ from lampest.report.plots.style import data_uri, short_title
 from lampest.runs.case import CaseResult
 
 MOST_UNITS = 200  # whose figures are listed one by one
-MOST_PAIRS, MOST_SHARP = 9, 1500
+MOST_PAIRS, MOST_SHARP = 9, 1500  # pairs that are shown, and cells of a picture that is drawn as lines
 LEAST_SIGMAS, LEAST_PERCENT = 3.0, 0.1  # that a signed scale reaches
 POINTS = (1.0, 100.0)  # that a scale of percentage points reaches, at least and at most
 

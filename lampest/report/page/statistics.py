@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
-DRAWS = 2000
+DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
 ENDS = (2.5, 97.5)  # percentiles
 BINS = 400  # of a median's distribution
 Picks = NDArray[np.intp]

@@ -35,7 +35,7 @@ from lampest.report.plots.style import (
 )
 from lampest.runs.case import CaseResult
 
-MOST_ACROSS = 7
+MOST_ACROSS = 7  # maps side by side, an inch wide each
 LEAST_ERROR, MOST_ERROR = 3.0, 5.0  # standard deviations at the ends of the scale of errors
 
 

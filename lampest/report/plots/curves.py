@@ -29,7 +29,7 @@ BINS, LEAST_REACH = 41, 5.0  # of a histogram; its reach in standard deviations
 TALLEST = 2.5  # a histogram's axis, against the highest bin of the standard normal
 DEVIATIONS = (-3000, -100, -3, 0, 3, 100, 3000)
 CHANGES = (-50, 100, -90, 900, -80, 400, -99, 9900, -95, 1900, 200, -98, 20, -20, 10, -10, 5, -5, 2, -2)  # percent
-DRAWABLE = (1e-4, 1e6)
+DRAWABLE = (1e-4, 1e6)  # r/r₀, on a logarithmic axis
 
 
 def _grid(figures: int, across: int, tall: float, room: float) -> tuple[Figure, Any, Iterator[Axes]]:

@@ -13,7 +13,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.runs.case import CaseResult
 
-STRONG = 0.9
+STRONG = 0.9  # of the largest change: a load settles after it has set in
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
 from lampest.runs.executors import each_of
 
-WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0
+WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
-DOTS_PER_INCH = 200
-LONGEST_TITLE = 22
+DOTS_PER_INCH = 200  # sharp on screens, small as files
+LONGEST_TITLE = 22  # signs
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
