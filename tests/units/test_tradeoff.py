@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lampest.studies.tradeoff.rows import front, on_front, summary_rows
-from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
+from lampest.studies.tradeoff.run import Measured, run_tradeoff
 from lampest.studies.tradeoff.settings import label, read_plan
 from tests.small_files import TRADEOFF
 
@@ -14,17 +14,17 @@ RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "n
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Tradeoff:
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Measured, ...]:
     path = tmp_path_factory.mktemp("tradeoff") / "tiny.yaml"
     path.write_text(TRADEOFF)
     return run_tradeoff(read_plan(path))
 
 
-def test_every_rung_is_measured_with_every_method_on_every_recording(found: Tradeoff) -> None:
-    names = {(one.subject.recording.name, one.method, one.formulation) for one in found.measured}
-    assert len(names) == len(found.measured) == 2 * 2 * (7 + 6)
-    assert {one.formulation for one in found.measured} == set(RUNGS)
-    for one in found.measured:
+def test_every_rung_is_measured_with_every_method_on_every_recording(found: tuple[Measured, ...]) -> None:
+    names = {(one.subject.recording.name, one.method, one.formulation) for one in found}
+    assert len(names) == len(found) == 2 * 2 * (7 + 6)
+    assert {one.formulation for one in found} == set(RUNGS)
+    for one in found:
         # A rung that takes long is not repeated.
         assert one.wall.shape == one.cpu.shape
         assert one.wall.shape[0] == 3
@@ -33,12 +33,12 @@ def test_every_rung_is_measured_with_every_method_on_every_recording(found: Trad
         assert one.solved.all()
 
 
-def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: Tradeoff) -> None:
+def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: tuple[Measured, ...]) -> None:
     least = {}
-    for one in found.measured:
+    for one in found:
         key = (one.subject.recording.name, one.method)
         least[key] = np.minimum(least.get(key, np.inf), one.objective)
-    for one in found.measured:
+    for one in found:
         assert np.all(one.gap >= 0)
         assert np.all((one.gap == 0) == (one.objective == least[one.subject.recording.name, one.method]))
         if one.formulation == "nodal":
@@ -47,7 +47,7 @@ def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: Tradeoff) -> 
             assert np.all(one.gap > 1)
 
 
-def test_no_reconstruction_errs_by_what_it_ignores(found: Tradeoff) -> None:
+def test_no_reconstruction_errs_by_what_it_ignores(found: tuple[Measured, ...]) -> None:
     rows = {row.formulation: row for row in summary_rows(found) if (row.rows, row.columns) == (8, 8)}
     assert rows["naive"].cell_error > 60
     assert rows["reduced"].reached > 0.9
@@ -59,7 +59,7 @@ def test_front_holds_what_nothing_beats() -> None:
     assert front([]) == []
 
 
-def test_fastest_rung_is_on_the_front(found: Tradeoff) -> None:
+def test_fastest_rung_is_on_the_front(found: tuple[Measured, ...]) -> None:
     rows = [row for row in summary_rows(found) if (row.rows, row.columns) == (8, 8)]
     assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 

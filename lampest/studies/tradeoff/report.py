@@ -1,5 +1,6 @@
 """A trade-off's table and files."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from lampest.files import hdf5
@@ -13,7 +14,7 @@ from lampest.studies.tradeoff.rows import (
     summary_rows,
     tradeoff_table,
 )
-from lampest.studies.tradeoff.run import Tradeoff, run_tradeoff
+from lampest.studies.tradeoff.run import Measured, run_tradeoff
 from lampest.studies.tradeoff.settings import Plan, read_plan
 
 SAMPLES = {
@@ -28,10 +29,10 @@ ERRORS = (
 )
 
 
-def _write_samples(path: Path, found: Tradeoff) -> Path:
+def _write_samples(path: Path, found: Sequence[Measured]) -> Path:
     """/entry/<recording>/<method>/<formulation>: times, errors, objectives and gaps of every frame; and memory."""
     with samples_file(path, "tradeoff/1") as entry:
-        for one in found.measured:
+        for one in found:
             recording = entry.require_group(one.subject.recording.name)
             rows, columns = one.shape
             hdf5.set_attributes(recording, NX_class="NXsubentry", rows=rows, columns=columns)
@@ -47,7 +48,7 @@ def _write_samples(path: Path, found: Tradeoff) -> Path:
     return path
 
 
-def report_tradeoff(found: Tradeoff, plan: Plan, folder: Path) -> Reported:
+def report_tradeoff(found: Sequence[Measured], plan: Plan, folder: Path) -> Reported:
     """Write tradeoff.csv, summary first and then every row, tradeoff.h5 with every sample, and the figure."""
     rows = [*summary_rows(found), *method_rows(found), *detailed_rows(found)]
     files = (
@@ -58,4 +59,6 @@ def report_tradeoff(found: Tradeoff, plan: Plan, folder: Path) -> Reported:
     return Reported([("", tradeoff_table(found))], files)
 
 
-STUDY: Study[Plan, Tradeoff] = Study("measurements", "tradeoff.yaml", read_plan, run_tradeoff, report_tradeoff)
+STUDY: Study[Plan, Sequence[Measured]] = Study(
+    "measurements", "tradeoff.yaml", read_plan, run_tradeoff, report_tradeoff
+)

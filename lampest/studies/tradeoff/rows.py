@@ -7,7 +7,7 @@ import numpy as np
 
 from lampest.report.compare import Table
 from lampest.studies.study import Figures, Row, grouped, rows_of, screen_table, text_of
-from lampest.studies.tradeoff.run import Measured, Tradeoff
+from lampest.studies.tradeoff.run import Measured
 
 ALL = "all"  # methods, recordings, scenes or noise taken together
 REACHED = 1e-6  # the gap of a frame that has reached the optimum
@@ -73,19 +73,19 @@ SCREEN: dict[str, Callable[[Row], str]] = {
 }
 
 
-def detailed_rows(found: Tradeoff) -> list[Row]:
+def detailed_rows(found: Sequence[Measured]) -> list[Row]:
     """One row for each rung with each method on each recording."""
-    return rows_of(([one] for one in found.measured), FIGURES)
+    return rows_of(([one] for one in found), FIGURES)
 
 
-def summary_rows(found: Tradeoff) -> list[Row]:
+def summary_rows(found: Sequence[Measured]) -> list[Row]:
     """By panel size and rung, all methods and recordings together."""
-    return _by_rung(found.measured)
+    return _by_rung(found)
 
 
-def method_rows(found: Tradeoff) -> list[Row]:
+def method_rows(found: Sequence[Measured]) -> list[Row]:
     """By method, panel size and rung, all recordings together."""
-    return [row for own in grouped(found.measured, lambda one: one.method).values() for row in _by_rung(own)]
+    return [row for own in grouped(found, lambda one: one.method).values() for row in _by_rung(own)]
 
 
 def _by_rung(own: Sequence[Measured]) -> list[Row]:
@@ -93,9 +93,9 @@ def _by_rung(own: Sequence[Measured]) -> list[Row]:
     return [row for here in shapes for row in rows_of(grouped(here, lambda one: one.formulation).values(), FIGURES)]
 
 
-def first_method(found: Tradeoff) -> list[Row]:
+def first_method(found: Sequence[Measured]) -> list[Row]:
     """The rows of the file's first method, by panel size and rung, all recordings together."""
-    return [row for row in method_rows(found) if row.method == found.measured[0].method]
+    return [row for row in method_rows(found) if row.method == found[0].method]
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -116,7 +116,7 @@ def on_front(rows: Sequence[Row]) -> list[str]:
     return [rows[index].formulation for index in sorted(kept | set(front(errors)))]
 
 
-def tradeoff_table(found: Tradeoff) -> Table:
+def tradeoff_table(found: Sequence[Measured]) -> Table:
     """The first method's rows, those on a front marked."""
     rows = first_method(found)
     fronts = {shape: on_front(here) for shape, here in grouped(rows, lambda row: (row.rows, row.columns)).items()}

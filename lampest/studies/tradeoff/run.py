@@ -9,7 +9,6 @@ baseline, which it minimises, too.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time
-from typing import NamedTuple
 
 import numpy as np
 
@@ -64,28 +63,17 @@ class Measured(TimedFrames):
         return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
 
 
-class _Pass(NamedTuple):
-    """One passage through a recording; cpu : (frames) s."""
-
-    found: Estimates
-    cpu: Array
+_Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
 
 
-def _passage(recording: Recording, estimator: Estimator) -> _Pass:
+def _passage(recording: Recording, estimator: Estimator) -> _Passage:
     """Solve the frames in sequence."""
     clock = [process_time()]
     found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
-    return _Pass(found, np.diff(clock))
+    return found, np.diff(clock)
 
 
-@dataclass(frozen=True, eq=False)
-class Tradeoff:
-    """measured : of every rung."""
-
-    measured: tuple[Measured, ...]
-
-
-def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> Tradeoff:
+def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> tuple[Measured, ...]:
     """Measure everything. on_step is called with how many of how many parts are done."""
     settings = plan.settings
     fresh = list(_memory_tasks(plan))
@@ -98,21 +86,21 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> Trad
     for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
         memory[shape, name] = peak_memory(_solve, task)
         on_step(done, len(chosen) + len(fresh))
-    return Tradeoff(tuple(replace(one, memory_mb=memory.get((one.shape, one.formulation))) for one in measured))
+    return tuple(replace(one, memory_mb=memory.get((one.shape, one.formulation))) for one in measured)
 
 
 def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[Measured]:
     """All rungs with one method on one recording."""
     recording = subject.recording
     rungs = settings.rungs(subject.shape)
-    runs: dict[str, list[_Pass]] = {name: [] for name in rungs}
+    runs: dict[str, list[_Passage]] = {name: [] for name in rungs}
     begin = perf_counter()
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
             runs[name].append(_passage(recording, settings.estimator(method, formulation)))
-    objective, noise = _judged({name: run[0].found for name, run in runs.items()})
+    objective, noise = _judged({name: run[0][0] for name, run in runs.items()})
     least = np.nanmin(np.stack(list(objective.values())), axis=0)
     for name, run in runs.items():
         gap = (objective[name] - least) / (least + noise)
@@ -120,17 +108,17 @@ def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> I
 
 
 def _measured(
-    subject: TradeoffSubject, method: str, name: str, runs: list[_Pass], objective: Array, gap: Array
+    subject: TradeoffSubject, method: str, name: str, runs: list[_Passage], objective: Array, gap: Array
 ) -> Measured:
-    first = runs[0].found
+    first = runs[0][0]
     cell, changed = errors(first)
     return Measured(
         subject=subject,
         method=method,
         formulation=name,
-        wall=np.stack([[step.seconds for step in run.found.steps] for run in runs], axis=1),
-        cpu=np.stack([run.cpu for run in runs], axis=1),
-        baseline_s=0.0 if first.joint_start else min(run.found.baseline.seconds for run in runs),
+        wall=np.stack([[step.seconds for step in found.steps] for found, _ in runs], axis=1),
+        cpu=np.stack([cpu for _, cpu in runs], axis=1),
+        baseline_s=0.0 if first.joint_start else min(found.baseline.seconds for found, _ in runs),
         cell_error=cell,
         changed_error=changed,
         objective=objective,
