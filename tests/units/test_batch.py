@@ -58,6 +58,9 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace, lampes
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
-    ended = lampest("study", "starts", disk.run(text, "starts.yaml"), "--random", "2")
+    ended = lampest("study", "starts", disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
     assert (ended.code, ended.err) == (0, "")
     assert "one" in ended.out and "pair" in ended.out
+    header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
+    assert header == "recording,estimator,frames,best,worst_excess,most_minima,random_solved,random"
+    assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
