@@ -94,6 +94,9 @@ def import_(
     variable: Annotated[
         str | None, typer.Option("--variable", help="The variable of a .mat or .npz file, the sheet of an .xlsx file.")
     ] = None,
+    layout: Annotated[
+        str | None, typer.Option("--layout", help="What a table's columns are, such as time,row,column,value.")
+    ] = None,
 ) -> None:
     """Turn measurements of another program into a recording, and say how they were understood."""
     from lampest.recording.foreign.importing import import_file
@@ -103,7 +106,7 @@ def import_(
     agreed = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, agreed, unit, baseline, transpose, variable, period=period, missing=missing
+            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

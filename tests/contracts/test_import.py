@@ -44,6 +44,27 @@ def test_one_frame_a_line(tmp_path: Path, delimiter: str, header: bool, time: bo
     assert any("row by row" in note for note in notes)
 
 
+def test_layout_says_what_columns_without_a_header_are(tmp_path: Path) -> None:
+    path = table(tmp_path / "m.csv", long_table(FRAMES)[:, [3, 2, 0, 1]])
+    recording, notes = import_file(path, ROWS, COLUMNS, layout="frame, ohm, row, column")
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+    assert any("one value a line as frame, value, row, column" in note for note in notes)
+    spare = np.column_stack([FRAMES.reshape(4, -1)[:, :7], np.zeros(4), FRAMES.reshape(4, -1)[:, 7:]])
+    names = [f"r{row}c{column}" for row in range(3) for column in range(5)]
+    path = table(tmp_path / "spare.csv", spare)
+    recording, _ = import_file(path, ROWS, COLUMNS, layout=",".join([*names[:7], "-", *names[7:]]))
+    np.testing.assert_allclose(recording.resistance, FRAMES)
+
+
+def test_layout_must_fit(tmp_path: Path) -> None:
+    path = table(tmp_path / "m.csv", long_table(FRAMES))
+    with pytest.raises(InputError, match="4 columns, but --layout names 3"):
+        import_file(path, ROWS, COLUMNS, layout="row,column,value")
+    np.save(tmp_path / "m.npy", FRAMES)
+    with pytest.raises(InputError, match="--layout is for tables"):
+        import_file(tmp_path / "m.npy", ROWS, COLUMNS, layout="row,column,value")
+
+
 def test_spreadsheet_ways(tmp_path: Path) -> None:
     path = tmp_path / "m.csv"
     lines = [";".join(f"{value:.3f}".replace(".", ",") for value in frame.ravel()) for frame in FRAMES]

@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
@@ -53,22 +54,12 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
 def told_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """The circuit and the converter as the board declares them."""
-    supply, reference = hello.supply_millivolt / 1000, hello.reference_milliohm / 1000
+    reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
+    told: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
+    told["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
-        return LoadedColumnsReadout(
-            supply_volt=supply,
-            load_ohm=reference,
-            drive_ohm=hello.drive_milliohm / 1000,
-            adc_bits=hello.adc_bits,
-            readings=hello.readings,
-        )
-    return TwoPointReadout(
-        supply_volt=supply,
-        reference_ohm=reference,
-        measured_across=hello.measured_across,
-        adc_bits=hello.adc_bits,
-        readings=hello.readings,
-    )
+        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **told)
+    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **told)
 
 
 def _check_loads(ours: Readout, told: Readout) -> None:

@@ -31,10 +31,11 @@ NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xl
 NAMED = (".mat", ".npz", ".xlsx", ".xlsm")
 
 
-def read_frames(path: Path, shape: tuple[int, int], variable: str | None) -> Frames:
+def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None = None) -> Frames:
     """The frames of a file by its suffix, text for any other than .xlsx, .xlsm, .npy, .npz and .mat.
 
-    Raises InputError where it cannot be read, is too large, or does not fit the panel.
+    variable, layout : as `import_file` has them. Raises InputError where it cannot be read, is too large, or does not
+    fit the panel.
     """
     kind = path.suffix.lower()
     try:
@@ -47,28 +48,30 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None) -> Fra
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
             raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
+        if layout is not None and kind in (".npy", ".npz", ".mat"):
+            raise InputError(f"{path}: holds arrays; --layout is for tables")
         if kind in (".xlsx", ".xlsm"):
-            return _of_sheets(path, shape, variable)
+            return _of_sheets(path, shape, variable, layout)
         if kind == ".npy":
             return frames_of_arrays(str(path), array_of_npy(path), shape, None, NUMPY_LAYOUTS, 0)
         if kind == ".npz":
             return frames_of_arrays(str(path), arrays_of_npz(path), shape, variable, NUMPY_LAYOUTS, 0)
         if kind == ".mat":
             return frames_of_arrays(str(path), read_arrays(path), shape, variable, MATLAB_LAYOUTS, 1)
-        return frames_of(table_of_rows(rows_of_text(path)), shape)
+        return frames_of(table_of_rows(rows_of_text(path), layout), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
-def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None) -> Frames:
+def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: str | None) -> Frames:
     """The one sheet that fits; where none does, what is wrong with the first."""
     fitting: dict[str, Frames] = {}
     wrong: list[InputError] = []
     for name, rows in sheets_of(path, wanted).items():
         try:
-            fitting[name] = frames_of(table_of_rows(rows), shape)
+            fitting[name] = frames_of(table_of_rows(rows, layout), shape)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:
@@ -92,6 +95,7 @@ def import_file(
     variable: str | None = None,
     period: float | None = None,
     missing: str = "mark",
+    layout: str | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
 
@@ -107,6 +111,8 @@ def import_file(
     transpose : the file's rows are the panel's columns.
     variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
     period : s between frames, in place of the file's times.
+    layout : what a table's columns are, as a header would call them: 'time,row,column,value'; None: its header or their
+        number tells.
     missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
 
     Raises InputError with file and place where anything does not fit.
@@ -118,7 +124,7 @@ def import_file(
         raise InputError("the period must be positive and finite")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
-    frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable)
+    frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
     if transpose:
         frames = _transposed(frames)
     count = len(frames.values)

@@ -14,6 +14,8 @@ from lampest.recording.foreign.clock import UNIT_OF_WORD, clock_of, is_stamp
 from lampest.recording.foreign.frames import Clock
 from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
+OF_FIELDS = ("fields", "numbers", "missing", "words")  # of a table, (lines, width)
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -76,11 +78,7 @@ class ForeignTable:
         passed = np.diff([-1, *kept]) > 1
         return replace(
             self,
-            fields=self.fields[kept],
-            numbers=self.numbers[kept],
-            missing=self.missing[kept],
-            words=self.words[kept],
-            counts=self.counts[kept],
+            **{name: getattr(self, name)[kept] for name in (*OF_FIELDS, "counts")},
             names=names or self.names,
             apart=self.apart[kept] | passed,
             titles=tuple(titles),
@@ -98,10 +96,7 @@ class ForeignTable:
         empty = ", ".join(self.names[field] or "a column without a name" for field in np.flatnonzero(~filled))
         return replace(
             self,
-            fields=self.fields[:, kept],
-            numbers=self.numbers[:, kept],
-            missing=self.missing[:, kept],
-            words=self.words[:, kept],
+            **{name: getattr(self, name)[:, kept] for name in OF_FIELDS},
             counts=np.minimum(self.counts, len(kept)),
             names=tuple(self.names[field] for field in kept),
             place=lambda line, field: self.place(line, None if field is None else kept[field]),
@@ -120,10 +115,12 @@ class ForeignTable:
 MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
 
 
-def table_of_rows(rows: Rows) -> ForeignTable:
+def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
     """The lines with readings, the header before them, and sentences on what was left out.
 
-    Raises InputError where there are none, or a line has more fields than the others.
+    layout : the columns' names, apart by commas, in place of the file's own.
+
+    Raises InputError where there are none, a line has more fields than the others, or the layout another number.
     """
     if rows.fields.size == 0 or np.all(rows.comment):
         raise InputError(f"{rows.source}: holds no values")
@@ -164,7 +161,14 @@ def table_of_rows(rows: Rows) -> ForeignTable:
         rows.called,
         tuple(notes),
     )
-    return every.only(data, names)
+    return every.only(data, names if layout is None else _as_told(every, layout))
+
+
+def _as_told(table: ForeignTable, layout: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in layout.split(","))
+    if len(names) != table.width:
+        raise InputError(f"{table.source}: {table.width} columns, but --layout names {len(names)}")
+    return names
 
 
 def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]) -> NDArray[np.bool_]:
