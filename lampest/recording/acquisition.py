@@ -72,7 +72,7 @@ class Acquisition:
             hdf5.write_dataset(group, "event_label", labels, "1", "what was marked")
 
     def start(self, first: float) -> str | None:
-        """Date and time at 0 s by the host's clock, ISO 8601 in UTC; None where it told none.
+        """Date and time at 0 s by the host's clock, ISO 8601 in UTC; None where it has none.
 
         first : of the first frame on the time axis, s.
         """

@@ -72,12 +72,12 @@ def _polished(rest: Array) -> tuple[Array, Array]:
             effects[axis], rest = effects[axis] + step, rest - step
     expected, between = level, np.zeros(rest.shape)
     for axis, other in ((-1, -2), (-2, -1)):
-        told = ~unknown.all(axis=axis, keepdims=True)
-        count = np.maximum(told.sum(axis=other, keepdims=True), 1)
-        mean = np.where(told, effects[axis], 0.0).sum(axis=other, keepdims=True) / count
-        square = np.where(told, (effects[axis] - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
-        expected = expected + np.where(told, effects[axis], mean)
-        between = between + np.where(told, 0.0, square)
+        known = ~unknown.all(axis=axis, keepdims=True)
+        count = np.maximum(known.sum(axis=other, keepdims=True), 1)
+        mean = np.where(known, effects[axis], 0.0).sum(axis=other, keepdims=True) / count
+        square = np.where(known, (effects[axis] - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
+        expected = expected + np.where(known, effects[axis], mean)
+        between = between + np.where(known, 0.0, square)
     return expected, between
 
 
@@ -98,7 +98,7 @@ class Readings:
 
     value : positive; where nothing is seen, what its row and column let expect stands in (see `StandIn`), 1 in a frame
     that shows nothing. sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
-    side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where a reading says nothing.
+    side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where it is missing.
     """
 
     value: Array
@@ -110,7 +110,7 @@ class Readings:
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """The network's readings of recorded values, and what each of them says; one frame (rows, columns) or many.
 
-        Says nothing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at
+        Missing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at
         or beyond a rail of the converter, infinity, and a resistance that is zero within three σ once the series
         resistance is off, or below it by however much. Without a readout there are no rails, and without σ no noise:
         then infinity is at least the largest, and what is not positive at most the smallest value of its frame.
@@ -175,7 +175,7 @@ class Readings:
 
     @property
     def plain_values(self) -> Array:
-        """The values alone, NaN where a reading is a bound or says nothing."""
+        """The values alone, NaN where a reading is a bound or missing."""
         return np.where(self.plain, self.value, np.nan)
 
     @property
@@ -185,19 +185,19 @@ class Readings:
         return bounds
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a reading says nothing, though the scene's faults do not make it blind."""
+        """Whether a reading is missing, though the scene's faults do not make it blind."""
         missing: NDArray[np.bool_] = self.seen == 0
         return missing if scene.faults is None else missing & ~scene.faults.blind(scene.panel)
 
     @property
     def shown(self) -> Array:
-        """The values and bounds, NaN where a reading says nothing."""
+        """The values and bounds, NaN where it is missing."""
         return np.where(self.seen > 0, self.value, np.nan)
 
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
         """Whether a frame can be estimated, of the leading shape: half of its readings are values, or M + N − 1 are.
 
-        So many numbers describe a panel whose lines alone differ, which is the least that every other cell can be told
+        So many numbers describe a panel whose lines alone differ, which is the least that every other cell can be known
         apart from. Bounds do not count: cells that only obey bounds are any of many. Lines and readings that the
         scene's faults make blind are not asked for.
         """
@@ -217,7 +217,7 @@ class Readings:
 
     @property
     def sigma_of_values(self) -> Array | None:
-        """σ, infinite where a reading is a bound or says nothing."""
+        """σ, infinite where a reading is a bound or missing."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
 
     def mean(self) -> "Readings":
@@ -225,7 +225,7 @@ class Readings:
 
         It is that of the values, unless bounds outnumber them, or lie within TAIL σ of their mean: then noise is cut
         off at the bound, values alone would lean away from it, and the mean of all of them is a bound again. Bounds of
-        both sides alone say nothing.
+        both sides alone count as missing.
         """
         value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)

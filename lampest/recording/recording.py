@@ -33,7 +33,7 @@ class Recording:
 
     Parameters
     ----------
-    scene : panel, readout and series resistance as the estimator is told them.
+    scene : panel, readout and series resistance as the estimator gets them.
     recorded : (frames, rows, columns) what the readout's equation gives: ohm of two-point readouts, series resistance
         included; else volt at the converter.
     time : (frames) s.
@@ -47,7 +47,7 @@ class Recording:
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; None where it is not.
     number : (frames) which of a longer recording's frames these are; None: all there are.
 
-    A reading that says nothing is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
+    A missing reading is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
     counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
     """
 

@@ -1,4 +1,4 @@
-"""Lines that seem to touch each other, told from readings alone: they are read alike, and no others are.
+"""Lines that seem to touch each other, found in readings alone: they are read alike, and no others are.
 
 Two rows that are one node are read alike by every column, whatever the cells are, as far as their channels are alike.
 """
@@ -24,8 +24,8 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     alike = (unlike <= 1 + BY_CHANCE * np.sqrt(2 / np.maximum(count, 1))) & (count >= FEWEST)
     others = np.where(alike | (count < FEWEST), np.nan, unlike)
     with np.errstate(invalid="ignore"):
-        told = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > APART
-    return tuple(_groups(alike & told & told[:, None]))
+        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > APART
+    return tuple(_groups(alike & distinct & distinct[:, None]))
 
 
 def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:

@@ -18,7 +18,7 @@ from lampest.files.document import to_yaml
 from lampest.panel.panel import Array
 from lampest.recording.board.protocol import Hello, Receiver, hello_body, message
 from lampest.recording.board.record import record
-from lampest.recording.board.stream import scene_of, told_readout
+from lampest.recording.board.stream import declared_readout, scene_of
 from lampest.recording.recording import UNLOADED
 from lampest.report.live.run import recorded_from_board
 
@@ -166,7 +166,7 @@ class Settings(ctypes.Structure):
 def test_the_wiring_is_part_of_what_the_board_says() -> None:
     found = hello()
     assert (found.wiring, found.reference_milliohm, found.drive_milliohm) == (WIRING, 10_000_000, 70_000)
-    assert told_readout(found) == loaded_scene(noise_lsb=None).readout
+    assert declared_readout(found) == loaded_scene(noise_lsb=None).readout
 
 
 def test_a_board_that_says_nothing_of_its_wiring_has_two_multiplexers() -> None:

@@ -141,8 +141,8 @@ def record(
             made = finished(out) if count.frames else None
         if made is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        told, _, noise = made
-        return Recorded(path=out, scene=told, ended_by=asked(), noise_lsb=noise, **asdict(count))
+        agreed, _, noise = made
+        return Recorded(path=out, scene=agreed, ended_by=asked(), noise_lsb=noise, **asdict(count))
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:

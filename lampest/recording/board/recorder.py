@@ -32,9 +32,9 @@ class Begun:
 class Recorder:
     """Takes every sample from one thread; any other may ask for the next recording's beginning or end.
 
-    The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file. What it
-    holds is its only state. folder : where files are made. baseline : so many frames are unloaded. say : told where
-    recording stands, a sentence.
+    The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file.
+    folder : where files are made. baseline : so many frames are unloaded. say : called with a sentence on where
+    recording stands, and whether it runs.
     """
 
     def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:

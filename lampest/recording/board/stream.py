@@ -28,21 +28,21 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
     Raises InputError where they contradict each other.
     """
-    told = told_readout(hello)
+    declared = declared_readout(hello)
     if scene is None:
-        return Scene(Panel(hello.rows, hello.columns), told)
+        return Scene(Panel(hello.rows, hello.columns), declared)
     if scene.readout is None:
-        return replace(scene, readout=told)
+        return replace(scene, readout=declared)
     if scene.readout.kind != hello.wiring:
         raise InputError(
             f"the scene's readout.kind is {scene.readout.kind}, but the board says that it is wired as {hello.wiring} "
             f"(firmware pins.h)"
         )
     for name in SHARED[hello.wiring]:
-        ours, theirs = getattr(scene.readout, name), getattr(told, name)
+        ours, theirs = getattr(scene.readout, name), getattr(declared, name)
         if ours != theirs:
             raise InputError(f"the scene's readout.{name} is {ours}, but the board says {theirs} (firmware pins.h)")
-    _check_loads(scene.readout, told)
+    _check_loads(scene.readout, declared)
     panel = scene.panel
     most = (hello.most_rows, hello.most_columns, hello.most_readings)
     asked = (panel.rows, panel.columns, scene.readout.readings)
@@ -52,21 +52,21 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     return scene
 
 
-def told_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
+def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """The circuit and the converter as the board declares them."""
     reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
-    told: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
-    told["readings"] = hello.readings
+    declared: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
+    declared["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
-        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **told)
-    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **told)
+        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **declared)
+    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **declared)
 
 
-def _check_loads(ours: Readout, told: Readout) -> None:
+def _check_loads(ours: Readout, declared: Readout) -> None:
     """Raise InputError where a load is not what the board says, give or take what resistors differ by."""
-    if not (isinstance(ours, LoadedColumnsReadout) and isinstance(told, LoadedColumnsReadout)):
+    if not (isinstance(ours, LoadedColumnsReadout) and isinstance(declared, LoadedColumnsReadout)):
         return
-    (nominal,) = as_tuple(told.load_ohm)
+    (nominal,) = as_tuple(declared.load_ohm)
     for load in as_tuple(ours.load_ohm):
         if abs(load / nominal - 1) > LOAD_TOLERANCE:
             raise InputError(
@@ -243,7 +243,7 @@ def board_samples(
     url : port name or pyserial URL.
     scene : what the board must fit, and is set to.
     period : s between frames; None for 1 s, or the shortest where that is longer.
-    on_state : told in a sentence when the board is gone.
+    on_state : called with a sentence when the board is gone.
     ending : asked again and again; once it says so, what the port has delivered comes as one last batch.
 
     Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line

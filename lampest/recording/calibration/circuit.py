@@ -82,9 +82,9 @@ class Circuit:
         found = np.zeros(self.size)
         for index, number in enumerate(self.numbers):
             if number.channel:
-                found[index] = max(self.told(number) / TYPICAL_OHM, len(number.sides))
+                found[index] = max(self.specified(number) / TYPICAL_OHM, len(number.sides))
             elif number in TYPICAL:
-                found[index] = max(self.told(number) / TYPICAL[number], 1.0)
+                found[index] = max(self.specified(number) / TYPICAL[number], 1.0)
         return found
 
     @property
@@ -94,7 +94,7 @@ class Circuit:
         found[[index for index, number in enumerate(self.numbers) if number.channel or number in TYPICAL]] = 0.0
         return found
 
-    def told(self, number: LineNumber) -> float:
+    def specified(self, number: LineNumber) -> float:
         """What the scene says of a number, the mean where it lists one for each line."""
         if number.in_scene:
             value = self.scene.series_ohm if number.channel else attrgetter(number.name)(self.scene)
@@ -109,7 +109,7 @@ class Circuit:
             return TYPICAL_OHM * at, TYPICAL_OHM
         if one in TYPICAL:
             return TYPICAL[one] * at, TYPICAL[one]
-        value = self.told(one) * float(np.exp(at))
+        value = self.specified(one) * float(np.exp(at))
         return value, value
 
     def spread(self, unknowns: Array, number: int) -> float:

@@ -19,7 +19,7 @@ SETTLED = (1.0, 1e-4)  # of ½ χ² in each round: the last one is off by a hund
 MOST_STEPS = 25  # good calibrations end after some 5 from the scene's numbers, 10 from those ten times too large
 DIFFERENCE = 2.0**-26  # of an unknown, or of 1: half of the digits
 NONLINEAR_LSB = 0.5  # σ of a converter's own error; ATmega2560: integral non-linearity 0.5 LSB, its data sheet
-UNTOLD = 1e-9  # of the largest singular value: directions that no reading tells anything of
+UNDETERMINED = 1e-9  # of the largest singular value: directions that no reading tells anything of
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def fit(problem: Problem) -> CircuitFit:
 def _inverse(jacobian: Array) -> Array:
     """(JᵀJ)⁻¹, without end along what J does not see."""
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-    inverse = right / np.maximum(singular, UNTOLD * singular[0])[:, None]
+    inverse = right / np.maximum(singular, UNDETERMINED * singular[0])[:, None]
     return np.asarray(inverse.T @ inverse)
 
 
@@ -252,7 +252,7 @@ LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors
 OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
 SURE = 4.0  # σ that a number must be beyond
 # σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
-LEAST_TOLD = 0.3
+MOST_SIGMA_SHARE = 0.3
 ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 
 
@@ -313,7 +313,7 @@ def check_number(fit: CircuitFit, found: Found) -> None:
     """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
     name, where = found.number.name, f"{fit.problem.trials[0].name}: no calibration: "
     enough = ENOUGH.get(found.number.name, WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0)
-    if found.sigma > max(enough, LEAST_TOLD * found.value):
+    if found.sigma > max(enough, MOST_SIGMA_SHARE * found.value):
         raise InputError(
             f"{where}the readings do not tell {name} ({found.value:.4g} ± {found.sigma:.2g} {found.number.unit}); "
             f"known resistors of different values, on more lines, do"
@@ -341,8 +341,8 @@ def _check_channels(fit: CircuitFit, found: Found, where: str) -> None:
 
     A recording of equal cells looks like one of a larger series resistance in all else.
     """
-    channels, told = len(found.lines), fit.problem.circuit.told(found.number)
-    most = max(channels * WORST_OHM, told + channels * (WORST_OHM - TYPICAL_OHM))
+    channels, specified = len(found.lines), fit.problem.circuit.specified(found.number)
+    most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
     if found.value - SURE * found.sigma > most:
         raise InputError(
             f"{where}a {found.number.name} of {found.value:.4g} ohm is more than the {most:g} ohm that {channels} "

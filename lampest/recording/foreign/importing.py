@@ -134,7 +134,7 @@ def import_file(
     if missing == "refuse":
         _refuse_missing(np.isnan(frames.values), frames.place)
     kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
-    told = scene is not None
+    given = scene is not None
     scene = scene or Scene(panel)
     recorded = recorded_values(frames.values, kind, scene, frames.place)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
@@ -144,7 +144,7 @@ def import_file(
         *frames.notes,
         reason,
         clock.sentence,
-        _assumed(scene, told),
+        _assumed(scene, given),
         gaps,
         *_bounds(recorded[kept], scene),
         f"{_counted(len(kept), 'frame')} of {panel.rows} × {panel.columns} cells, the first {unloaded} unloaded",
@@ -230,11 +230,11 @@ def _refuse_missing(blank: NDArray[np.bool_], place: Place) -> None:
         raise InputError(f"{place(frame, row, column)}: the reading of row {row}, column {column} is missing")
 
 
-def _assumed(scene: Scene, told: bool) -> str:
+def _assumed(scene: Scene, given: bool) -> str:
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = f"pitch {scene.panel.pitch_mm:g} mm"
     both = " and ".join(filter(None, (series, pitch)))
-    return f"{both}, {'by the scene' if told else 'assumed; a scene says otherwise'}"
+    return f"{both}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
 
 
 def _bounds(recorded: Array, scene: Scene) -> tuple[str, ...]:

@@ -189,7 +189,7 @@ def _check_range(
 def _frame_numbers(
     table: ForeignTable, cells: NDArray[np.int64], order: dict[str, int]
 ) -> tuple[NDArray[np.intp], str]:
-    """Each line's frame from 0, and how frames are told apart; nothing where all lines are one frame."""
+    """Each line's frame from 0, and how frames are distinguished; nothing where all lines are one frame."""
     if "frame" in order:
         return _ranks(_indices(table, order["frame"]).astype(float)), ""
     if "time" not in order:

@@ -161,10 +161,10 @@ def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
         rows.called,
         tuple(notes),
     )
-    return every.only(data, names if layout is None else _as_told(every, layout))
+    return every.only(data, names if layout is None else _given_names(every, layout))
 
 
-def _as_told(table: ForeignTable, layout: str) -> tuple[str, ...]:
+def _given_names(table: ForeignTable, layout: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in layout.split(","))
     if len(names) != table.width:
         raise InputError(f"{table.source}: {table.width} columns, but --layout names {len(names)}")
@@ -176,9 +176,9 @@ def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]
     filled = rows.fields != ""
     reading = filled & ~words
     unread = rows.fields[words]
-    told = {text: is_stamp(text) or line_of(text) is not None for text in set(unread)}
+    known = {text: is_stamp(text) or line_of(text) is not None for text in set(unread)}
     others = words.copy()
-    others[words] = [not told[text] for text in unread]
+    others[words] = [not known[text] for text in unread]
     strange = others.sum(axis=1)
     most = filled.sum(axis=1)
     few: NDArray[np.bool_] = ((strange <= 1) & (2 * strange < most)) | (4 * strange < most)

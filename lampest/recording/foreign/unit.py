@@ -1,4 +1,4 @@
-"""What unit foreign numbers are in: as told, as their header says, or as their values and the scene leave no other."""
+"""What unit foreign numbers are in: as given, as their header says, or as their values and the scene leave no other."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ RESISTANCES = ("ohm", "kohm")
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 # Without a readout: a median below 1 ohm is less than a multiplexer's channel, one of 10 and more stays ohm as ever.
 LEAST_OHM, MOST_KOHM = 1.0, 10.0
-END = 0.01  # of the supply: resistances whose voltage is nearer to an end of it are hardly told by their divider
+END = 0.01  # of the supply: resistances whose voltage is nearer to an end of it are hardly measured by their divider
 DISTINCT = 10  # values that lie on a converter's steps by chance less than once in a thousand times
 VISIBLE = 4.0  # steps must be so many times as wide as the rounding of the values for them to be seen
 MOST_DIGITS = 9
@@ -112,7 +112,7 @@ def _may_be_means(finite: Array, readings: int) -> bool:
 
 
 def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
-    """Codes, voltages and resistances told apart by the converter's steps, where values are written finely enough."""
+    """Codes, voltages and resistances by the converter's steps, where values are written finely enough."""
     seen = {unit: _on_steps(finite, unit, readout) for unit in units}
     stepped = [unit for unit in units if seen[unit] is True]
     if len(stepped) == 1:

@@ -1,4 +1,4 @@
-"""Simulated recordings: loads on a panel, their course, the electronics, and what the estimator is not told."""
+"""Simulated recordings: loads on a panel, their course, the electronics, and effects that no scene names."""
 
 from lampest.recording.simulation.files import read_simulations, run
 from lampest.recording.simulation.pressure import Course

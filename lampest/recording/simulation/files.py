@@ -33,7 +33,7 @@ def run(
     Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
     into several. All are computed before the first is written.
 
-    on_frame : told of how many frames how many are done. Raises InputError.
+    on_frame : called with how many frames how many are done. Raises InputError.
     """
     planned = read_simulations(path, settings)
     targets = _targets(path, out, planned)

@@ -44,7 +44,7 @@ def measured(
     if unmodelled.wire_ohm_per_cell:
         scene = replace(scene, lines=with_wire(scene, unmodelled.wire_ohm_per_cell))
     channels = channel_errors(scene, unmodelled, seed)
-    total = _torn([actual.simulated(part, scene, *channels) for part in scanned or [cells]], actual.by_columns)
+    total = _line_by_line([actual.simulated(part, scene, *channels) for part in scanned or [cells]], actual.by_columns)
     if unmodelled.reading_error:
         total = total * static_factors(unmodelled.reading_error, scene.panel.shape, seed)
     if actual.unit == "ohm" and not np.all(total > 0):
@@ -61,7 +61,7 @@ def measured(
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
 
-def _torn(passes: Sequence[Array], by_columns: bool) -> Array:
+def _line_by_line(passes: Sequence[Array], by_columns: bool) -> Array:
     """Readings (frames, rows, columns) of which each line was read in its own pass; one pass: all lines."""
     if len(passes) == 1:
         return passes[0]

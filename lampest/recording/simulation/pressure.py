@@ -54,17 +54,17 @@ class Course:
     def contact(self, time: Array) -> Array:
         """Factor of the contact pressure, (frames) s → 1."""
         touched = time - self.start_s
-        return ramp(touched, self.approach_s) * self._breathing(touched) * self._held(time)
+        return ramp(touched, self.approach_s) * self._breathing(touched) * self._released(time)
 
     def suction(self, time: Array) -> Array:
         """Factor of the suction, (frames) s → 1; it begins when the approach is over."""
         touched = time - self.start_s
-        return ramp(touched - self.approach_s, self.attachment_s) * self._breathing(touched) * self._held(time)
+        return ramp(touched - self.approach_s, self.attachment_s) * self._breathing(touched) * self._released(time)
 
     def _breathing(self, touched: Array) -> Array:
         return np.asarray(1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched))
 
-    def _held(self, time: Array) -> Array:
+    def _released(self, time: Array) -> Array:
         if self.release_at_s is None:
             return np.ones_like(time)
         return 1 - ramp(time - self.release_at_s, self.release_s)

@@ -57,7 +57,7 @@ class Simulation:
     ----------
     schema : version of this format.
     seed : every random number follows from it.
-    scene : what the estimator will be told.
+    scene : what the estimator gets.
     cells : the unloaded cells.
     baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
     frame_period_s : time between frames.
@@ -65,7 +65,7 @@ class Simulation:
     water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
     film : what the film truly does beside its response, where the scene does not tell or is wrong; likewise.
     response : how the film truly answers to pressure, likewise.
-    unmodelled : what the estimator is not told.
+    unmodelled : effects that the scene does not name.
     output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
 
     Raises ValueError where a number is out of range.

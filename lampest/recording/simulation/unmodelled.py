@@ -1,4 +1,4 @@
-"""What happens and the estimator is not told, and the random numbers, one stream for each effect."""
+"""Effects that no scene names, and the random numbers, one stream for each effect."""
 
 import dataclasses
 import zlib
@@ -36,7 +36,7 @@ class Unmodelled:
     inl_lsb : the largest deviation of the converter's curve from a straight line, smooth, in least significant bits.
     wire_ohm_per_cell : resistance of rows and columns from cell to cell, on top of what the scene says, in ohm.
     reading_error : standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
-    response_loss : a bent film answers by this fraction less, in the logarithm of its resistance.
+    response_loss : a film answers by this fraction less, in the logarithm of its resistance.
     response_spread : standard deviation of the logarithm of a factor on each cell's answer, likewise in the logarithm.
 
     Raises ValueError where a number is out of range.
@@ -89,7 +89,7 @@ def random_stream(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
 
 
-BENDS = 4  # sines that a converter's curve is made of: half a wave over its range, one wave and so on
+SINES = 4  # sines that a converter's curve is made of: half a wave over its range, one wave and so on
 FINENESS = 1001  # points at which its largest deviation is looked for
 
 
@@ -118,11 +118,11 @@ def ripple(readout: Readout, shape: tuple[int, ...], periods: float, seed: int) 
 
 def curve(share: Array, seed: int) -> Array:
     """A converter's deviation from a straight line at a share of its range: a few sines, 1 at most, 0 at both ends."""
-    size = random_stream(seed, "inl").standard_normal(BENDS)
+    size = random_stream(seed, "inl").standard_normal(SINES)
 
     def sines(at: Array) -> Array:
-        bends = (weight * np.sin(np.pi * (number + 1) * at) for number, weight in enumerate(size))
-        return np.asarray(sum(bends, np.zeros_like(at)))
+        waves = (weight * np.sin(np.pi * (number + 1) * at) for number, weight in enumerate(size))
+        return np.asarray(sum(waves, np.zeros_like(at)))
 
     return np.asarray(sines(share) / np.abs(sines(np.linspace(0, 1, FINENESS))).max())
 
