@@ -62,6 +62,13 @@ def check_digest(dataset: h5py.Dataset, values: Any) -> None:
         raise ValueError("values and checksum differ")
 
 
+def check_attribute(attributes: Any, name: str, value: Any) -> None:
+    """Raise ValueError where an attribute is not that of the digest beside it; small ones have none."""
+    beside = f"{name}_{DIGEST}"
+    if beside in attributes and digest_of(np.asarray(value)).encode() != attributes[beside]:
+        raise ValueError("value and checksum differ")
+
+
 def read_through(file: h5py.File) -> tuple[int, bool]:
     """(number of datasets, whether checksums vouch for all of the file), read to the last value.
 
@@ -71,6 +78,8 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
     for path, node in _all_below(file, "/"):
         with located(file, path):
             vouched.append(h5py.h5o.get_info(node.id).hdr.version > 1)
+            for name, value in node.attrs.items():
+                check_attribute(node.attrs, name, value)
             if isinstance(node, h5py.Dataset) and node.size:
                 vouched.append(_read_values(node))
                 datasets += 1

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.checksums import DIGEST, check_digest, check_seal, digest_of, located, read_through
+from lampest.files.checksums import DIGEST, check_attribute, check_digest, check_seal, digest_of, located, read_through
 from lampest.files.errors import InputError
 from lampest.files.scales import attach_scales as attach_scales
 from lampest.files.whole import check_room, whole_file
@@ -24,6 +24,7 @@ MOST_TEXT_BYTES = 5_000_000
 MOST_LONG_TEXTS = 100_000
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 MOST_PLAIN = 64  # values that are not worth compression
+MOST_ATTRIBUTE_BYTES = 4_000  # larger ones may stand where HDF5 has no checksum
 MOST_COMPACT_BYTES = 60_000  # beside its metadata; HDF5's limit is 64 KiB
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
 MOST_LINKS = 8
@@ -112,10 +113,15 @@ def ascii_array(values: Any) -> Any:
 
 
 def set_attributes(node: Any, **attributes: Any) -> None:
-    """Attributes with text as fixed-length ASCII; a batch writes a hundred a case, so they go straight down."""
+    """Attributes with text as fixed-length ASCII; a batch writes a hundred a case, so they go straight down.
+
+    Of one beyond MOST_ATTRIBUTE_BYTES the SHA-256 stands beside it, as `<name>_sha256`.
+    """
     place = node.id
     for name, value in attributes.items():
         data, key = np.asarray(ascii_array(value) if isinstance(value, str | list) else value), name.encode("utf-8")
+        if data.nbytes > MOST_ATTRIBUTE_BYTES:
+            set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
         if h5py.h5a.exists(place, key):
             h5py.h5a.delete(place, key)
         kind = _kind(data.dtype)
@@ -311,6 +317,7 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
         if held.dtype.kind == "O" and held.shape:
             raise InputError(f"{file.filename}: {path}@{name} is a list of texts without a fixed length")
         value = attributes[name]
+        check_attribute(attributes, name, value)
         return _text(value) if isinstance(value, bytes | str) else value
 
 

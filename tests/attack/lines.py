@@ -16,7 +16,7 @@ from attack.attack import COMMAND, HELD, HOUSE, Attack
 from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
-from lampest.recording.board import patience
+from lampest.recording.board import stream
 from lampest.recording.board.protocol import Hello, hello_body, message
 from lampest.recording.board.record import record
 from lampest.report.live.handover import Newest
@@ -63,7 +63,7 @@ def _floods(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
     for number in range(count):
         out = folder / f"{number}.h5"
         wanted = {"frames": 30} if rng.random() < 0.5 else {"seconds": 0.5}
-        with mock.patch.object(patience, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
+        with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
             yield _ended(board.port, out, wanted)
 
 

@@ -74,6 +74,15 @@ def test_values_that_a_power_failure_cost_are_missed(tmp_path: Path) -> None:
         read_kept(path, "abc")
 
 
+def test_a_long_text_that_was_damaged_is_missed(tmp_path: Path) -> None:
+    """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
+    path = tmp_path / "a.h5"
+    write_results(path, [case(case_yaml="k" * 8000)])
+    path.write_bytes(path.read_bytes().replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
+    with pytest.raises(InputError, match="case is damaged"):
+        read_results(path)
+
+
 def test_a_large_one_is_a_results_file(tmp_path: Path) -> None:
     frames = MOST_PACKED // (8 * 20)
     large = invented_case("LSM", "mouth", (frames, 4, 5), case_id="abc")

@@ -11,7 +11,7 @@ import pytest
 from wild_board import IDLE, Script, wild_board, wire
 
 from lampest import InputError, Recording
-from lampest.recording.board import patience
+from lampest.recording.board import stream
 from lampest.recording.board.protocol import Frame, Hello, hello_body, message
 from lampest.recording.board.record import Recorded, record
 from lampest.recording.board.stream import Sample, Scanning, board_samples
@@ -61,14 +61,14 @@ def recorded(script: Script, folder: Path, frames: int | None = None, seconds: f
 def test_a_line_that_never_says_what_fits_ends_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: Script, said: str
 ) -> None:
-    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
     with pytest.raises(InputError, match=rf"nothing fit for \d+ s, though the line is not silent \(\d+ {said}"):
         recorded(script, tmp_path, frames=10)
     assert not (tmp_path / "r.h5").exists()
 
 
 def test_what_came_before_a_flood_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
     with pytest.raises(
         InputError, match=r"nothing fit .* frames out of order\); the 20 frames that came before are in"
     ):
@@ -93,7 +93,7 @@ def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
 
 
 def test_the_flood_of_a_live_line_ends_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "UNFIT_SECONDS", 0.5)
+    monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
     with wild_board(garbage) as board, pytest.raises(InputError, match="nothing fit"):
         for batch in board_samples(board.port):
             assert batch == ()

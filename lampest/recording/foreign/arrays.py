@@ -23,8 +23,6 @@ from lampest.recording.foreign.clock import clock_of_numbers
 from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, check_count
 from lampest.recording.foreign.words import role_of
 
-MOST_PARTS = 10_000
-
 
 def check_archive(path: Path, kind: str) -> None:
     """Raise InputError where a file is no zip archive, or its parts claim more bytes than are imported.
@@ -39,8 +37,6 @@ def check_archive(path: Path, kind: str) -> None:
     claimed = sum(part.file_size for part in parts)
     if claimed > MOST_BYTES:
         raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MOST_BYTES} are not imported")
-    if len(parts) > MOST_PARTS:
-        raise InputError(f"{path}: {len(parts)} parts, more than {MOST_PARTS} are not imported")
     if any(part.flag_bits & 1 for part in parts):
         raise InputError(f"{path}: is locked with a password")
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,9 @@ def _blocks(table: ForeignTable, labels: NDArray[np.int64] | None, rows: int) ->
         if labels is not None:
             seen.add(int(labels[line]))
     if labels is not None:
-        return (groups if max(map(len, groups)) > 1 or rows == 1 else _labelled(labels)), ""
+        if max(map(len, groups)) == 1 and rows > 1 and table.apart.any():  # every line stands apart
+            return _blocks(replace(table, apart=np.zeros_like(table.apart)), labels, rows)
+        return groups, ""
     if len(groups) > 1 and max(map(len, groups)) == 1 and rows > 1:
         groups = [list(range(len(table.numbers)))]  # every line stands apart: their number alone tells
     blocks: list[list[int]] = []
@@ -125,16 +128,6 @@ def _blocks(table: ForeignTable, labels: NDArray[np.int64] | None, rows: int) ->
             blocks.append([])
             cut += f"; the block at {table.called(lines[0])} has {rest} of {rows} lines and is missing"
     return blocks, cut
-
-
-def _labelled(labels: NDArray[np.int64]) -> list[list[int]]:
-    """Every line stands apart: a frame begins where a row comes again."""
-    groups: list[list[int]] = [[]]
-    for line, label in enumerate(labels):
-        if any(labels[other] == label for other in groups[-1]):
-            groups.append([])
-        groups[-1].append(line)
-    return groups
 
 
 def _title_timing(table: ForeignTable, begins: Sequence[int]) -> Callable[[], Clock] | None:
