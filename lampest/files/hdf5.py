@@ -21,7 +21,7 @@ from lampest.files.whole import check_room, whole_file
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
-MOST_LONG_TEXTS = 100_000
+PER_TEXT = 50  # bytes that one without a fixed length counts for beside its own: reading it takes as long
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 MOST_PLAIN = 64  # values that are not worth compression
 MOST_ATTRIBUTE_BYTES = 4_000  # larger ones may stand where HDF5 has no checksum
@@ -281,26 +281,18 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
         size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
         if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind not in "SO":
             raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
-        numbers = range(len(dataset))[part]
+        numbers = range(size)[part]
         if dataset.dtype.itemsize * len(numbers) > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(numbers)} bytes")
-        return tuple(_bounded_texts(file, path, dataset, numbers))
-
-
-def _bounded_texts(file: h5py.File, path: str, dataset: h5py.Dataset, numbers: range) -> Iterator[str]:
-    """Texts of a dataset; those without a fixed length one by one, for a short file may name a long one often."""
-    if dataset.dtype.kind == "S":
-        yield from map(_text, dataset[numbers.start : numbers.stop])
-        return
-    if len(numbers) > MOST_LONG_TEXTS:
-        raise InputError(f"{file.filename}: {path} claims {len(numbers)} texts without a fixed length")
-    total = 0
-    for index in numbers:
-        value = dataset[index]
-        total += len(value)
-        if total > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path} claims texts of more than {MOST_TEXT_BYTES} bytes")
-        yield _text(value)
+        if dataset.dtype.kind == "S":
+            return tuple(map(_text, dataset[part]))
+        texts, total = list[str](), 0
+        for index in numbers:  # one by one: a short file may name a long text often, or many short ones
+            texts.append(_text(dataset[index]))
+            total += len(texts[-1]) + PER_TEXT
+            if total > MOST_TEXT_BYTES:
+                raise InputError(f"{file.filename}: {path} claims texts of more than {MOST_TEXT_BYTES} bytes")
+        return tuple(texts)
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:

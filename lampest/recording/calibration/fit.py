@@ -1,7 +1,7 @@
 """Weighted least squares through a circuit's equations: its numbers, how well they are known, whether they can be."""
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from scipy.linalg import solve_triangular
 from scipy.stats import f as fisher
 
 from lampest.files.errors import InputError
-from lampest.panel.least_squares import LevenbergMarquardt
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.recording.calibration.circuit import MEMORY, STEP, TYPICAL_OHM, WIRE, Circuit, LineUnknowns
@@ -96,47 +96,6 @@ class CircuitFit:
     readings: int
 
 
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """½ (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + ½ Σ e² about θ. root : Cholesky factor of C."""
-
-    problem: Problem
-    root: Array
-    unknowns: Array
-
-    def residual_at(self, unknowns: Array) -> Array:
-        """(readings + lines): what is left in units of its standard deviation, and e."""
-        left = solve_triangular(self.root, self.problem.measured - self.problem.expected(unknowns), lower=True)
-        return np.concatenate([left, unknowns[len(self.problem.circuit.numbers) :]])
-
-    @cached_property
-    def residual(self) -> Array:
-        """At θ."""
-        return self.residual_at(self.unknowns)
-
-    @cached_property
-    def jacobian(self) -> Array:
-        """By forward differences."""
-        steps = DIFFERENCE * np.maximum(1.0, np.abs(self.unknowns))
-        moved = (self.residual_at(self.unknowns + step) for step in np.diag(steps))
-        return np.stack([(there - self.residual) / step for there, step in zip(moved, steps, strict=True)], axis=1)
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares."""
-        return float(self.residual @ self.residual) / 2
-
-    @property
-    def gradient(self) -> Array:
-        """Jᵀ f."""
-        return np.asarray(self.jacobian.T @ self.residual)
-
-    @property
-    def normal(self) -> Array:
-        """JᵀJ."""
-        return np.asarray(self.jacobian.T @ self.jacobian)
-
-
 def fit(problem: Problem) -> CircuitFit:
     """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum.
 
@@ -146,7 +105,7 @@ def fit(problem: Problem) -> CircuitFit:
     for settled in SETTLED:
         root = np.linalg.cholesky(problem.covariance(unknowns))
         found = LevenbergMarquardt(MOST_STEPS, settled).minimum(
-            partial(Whitened, problem, root), unknowns, (circuit.least, np.inf)
+            lambda at, root=root: _squares(problem, root, at), unknowns, (circuit.least, np.inf)
         )
         unknowns = found.position
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)
@@ -157,6 +116,18 @@ def fit(problem: Problem) -> CircuitFit:
     return CircuitFit(
         problem, unknowns, covariance, chi_square, values - commons, rest, np.sqrt(np.diag(whole)), values
     )
+
+
+def _squares(problem: Problem, root: Array, unknowns: Array) -> SumOfSquares:
+    """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, slopes by forward differences; root : Cholesky factor of C."""
+
+    def residual(at: Array) -> Array:
+        left = solve_triangular(root, problem.measured - problem.expected(at), lower=True)
+        return np.concatenate([left, at[len(problem.circuit.numbers) :]])
+
+    here, steps = residual(unknowns), DIFFERENCE * np.maximum(1.0, np.abs(unknowns))
+    slopes = [(residual(unknowns + step) - here) / step.sum() for step in np.diag(steps)]
+    return SumOfSquares(here, np.stack(slopes, axis=1))
 
 
 def _inverse(jacobian: Array) -> Array:
@@ -296,14 +267,10 @@ def _worst(fit: CircuitFit) -> str:
     reads, gives = (
         float(circuit.recorded_from_volt(np.array(volt[index]))) for volt in (fit.problem.measured, expected)
     )
-    for trial in fit.problem.trials:
-        places = np.argwhere(trial.used)
-        if index < len(places):
-            break
-        index -= len(places)
-    row, column = places[index]
+    places = [(trial.name, row, column) for trial in fit.problem.trials for row, column in np.argwhere(trial.used)]
+    name, row, column = places[index]
     return (
-        f"{trial.name}: no calibration: row {row}, column {column} reads {reads:.4g} {circuit.unit}, but behind the "
+        f"{name}: no calibration: row {row}, column {column} reads {reads:.4g} {circuit.unit}, but behind the "
         f"circuit that fits best the known resistors give {gives:.4g} {circuit.unit}; noise and tolerances explain "
         f"{100 * np.mean(off < 3):.0f} % of the readings"
     )
