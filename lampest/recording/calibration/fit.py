@@ -1,7 +1,7 @@
 """Weighted least squares through a circuit's equations: its numbers, how well they are known, whether they can be."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ def fit(problem: Problem) -> CircuitFit:
     for settled in SETTLED:
         root = np.linalg.cholesky(problem.covariance(unknowns))
         found = LevenbergMarquardt(MOST_STEPS, settled).minimum(
-            lambda at, root=root: _squares(problem, root, at), unknowns, (circuit.least, np.inf)
+            partial(_squares, problem, root), unknowns, (circuit.least, np.inf)
         )
         unknowns = found.position
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)

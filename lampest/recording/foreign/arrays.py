@@ -131,7 +131,7 @@ COMPLEX = 0x800
 BEGINNING = 4096  # of a matrix, which holds its dimensions
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def arrays_of_mat(path: Path) -> dict[str, NDArray[Any]]:
     """Name → array in MATLAB's shape, in the file's order; texts, structures and complex arrays are left out.
 
     Raises InputError where the file is of another kind or damaged. Source: MATLAB, MAT-File Format, 2020.

@@ -1,6 +1,7 @@
 """Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ from lampest.panel.scene import Scene
 from lampest.recording.foreign.arrays import (
     MATLAB_LAYOUTS,
     NUMPY_LAYOUTS,
+    ArraysByName,
     array_of_npy,
+    arrays_of_mat,
     arrays_of_npz,
     frames_of_arrays,
-    read_arrays,
 )
 from lampest.recording.foreign.fields import rows_of_text, sheets_of
 from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, Place
@@ -29,6 +31,12 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
 
 NAMED = (".mat", ".npz", ".xlsx", ".xlsm")
+# Suffix → how its arrays are read, the orders of axes that are tried, and the number of the first place in an array.
+ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str], int]] = {
+    ".npy": (array_of_npy, NUMPY_LAYOUTS, 0),
+    ".npz": (arrays_of_npz, NUMPY_LAYOUTS, 0),
+    ".mat": (arrays_of_mat, MATLAB_LAYOUTS, 1),
+}
 
 
 def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None = None) -> Frames:
@@ -48,16 +56,13 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
             raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
-        if layout is not None and kind in (".npy", ".npz", ".mat"):
+        if layout is not None and kind in ARRAYS:
             raise InputError(f"{path}: holds arrays; --layout is for tables")
         if kind in (".xlsx", ".xlsm"):
             return _of_sheets(path, shape, variable, layout)
-        if kind == ".npy":
-            return frames_of_arrays(str(path), array_of_npy(path), shape, None, NUMPY_LAYOUTS, 0)
-        if kind == ".npz":
-            return frames_of_arrays(str(path), arrays_of_npz(path), shape, variable, NUMPY_LAYOUTS, 0)
-        if kind == ".mat":
-            return frames_of_arrays(str(path), read_arrays(path), shape, variable, MATLAB_LAYOUTS, 1)
+        if kind in ARRAYS:
+            read, layouts, first = ARRAYS[kind]
+            return frames_of_arrays(str(path), read(path), shape, variable, layouts, first)
         return frames_of(table_of_rows(rows_of_text(path), layout), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
 from lampest.recording.foreign.blocks import frames_in_blocks
 from lampest.recording.foreign.frames import Frames, check_count
 from lampest.recording.foreign.table import ForeignTable, timing_of
@@ -24,12 +23,15 @@ def cell_columns(source: str, names: Sequence[str], shape: tuple[int, int]) -> t
     if named:
         first = 0 if min(min(cell) for cell in named.values()) == 0 else 1
         cells = {field: (cell.row - first, cell.column - first) for field, cell in named.items()}
+        seen: dict[tuple[int, int], int] = {}
         for field, (row, column) in cells.items():
+            if seen.setdefault((row, column), field) != field:
+                same = f"{names[seen[row, column]]!r} and {names[field]!r}"
+                raise InputError(f"{source}: the header's {same} are the same cell")
             if row >= shape[0] or column >= shape[1]:
                 turned = "; with --transpose it would fit" if row < shape[1] and column < shape[0] else ""
                 sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
                 raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}{turned}")
-        _refuse_twice(source, names, cells)
         example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
         left = shape[0] * shape[1] - len(cells)
         rest = f"; {left} cells have no column and are missing" if left else ""
@@ -43,24 +45,11 @@ def _numbered(names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str]
     lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
     numbers = sorted(number for _, number in lines.values())
     count, words = shape[0] * shape[1], {word for word, _ in lines.values()}
-    if (
-        len(words) != 1
-        or len(numbers) != count
-        or numbers[0] > 1
-        or numbers != list(range(numbers[0], numbers[0] + count))
-    ):
+    first = numbers[0] if numbers else 0
+    if len(words) != 1 or first > 1 or numbers != list(range(first, first + count)):
         return None
-    first = numbers[0]
     cells = {field: divmod(number - first, shape[1]) for field, (_, number) in lines.items()}
     return cells, f"cells by their numbers from {first}, row by row"
-
-
-def _refuse_twice(source: str, names: Sequence[str], cells: Cells) -> None:
-    seen: dict[tuple[int, int], int] = {}
-    for field, cell in cells.items():
-        if cell in seen:
-            raise InputError(f"{source}: the header's {names[seen[cell]]!r} and {names[field]!r} are the same cell")
-        seen[cell] = field
 
 
 def frames_in_lines(table: ForeignTable, shape: tuple[int, int], named: tuple[Cells, str] | None) -> Frames:
@@ -191,7 +180,7 @@ def _frame_numbers(
 ) -> tuple[NDArray[np.intp], str]:
     """Each line's frame from 0, and how frames are distinguished; nothing where all lines are one frame."""
     if "frame" in order:
-        return _ranks(_indices(table, order["frame"]).astype(float)), ""
+        return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
     if "time" not in order:
         return np.zeros(len(cells), dtype=np.intp), ""
     texts = table.fields[:, [order[role] for role in ("date", "time") if role in order]]
@@ -201,10 +190,6 @@ def _frame_numbers(
         by_line = np.argsort(np.argsort(begins))  # in the order in which they come
         return by_line[frames], "; frames by their time"
     return _scans(cells), "; every line has a time of its own, a new frame begins where a cell comes again"
-
-
-def _ranks(values: Array) -> NDArray[np.intp]:
-    return np.unique(values, return_inverse=True)[1]
 
 
 def _scans(cells: NDArray[np.int64]) -> NDArray[np.intp]:
