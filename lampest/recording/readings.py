@@ -15,6 +15,9 @@ from lampest.panel.scene import Scene
 SWEEPS = 6  # of the median polish; panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
 LEAST_SPREAD = 1e-3  # of log y: below that a frame is a simulation without noise
 LEVEL, TWO_SIDED = 0.95, 1.96  # what of the readings left out lies within so many times the spread
+VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
+NEAR_ZERO = 3.0  # σ: a resistance that is no larger says only that it is small
+TAIL = 3.0  # σ: a bound so near to the mean of the values beside it is their noise cut off, not another state
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +88,6 @@ def _median(values: Array, axis: int | tuple[int, int]) -> Array:
     """Of the numbers along an axis, which is kept; 0 where there is none."""
     blank = np.all(np.isnan(values), axis=axis, keepdims=True)
     return np.asarray(np.nanmedian(np.where(blank, 0.0, values), axis=axis, keepdims=True))
-
-
-VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
-NEAR_ZERO = 3.0  # σ: a resistance that is no larger says only that it is small
-TAIL = 3.0  # σ: a bound so near to the mean of the values beside it is their noise cut off, not another state
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+PROTOCOL_VERSION = 1
+BAUD = 500_000
+MOST_ROWS = MOST_COLUMNS = 16
+MOST_READINGS = 64
+MOST_CODE = 1023
+_HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
+_HELLO_WIRING = struct.Struct("<BI")
+_FRAME = struct.Struct("<BBBBBIIH")
+_ANSWER = struct.Struct("<BBBBBI")
+_COMMAND = struct.Struct("<BBBI")
+ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
+WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", "loaded_columns")
+
 
 def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
@@ -58,17 +71,6 @@ def stuffed_length(length: int) -> int:
     return length + 2 + (length + 2) // 254 + 1
 
 
-PROTOCOL_VERSION = 1
-BAUD = 500_000
-MOST_ROWS = MOST_COLUMNS = 16
-MOST_READINGS = 64
-MOST_CODE = 1023
-
-_HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
-_HELLO_WIRING = struct.Struct("<BI")
-_FRAME = struct.Struct("<BBBBBIIH")
-_ANSWER = struct.Struct("<BBBBBI")
-_COMMAND = struct.Struct("<BBBI")
 MOST_STUFFED = stuffed_length(_FRAME.size + 2 * MOST_ROWS * MOST_COLUMNS)
 
 
@@ -100,8 +102,6 @@ class Result(Enum):
 
 
 RESULT_CODES = tuple(Result)
-ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
-WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", "loaded_columns")
 
 
 @dataclass(frozen=True)

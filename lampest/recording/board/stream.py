@@ -21,6 +21,12 @@ SHARED = {
 }
 # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
 LOAD_TOLERANCE = 0.1
+ROUND = 2**32  # numbers and the board's clock begin anew after so many
+# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
+FASTEST, AHEAD_SECONDS = 1000.0, 10.0
+UNFIT_SECONDS = 30.0
+RETRY_SECONDS = 0.2
+SILENCE_SECONDS = 2.5
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
@@ -72,11 +78,6 @@ def _check_loads(ours: Readout, declared: Readout) -> None:
             raise InputError(
                 f"the scene's readout.load_ohm is {load:g}, but the board says {nominal:g} (firmware pins.h)"
             )
-
-
-ROUND = 2**32  # numbers and the board's clock begin anew after so many
-# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
-FASTEST, AHEAD_SECONDS = 1000.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +175,6 @@ class Scanning:
         return Sample(frame, self.hello, at, now, max(round(moved / period) - 1, 0), self.session + 1)
 
 
-UNFIT_SECONDS = 30.0
-
-
 class UnfitError(InputError):
     """The line talks and talks, but no frame that fits comes."""
 
@@ -212,9 +210,6 @@ class Patience:
             came = ", ".join(f"{number} {kind}" for kind, number in self._heard.most_common())
             raise UnfitError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
 
-
-RETRY_SECONDS = 0.2
-SILENCE_SECONDS = 2.5
 
 Samples = Generator[tuple[Sample, ...], None, None]
 

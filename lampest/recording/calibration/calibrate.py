@@ -27,6 +27,8 @@ from lampest.recording.recording import Recording
 TOLERANCE = 0.01  # of resistors as they are sold
 LEAST_VARIANCE = 1 / 12  # LSB²: below quantisation's own, lines that differ make no difference
 DIGITS = 3  # of an ohm and of a code: below what any contact or converter repeats to
+SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"}
+MEMORY_DIGITS = 5  # of a fraction: a hundredth of a code
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +114,7 @@ def _noise(trials: list[Repeats]) -> tuple[Array, Array]:
     return np.sqrt(variance), seen
 
 
-SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"}
 SPOKEN |= dict(zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True))
-MEMORY_DIGITS = 5  # of a fraction: a hundredth of a code
 
 
 def calibrated_scene(calibration: Calibration) -> Scene:

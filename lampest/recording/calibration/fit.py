@@ -20,6 +20,18 @@ MOST_STEPS = 25  # good calibrations end after some 5 from the scene's numbers, 
 DIFFERENCE = 2.0**-26  # of an unknown, or of 1: half of the digits
 NONLINEAR_LSB = 0.5  # σ of a converter's own error; ATmega2560: integral non-linearity 0.5 LSB, its data sheet
 UNDETERMINED = 1e-9  # of the largest singular value: directions that no reading tells anything of
+MOST_SIGMA_OF_LINES = 5.0  # by which one of 32 lines is off by chance once in 50,000 calibrations
+ROUNDING_OHM = 1e-3  # as scenes are written
+BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
+# A channel of a CD74HC4067 at 5 V; typical and worst are its data sheet's.
+BEST_OHM, WORST_OHM = 40.0, 160.0
+MOST_OF_RESISTORS = 0.1  # by which a load may differ from the others: twice the 5 % of ordinary resistors
+LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
+OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
+SURE = 4.0  # σ that a number must be beyond
+# σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
+MOST_SIGMA_SHARE = 0.3
+ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +149,6 @@ def _inverse(jacobian: Array) -> Array:
     return np.asarray(inverse.T @ inverse)
 
 
-MOST_SIGMA_OF_LINES = 5.0  # by which one of 32 lines is off by chance once in 50,000 calibrations
-ROUNDING_OHM = 1e-3  # as scenes are written
-
-
 @dataclass(frozen=True, eq=False)
 class LineOffsets:
     """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
@@ -213,18 +221,6 @@ def _lines(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: NDA
 def _measured(fit: CircuitFit, side: Side) -> NDArray[np.bool_]:
     """(lines) of a side that a reading with a resistor tells something of."""
     return np.asarray(np.any([trial.led(side) for trial in fit.problem.trials], axis=0))
-
-
-BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
-# A channel of a CD74HC4067 at 5 V; typical and worst are its data sheet's.
-BEST_OHM, WORST_OHM = 40.0, 160.0
-MOST_OF_RESISTORS = 0.1  # by which a load may differ from the others: twice the 5 % of ordinary resistors
-LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
-OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
-SURE = 4.0  # σ that a number must be beyond
-# σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
-MOST_SIGMA_SHARE = 0.3
-ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 
 
 def check_fit(fit: CircuitFit) -> None:

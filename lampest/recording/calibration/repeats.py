@@ -22,6 +22,7 @@ MOST_WILD = 0.02  # of all readings: spikes of a converter are some in ten thous
 # Of the variance about the mean, in what stays from frame to frame. Resistors have none; what moves has nearly all.
 CHANGE = "change from frame to frame, which fixed resistors do not"
 MOST_LASTING, LEAST_LASTING_SHARE = 0.5, 1e-3
+SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +127,6 @@ def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
         raise InputError(
             f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
-
-
-SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,23 @@ from lampest.recording.foreign.clock import clock_of_numbers
 from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, check_count
 from lampest.recording.foreign.words import role_of
 
+ArraysByName = dict[str, NDArray[Any]]
+MAT_HEADER = 128
+MATRIX, COMPRESSED = 14, 15
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+NUMERIC_CLASSES = range(6, 16)  # double, single, int8 ... uint64
+COMPLEX = 0x800
+BEGINNING = 4096  # of a matrix, which holds its dimensions
+FLAT = "(frames, rows·columns), row by row"
+AXES = {
+    "(rows, columns)": ("row", "column"),
+    "(rows, columns, frames)": ("row", "column", "frame"),
+    "(frames, rows, columns)": ("frame", "row", "column"),
+    FLAT: ("frame", "cell"),
+}
+NUMPY_LAYOUTS = ("(rows, columns)", "(frames, rows, columns)", FLAT, "(rows, columns, frames)")
+MATLAB_LAYOUTS = ("(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)")  # as MATLAB stacks matrices
+
 
 def check_archive(path: Path, kind: str) -> None:
     """Raise InputError where a file is no zip archive, or its parts claim more bytes than are imported.
@@ -39,9 +56,6 @@ def check_archive(path: Path, kind: str) -> None:
         raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MOST_BYTES} are not imported")
     if any(part.flag_bits & 1 for part in parts):
         raise InputError(f"{path}: is locked with a password")
-
-
-ArraysByName = dict[str, NDArray[Any]]
 
 
 def array_of_npy(path: Path) -> ArraysByName:
@@ -121,14 +135,6 @@ def arrays_of_level_7(path: Path) -> dict[str, NDArray[Any]]:
     except InputError as error:
         raise InputError(f"{error}; save it with the option -v7 instead") from error
     return arrays
-
-
-MAT_HEADER = 128
-MATRIX, COMPRESSED = 14, 15
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-NUMERIC_CLASSES = range(6, 16)  # double, single, int8 ... uint64
-COMPLEX = 0x800
-BEGINNING = 4096  # of a matrix, which holds its dimensions
 
 
 def arrays_of_mat(path: Path) -> dict[str, NDArray[Any]]:
@@ -224,17 +230,6 @@ def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:
     if len(size) < 2 or min(size) < 0 or prod(size) != array.size:
         raise ValueError(f"an array of {' × '.join(map(str, size)) or 'no'} values holds {array.size}")
     return name, array.reshape(size, order="F")
-
-
-FLAT = "(frames, rows·columns), row by row"
-AXES = {
-    "(rows, columns)": ("row", "column"),
-    "(rows, columns, frames)": ("row", "column", "frame"),
-    "(frames, rows, columns)": ("frame", "row", "column"),
-    FLAT: ("frame", "cell"),
-}
-NUMPY_LAYOUTS = ("(rows, columns)", "(frames, rows, columns)", FLAT, "(rows, columns, frames)")
-MATLAB_LAYOUTS = ("(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)")  # as MATLAB stacks matrices
 
 
 def frames_of_arrays(

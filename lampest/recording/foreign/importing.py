@@ -37,6 +37,7 @@ ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str], int]] = {
     ".npz": (arrays_of_npz, NUMPY_LAYOUTS, 0),
     ".mat": (arrays_of_mat, MATLAB_LAYOUTS, 1),
 }
+MISSING = ("mark", "skip-frame", "refuse")
 
 
 def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None = None) -> Frames:
@@ -84,9 +85,6 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: s
     if not fitting:
         raise wrong[0] if wrong else InputError(f"{path}: holds no values")
     return next(iter(fitting.values()))
-
-
-MISSING = ("mark", "skip-frame", "refuse")
 
 
 def import_file(

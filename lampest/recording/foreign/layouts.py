@@ -12,6 +12,7 @@ from lampest.recording.foreign.table import ForeignTable, timing_of
 from lampest.recording.foreign.words import cell_of, line_of, role_of
 
 Cells = dict[int, tuple[int, int]]
+LARGEST_INDEX = 1e9
 
 
 def cell_columns(source: str, names: Sequence[str], shape: tuple[int, int]) -> tuple[Cells, str] | None:
@@ -84,9 +85,6 @@ def _by_position(table: ForeignTable, others: Sequence[bool], shape: tuple[int, 
     rest = [field for field in range(table.width) if not others[field]]
     rest = rest if len(rest) >= cells else list(range(table.width))
     return {field: divmod(number, shape[1]) for number, field in enumerate(rest[-cells:])}, "cells row by row"
-
-
-LARGEST_INDEX = 1e9
 
 
 def frames_of_single_values(table: ForeignTable, shape: tuple[int, int], order: dict[str, int]) -> Frames:

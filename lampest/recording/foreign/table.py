@@ -15,6 +15,7 @@ from lampest.recording.foreign.frames import Clock
 from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
 OF_FIELDS = ("fields", "numbers", "missing", "words")  # of a table, (lines, width)
+MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +111,6 @@ class ForeignTable:
             line, number = (int(part) for part in np.argwhere(chosen)[0])
             shown, field = self.fields[line, columns[number]][:40], columns[number]
             raise InputError(f"{self.place(line, field)}: {shown!r} is no number (field {field + 1} of the line)")
-
-
-MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
 
 
 def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:

@@ -46,6 +46,16 @@ TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
 LONGEST = 100  # signs of a name or a number that are looked at: patterns would take long over more
+# What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
+# Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
+MISSING = (
+    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . "
+    "-inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
+)
+MISSING_WORDS = frozenset(MISSING.split())
+INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#inf"))
+POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d*)?)([eE][+-]?\d+)?", re.ASCII)
+COMMA = re.compile(r"[+-]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+(,\d+)?)([eE][+-]?\d+)?", re.ASCII)
 
 
 class CellName(NamedTuple):
@@ -151,18 +161,6 @@ def _plain(name: str) -> str:
     text = name[: name.rindex(unit)] if unit else name
     text = re.sub(r"\bin\s*$", "", text.strip(" [(<{/#%"))
     return re.sub(r"[\s_\-.:]+", "_", text.strip().lower()).strip("_")
-
-
-# What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
-# Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
-MISSING = (
-    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . "
-    "-inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
-)
-MISSING_WORDS = frozenset(MISSING.split())
-INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#inf"))
-POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d*)?)([eE][+-]?\d+)?", re.ASCII)
-COMMA = re.compile(r"[+-]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+(,\d+)?)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True)

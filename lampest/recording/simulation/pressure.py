@@ -18,6 +18,10 @@ from lampest.panel.response import Response
 from lampest.panel.scene import Water
 from lampest.recording.simulation.unmodelled import random_stream
 
+TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
+# Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
+MOMENTS, AT_ONCE = 8, 64
+
 
 @dataclass(frozen=True)
 class Course:
@@ -78,9 +82,6 @@ def ramp(time: Array, length: float) -> Array:
     return np.asarray(part**2 * (3 - 2 * part))
 
 
-TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
-
-
 def pressure_on_cells(
     panel: Panel,
     patch_mm: float,
@@ -127,10 +128,6 @@ def travelled(speed_mm_s: float, time: Array) -> Array:
 def moved(load: Shape, along_mm: float) -> Shape:
     """The load elsewhere."""
     return replace(load, centre_mm=(load.centre_mm[0] + float(along_mm), load.centre_mm[1]))
-
-
-# Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
-MOMENTS, AT_ONCE = 8, 64
 
 
 def remembered_ratio(

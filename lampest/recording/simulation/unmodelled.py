@@ -14,6 +14,9 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 
+SINES = 4  # sines that a converter's curve is made of: half a wave over its range, one wave and so on
+FINENESS = 1001  # points at which its largest deviation is looked for
+
 
 @dataclass(frozen=True)
 class Unmodelled:
@@ -87,10 +90,6 @@ class Unmodelled:
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
     """The random numbers for one purpose: those of other purposes stay the same whether or not these are drawn."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
-
-
-SINES = 4  # sines that a converter's curve is made of: half a wave over its range, one wave and so on
-FINENESS = 1001  # points at which its largest deviation is looked for
 
 
 def disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
