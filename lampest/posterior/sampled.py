@@ -14,8 +14,7 @@ from scipy import sparse
 from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
 from lampest.posterior.dense import rank
-from lampest.posterior.linear import IGNORANCE, LinearModel
-from lampest.posterior.unread import least_widening
+from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.newton.curvature import Curvature
 from lampest.solvers.newton.directions import misfit_inverse
 from lampest.solvers.newton.local import local_inverse

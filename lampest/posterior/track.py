@@ -7,11 +7,10 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
-from lampest.posterior.dense import DenseErrors, DenseMemory
+from lampest.posterior.dense import ActiveBounds, DenseErrors, DenseMemory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.pressed import Pressed
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 
 MOST_DENSE = 1200  # unknowns; from there on samples are faster
@@ -129,7 +128,7 @@ class Track:
     def _answered(self, errors: DenseErrors | SampledErrors, own: Certainty) -> tuple[Array, Certainty]:
         """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's.
 
-        Where one cell or more press against bounds, see `Pressed`.
+        Where one cell or more press against bounds, see `ActiveBounds`.
         """
         model = errors.model
         cells = model.at.cell_resistance
@@ -139,9 +138,9 @@ class Track:
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
         if isinstance(errors, DenseErrors) and (model.at_lower | model.at_upper).any():
-            pressed = Pressed.of(errors, rows, last, baseline)
-            answer[model.free] = pressed.answer
-            own = own.reaching(pressed.cells, pressed.below, pressed.above)
+            active = ActiveBounds.of(errors, rows, last, baseline)
+            answer[model.free] = active.answer
+            own = own.reaching(active.cells, active.below, active.above)
         else:
             answer[model.free] = errors.answer(rows, last, baseline)
         return answer, own.widened(np.sum(answer**2, axis=1).reshape(cells.shape))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 from lampest.cost.given import Background
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.parts import check_by_parts
+from lampest.estimate.sequence import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError

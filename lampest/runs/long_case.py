@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.sequence import Parts, asked_frames
 from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
