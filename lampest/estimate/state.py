@@ -112,7 +112,7 @@ class CarriedOver:
         if (track := state.track) is not None:
             found |= {"deviation": track.deviation}
             found |= dict(zip(("answer", "answer_of_baseline"), track.answers or (), strict=False))
-            found |= dict(zip(("bend_below", "bend_above"), track.bend or (), strict=False))
+            found |= dict(zip(("bend_below", "bend_above"), track.beyond or (), strict=False))
             for kind, memory in MEMORIES.items():
                 if isinstance(track.memory, memory):
                     found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
@@ -128,7 +128,7 @@ class CarriedOver:
                 deviation=self.arrays.get("deviation"),
                 memory=self._memory(),
                 answers=self._pair("answer", "answer_of_baseline"),
-                bend=self._pair("bend_below", "bend_above"),
+                beyond=self._pair("bend_below", "bend_above"),
             )
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
         return replace(begun, previous=previous, previous_deviation=deviation, track=track)

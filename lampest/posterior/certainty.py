@@ -96,7 +96,7 @@ class Certainty:
         upper.flat[cells] = np.maximum(upper.flat[cells], above)
         return replace(self, below=lower, above=upper)
 
-    def bent(self, below: Array, above: Array) -> "Certainty":
+    def reaching_farther(self, below: Array, above: Array) -> "Certainty":
         """With intervals that reach farther, by squares of log r that are added to theirs."""
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 

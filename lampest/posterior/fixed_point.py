@@ -16,7 +16,7 @@ from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors, positive_inverse, rank
-from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_bend
+from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_of
 from lampest.posterior.sampled import SampledErrors
 
 MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12
@@ -116,14 +116,14 @@ class FixedPoint:
     def weights(self) -> list[float]:
         """Where the weights settle while the estimate follows them within the linear model."""
         errors, model = DenseErrors(self.model), self.model
-        bent = errors.jacobian.T * model.data_curvature
-        data, slope = bent @ errors.jacobian, bent @ model.residual
+        weighted = errors.jacobian.T * model.data_curvature
+        data, slope = weighted @ errors.jacobian, weighted @ model.residual
         rows = model.penalty_jacobian.toarray()[:, model.free]
         weights = list(model.at.cost.weights)
         if not len(model.free):
             return weights
         for _ in range(MOST_ROUNDS):
-            curvature = penalty_bend(model, np.asarray(weights))
+            curvature = penalty_curvature_of(model, np.asarray(weights))
             prior = (rows.T * curvature) @ rows
             inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
             step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
@@ -142,16 +142,16 @@ class FixedPoint:
         new = list(weights)
         for number in self.open_terms:
             own = self.model.penalty_term == number
-            bent = np.einsum("ij,jk,ik->i", rows[own], inverse, rows[own], optimize=True)
+            posterior = np.einsum("ij,jk,ik->i", rows[own], inverse, rows[own], optimize=True)
             free = np.einsum("ij,jk,ik->i", rows[own], alone, rows[own], optimize=True)
             inside = curvature[own] > 0
             residual = size[own][inside]
             evidence = ComputedEvidence(
                 residual,
                 float(np.sum(residual**2)),
-                self.model.scale * bent[inside],
+                self.model.scale * posterior[inside],
                 float(np.sum(curvature[own] * free)),
-                float(np.sum(curvature[own] * (free - bent))),
+                float(np.sum(curvature[own] * (free - posterior))),
             )
             loss = self.model.at.cost.terms[number].loss
             new[number] = settled_weight(self.model.scale, loss, evidence)

@@ -122,7 +122,7 @@ class LinearModel:
     def data_curvature(self) -> Array:
         """ω of the data; zero where a row says nothing, and where it is a bound: that tells one side and no width."""
         curvature: Array = self.at.cost.weights[self._data.term] * (self.noise > 0) * ~self._bound
-        for _, loss, rows in bent_rows(self.at.cost, self._data.term):
+        for _, loss, rows in curved_rows(self.at.cost, self._data.term):
             curvature[rows] *= loss.data_curvature(self.residual[rows], self.noise[rows])
         return curvature
 
@@ -165,13 +165,13 @@ class LinearModel:
     @cached_property
     def penalty_curvature(self) -> Array:
         """ω of the penalties."""
-        return penalty_bend(self, self.at.cost.weights)
+        return penalty_curvature_of(self, self.at.cost.weights)
 
     @cached_property
     def steady_pull(self) -> Array:
         """H of the penalties: what pulls at the estimate beyond ω x̂, as half of ∂φ/∂x; see `Loss.steady_pull`."""
         pull = np.zeros(len(self.penalty_term))
-        for number, loss, rows in bent_rows(self.at.cost, self.penalty_term):
+        for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             pull[rows] = self.at.cost.weights[number] * loss.steady_pull(self.penalty[rows])
         return pull
 
@@ -214,15 +214,15 @@ class LinearModel:
         )
 
 
-def penalty_bend(model: LinearModel, weights: Array) -> Array:
+def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
     """ω of the penalties for any weights."""
     curvature: Array = weights[model.penalty_term]
-    for number, loss, rows in bent_rows(model.at.cost, model.penalty_term):
+    for number, loss, rows in curved_rows(model.at.cost, model.penalty_term):
         curvature[rows] *= loss.penalty_curvature(model.penalty[rows], weights[number], model.scale)
     return curvature
 
 
-def bent_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
+def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
     """(number of the term, loss, its rows) where ω is not the weight alone: of all losses but the squared one.
 
     term : the number of the term that every row belongs to.

@@ -90,8 +90,8 @@ class Spectrum:
     def evidence(self, weight: float) -> float:
         """(ρ + λη)/s² + log det((A + λ ZᵀZ)/s²) − rank·log(λ/s²): −2·log of the evidence for λ, up to a constant."""
         fit = (self.misfit(weight) + weight * self.penalised(weight)) / self.scale
-        bent = self.volume + float(np.sum(np.log1p(weight * self.stiffness)))
-        return fit + bent - self.rank * float(np.log(weight / self.scale))
+        volume = self.volume + float(np.sum(np.log1p(weight * self.stiffness)))
+        return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def press(self, weight: float) -> float:
         """Σ (e_i/(1 − h_i))²: every reading predicted from all others; needs no noise."""

@@ -40,8 +40,8 @@ class Change:
             joined(frame.above, baseline.below, ends),
         )
 
-    def bent(self, below: Array, above: Array) -> "Change":
-        """As `Certainty.bent`."""
+    def reaching_farther(self, below: Array, above: Array) -> "Change":
+        """As `Certainty.reaching_farther`."""
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
 
@@ -52,10 +52,10 @@ class Bars:
     frame: Certainty
     change: Change | None
 
-    def bent(self, below: Array, above: Array) -> "Bars":
-        """As `Certainty.bent`."""
-        change = None if self.change is None else self.change.bent(below, above)
-        return Bars(self.frame.bent(below, above), change)
+    def reaching_farther(self, below: Array, above: Array) -> "Bars":
+        """As `Certainty.reaching_farther`."""
+        change = None if self.change is None else self.change.reaching_farther(below, above)
+        return Bars(self.frame.reaching_farther(below, above), change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Track:
     deviation : of log r of the last frame without shared errors, which the next one repeats, (rows, columns).
     memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
     frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by chance, or None.
-    bend : squares of how far intervals reach down and up on top because of what the baseline left unread, or None.
+    beyond : squares of how far intervals reach down and up on top because of what the baseline left unread, or None.
     """
 
     shared: Shared | None = None
@@ -75,7 +75,7 @@ class Track:
     memory: DenseMemory | SampledMemory | None = None
     answers: tuple[Array, Array] | None = None
     noise: FrameNoise | None = None
-    bend: tuple[Array, Array] | None = None
+    beyond: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, remembered: bool) -> "Track":
         """After a baseline that is solved alone; remembered : whether later frames look back at it.
@@ -105,7 +105,7 @@ class Track:
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
         baseline = certainty.of_frame(0) if joint else self.baseline
         answers = answer[-size:], resting
-        track = Track(self.shared, baseline, own.deviation[-1], memory, answers, self.noise, self.bend)
+        track = Track(self.shared, baseline, own.deviation[-1], memory, answers, self.noise, self.beyond)
         frame = certainty.of_frame(-1)
         if baseline is None:
             return track, Bars(frame, None)

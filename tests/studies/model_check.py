@@ -158,7 +158,7 @@ def evidence(exact: Recording) -> float:
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     question = Question(next(rivals_of(exact.scene, exact.recorded, exact.sigma)), unloaded, measured)
-    found = Explanation.of(question.told, question, patient=True)
+    found = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
     if found is None or not found.holds:

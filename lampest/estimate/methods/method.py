@@ -139,9 +139,8 @@ class Method(ABC):
             if state.track is not None and model is not None:
                 track = state.track.resting(model, remembered=state.estimator.relative)
                 if track.baseline is not None and state.resting.partial:
-                    track = replace(
-                        track, baseline=track.baseline.bent(*self._beyond(alone, state.resting, baseline, model))
-                    )
+                    beyond = self._beyond(alone, state.resting, baseline, model)
+                    track = replace(track, baseline=track.baseline.reaching_farther(*beyond))
                 state = replace(state, track=track, previous_deviation=track.deviation)
         return state.with_baseline(baseline)
 
@@ -182,11 +181,11 @@ class Method(ABC):
             track, bars = state.track.advanced(model)
             if readings.partial:
                 below, above = self._beyond(state, readings, step, model)
-                if track.bend is not None:
-                    below, above = np.maximum(below, track.bend[0]), np.maximum(above, track.bend[1])
+                if track.beyond is not None:
+                    below, above = np.maximum(below, track.beyond[0]), np.maximum(above, track.beyond[1])
                 elif len(step.solution.cell_resistance) == 2 and state.resting.missing(state.scene).any():
-                    track = replace(track, bend=(below, above))
-                bars = bars.bent(below, above)
+                    track = replace(track, beyond=(below, above))
+                bars = bars.reaching_farther(below, above)
             return track, replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         return state.track, step
 

@@ -1,4 +1,4 @@
-"""Whether the circuit that a scene tells can have made the readings, in a sentence."""
+"""Whether the circuit that a scene specifies can have made the readings, in a sentence."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,7 +20,7 @@ from lampest.solvers.starts import BROKEN
 UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"
 NOT_COMPARED = "other circuits were not tried, too many readings are missing"
-MOST_MISSING = 0.1  # of the readings: with a fifth missing, which cells must have moved is told from nothing
+MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
@@ -28,9 +28,9 @@ LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and fi
 class ModelCheck:
     """What was found, for people in `sentence` (ASCII, as results files keep it).
 
-    explains : whether nothing speaks against the told circuit; None: not checked, for the noise is unknown or no fit
-    was found. better : the circuit that explains the readings better, as a scene would name it; ''.
-    noise : by how much the unloaded frames scatter beyond the told noise; 1 where not noticeably.
+    explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
+    no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
+    noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably.
     """
 
     explains: bool | None
@@ -94,21 +94,21 @@ def _checked(
     readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
     others = np.setdiff1d(measured, resting)
-    told, *rivals = rivals_of(scene, recorded, sigma)
-    used = replace(readings, seen=readings.seen * nearly_gaussian(told, 1))
+    specified, *rivals = rivals_of(scene, recorded, sigma)
+    used = replace(readings, seen=readings.seen * nearly_gaussian(specified, 1))
     noise = noise_factor(used[resting])
     standing = others
     if len(others):
         frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others)
         standing = standing_frames(used, frame, others, noise)
-    question = Question(told, resting, standing, noise, named)
-    found = Explanation.of(told, question, patient=True)
+    question = Question(specified, resting, standing, noise, named)
+    found = Explanation.of(specified, question, patient=True)
     fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
     fault = fault or _below_series(scene, recorded, readings, named)
     if found is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     whole = _nearly_whole(readings, scene, question)
-    better = better_rival([told, *rivals], question, None if fault else found) if whole else None
+    better = better_rival([specified, *rivals], question, None if fault else found) if whole else None
     sentence = _sentence(fault, better) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"

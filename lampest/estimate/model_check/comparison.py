@@ -1,4 +1,4 @@
-"""How well circuits explain an unloaded panel and one frame together, and which does so better than the told one."""
+"""How well circuits explain an unloaded panel and one frame together, and which does so better than the scene's."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from lampest.solvers.starts import BROKEN
 
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 GRID = 5  # resistances in series that are tried; what lies between is found by steps
-# −2 log probability by which another circuit must beat the told one: e^18 to one. The best of eight kinds, with any
+# −2 log probability by which another circuit must beat the scene's: e^18 to one. The best of eight kinds, with any
 # resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by 15 or less.
 MARGIN = 36.0
 MOST_ASKED = 3  # rivals: those that linear theory finds best
@@ -125,27 +125,27 @@ class Better:
     reason: str
 
 
-def better_rival(rivals: list[Rival], question: Question, told: Explanation | None) -> Better | None:
-    """The rival that explains the readings where the told circuit does not, or by MARGIN better; None where none does.
+def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better | None:
+    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better; None without one.
 
-    rivals : the told circuit first. told : what that explains; None where it does not. A rival under which most cells
-    have moved is none: nothing then shows which have not; nor is one under which as many have as under the told one.
+    rivals : the scene's circuit first. specified : what that explains; None where it does not. No rival is one under
+    which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
     """
-    if told is None:
+    if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(explanation_of(rival, question) for rival in rivals[1:]))
         found = [one for one in tried if one is not None and one.sparse and lawful(one.rival, question)]
         first = min(found, key=lambda one: one.score, default=None)
         return None if first is None else Better(first.rival.name, "")
-    if not told.comparable:
+    if not specified.comparable:
         return None
-    as_told = told.joint(question, told.moving)
+    as_told = specified.joint(question, specified.moving)
     if as_told.beyond_noise < MARGIN:
         return None
-    best = min(_others(as_told, told, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
+    best = min(_others(as_told, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(as_told, best):
         return None
-    # What moved under the rival may have moved under the told circuit.
-    again = told.joint(question, best.moved.reshape(told.moving.shape))
+    # What moved under the rival may have moved under the specified circuit.
+    again = specified.joint(question, best.moved.reshape(specified.moving.shape))
     if not _beaten(again, best):
         return None
     moved = min(as_told.count, again.count)
@@ -155,26 +155,25 @@ def better_rival(rivals: list[Rival], question: Question, told: Explanation | No
     return Better(best.rival.name, f"between the unloaded panel and {question.loaded} {counts}")
 
 
-def _beaten(told: JointFit, best: JointFit) -> bool:
+def _beaten(specified: JointFit, best: JointFit) -> bool:
     """Whether a rival explains better by MARGIN, wider where even the rival leaves more than noise."""
-    return bool(told.beyond_noise > best.beyond_noise + MARGIN * best.excess)
+    return bool(specified.beyond_noise > best.beyond_noise + MARGIN * best.excess)
 
 
-def _others(as_told: JointFit, told: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
-    """The told circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves.
+def _others(as_told: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
+    """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves.
 
     Each as it is and with more in series, rivals begun with nothing and with some in series.
     """
     plain = (explanation_of(rival, question) for rival in rivals)
-    likely = sorted((one for one in plain if one is not None and one.score < told.score), key=lambda one: one.score)[
-        :MOST_ASKED
-    ]
+    better = (one for one in plain if one is not None and one.score < specified.score)
+    likely = sorted(better, key=lambda one: one.score)[:MOST_ASKED]
     begun = (with_some_in_series(one.rival, question) for one in likely)
-    for one in (told, *likely, *(one for one in begun if one is not None)):
+    for one in (specified, *likely, *(one for one in begun if one is not None)):
         try:
-            fit = as_told if one is told else one.joint(question, one.moving)
+            fit = as_told if one is specified else one.joint(question, one.moving)
             most = most_in_series(fit.rival, question)
-            fits = [fit] * (one is not told) + ([in_series(fit, question, most)] if most else [])
+            fits = [fit] * (one is not specified) + ([in_series(fit, question, most)] if most else [])
         except (InputError, *BROKEN):
             continue
         yield from (fit for fit in fits if fit.sparse and np.isfinite(fit.score))
@@ -197,7 +196,7 @@ def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np
 
 
 def lawful(rival: Rival, question: Question) -> bool:
-    """Whether every frame keeps the inequalities of a circuit that is to take the told one's place."""
+    """Whether every frame keeps the inequalities of a circuit that is to take the specified one's place."""
     readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
-    used = replace(readings, seen=readings.seen * nearly_gaussian(question.told, 1))
+    used = replace(readings, seen=readings.seen * nearly_gaussian(question.specified, 1))
     return not broken_law(rival.scene, used, question.widening)

@@ -189,8 +189,8 @@ def joint_fit(rival: Rival, question: Question, cells: tuple[Array, Array], movi
 
 def in_series(fit: JointFit, question: Question, most: float) -> JointFit:
     """The same with the resistance in series that explains best, up to `most` ohm, by steps from what it has."""
-    told = fit.rival.scene.told_in_series
-    best = replace(fit, rival=fit.rival.with_series(told))
+    specified = fit.rival.scene.told_in_series
+    best = replace(fit, rival=fit.rival.with_series(specified))
     largest = LARGEST_PART * most
     for _ in range(MOST_SERIES):
         assert best.rival.in_series is not None

@@ -1,7 +1,7 @@
-"""Circuits that may have made a recording instead of the one that its scene tells, and what they are to explain.
+"""Circuits that may have made a recording instead of the one that its scene specifies, and what they are to explain.
 
-Every kind of readout with the told converter and resistor, either side driven, and every kind with another resistance
-in series. The converter's volts are what they have in common: a divider's equation is undone where the scene names it.
+Every kind of readout with the scene's converter and resistor, either side driven, and every kind with another
+resistance in series. They share the converter's volts: a divider's equation is undone where the scene names it.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they a
 class Rival:
     """scene : with another circuit. recorded : what that would have recorded of the same codes. kind : in words.
 
-    sigma : of these, where the recording has its own; None: the readout's. own : whether it is the told circuit.
+    sigma : of these, where the recording has its own; None: the readout's. own : whether it is the specified circuit.
     in_series : the resistance that is tried in series, ohm; None: what the scene says.
     """
 
@@ -58,34 +58,35 @@ class Rival:
 
 
 def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Rival]:
-    """The told circuit itself, for other resistances in series, then those of every kind that can be had.
+    """The specified circuit itself, for other resistances in series, then those of every kind that can be had.
 
     recorded : (frames, rows, columns) as the scene's readout gives it.
     """
     yield Rival(scene, recorded, sigma, "", own=True)
-    told = scene.readout
-    if told is None:
+    specified = scene.readout
+    if specified is None:
         return
-    volt = told.volt_from_recorded(recorded)
-    apparent = _logarithm(told, scene, recorded)
+    volt = specified.volt_from_recorded(recorded)
+    apparent = _logarithm(specified, scene, recorded)
     for kind in members_of(AnyReadout):
-        for circuit in variants(kind, told):
+        for circuit in variants(kind, specified):
             values = circuit.recorded_from_volt(volt)
-            if circuit == told or not _alike(apparent, _logarithm(circuit, scene, values)):
+            if circuit == specified or not _alike(apparent, _logarithm(circuit, scene, values)):
                 continue
             try:
                 other = with_circuit(scene, circuit)
-            except ValueError:  # of what the scene tells besides, the kind has no model
+            except ValueError:  # of what the scene specifies besides, the kind has no model
                 continue
-            yield Rival(other, values, sigma if circuit.unit == told.unit else None, circuit_name(circuit, told))
+            own_sigma = sigma if circuit.unit == specified.unit else None
+            yield Rival(other, values, own_sigma, circuit_name(circuit, specified))
 
 
-def variants(kind: type[Any], told: Readout) -> Iterator[Readout]:
-    """A kind with the told readout's converter, resistor and all else that both have, in every choice of words."""
+def variants(kind: type[Any], specified: Readout) -> Iterator[Readout]:
+    """A kind with the specified readout's converter, resistor and all else that both have, in every choice of words."""
     names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
-    resistor = next((getattr(told, name) for name in RESISTORS if hasattr(told, name)), None)
-    shared = {name: getattr(told, name) for name in CONVERTER}
-    shared |= {name: getattr(told, name) for name in CHANNELS if name in names and hasattr(told, name)}
+    resistor = next((getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None)
+    shared = {name: getattr(specified, name) for name in CONVERTER}
+    shared |= {name: getattr(specified, name) for name in CHANNELS if name in names and hasattr(specified, name)}
     for name in RESISTORS:
         if name in names and resistor is not None:
             shared[name] = float(np.mean(resistor)) if hints[name] is float else resistor
@@ -99,10 +100,10 @@ def with_circuit(scene: Scene, circuit: Any) -> Scene:
     return replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
 
 
-def circuit_name(circuit: Readout, told: Readout) -> str:
+def circuit_name(circuit: Readout, specified: Readout) -> str:
     """'rows and columns swapped' where nothing but the driven side differs, else the kind with its words."""
     words = {name: getattr(circuit, name) for name in ("kind", "driven", "sense") if hasattr(circuit, name)}
-    if all(getattr(told, name, None) == word for name, word in words.items() if name != "driven"):
+    if all(getattr(specified, name, None) == word for name, word in words.items() if name != "driven"):
         return f"readout.driven: {words['driven']} (rows and columns swapped)" if "driven" in words else words["kind"]
     return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
 
@@ -132,12 +133,12 @@ def _alike(first: Array | None, second: Array | None) -> bool:
 class Question:
     """What a circuit is asked to explain.
 
-    told : the circuit as the scene has it. resting : the numbers of the unloaded frames. standing : those of the
+    specified : the circuit as the scene has it. resting : the numbers of the unloaded frames. standing : those of the
     measured ones to explain beside them, alike but for their noise; none. widening : factor on every σ, where repeats
     scatter by more than it. named : (frames) the numbers by which sentences name them.
     """
 
-    told: Rival
+    specified: Rival
     resting: NDArray[np.intp]
     standing: NDArray[np.intp]
     widening: float = 1.0
@@ -169,24 +170,24 @@ class Question:
     @cached_property
     def _usable(self) -> Array:
         """Readings that are asked for of every circuit alike; see `nearly_gaussian`."""
-        return nearly_gaussian(self.told, max(len(self.resting), len(self.standing)))[self._chosen]
+        return nearly_gaussian(self.specified, max(len(self.resting), len(self.standing)))[self._chosen]
 
     @property
     def _chosen(self) -> NDArray[np.intp]:
         return np.concatenate([self.resting, self.standing])
 
 
-def nearly_gaussian(told: Rival, frames: int) -> Array:
+def nearly_gaussian(specified: Rival, frames: int) -> Array:
     """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
 
     frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation makes
     of them is while noise is small.
     """
-    sigma = Readings.of(told.scene, told.recorded, told.sigma).sigma
-    if told.scene.circuit.unit != "ohm" or sigma is None:
-        return np.ones(told.recorded.shape)
+    sigma = Readings.of(specified.scene, specified.recorded, specified.sigma).sigma
+    if specified.scene.circuit.unit != "ohm" or sigma is None:
+        return np.ones(specified.recorded.shape)
     most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
-    return np.where(sigma <= most * told.recorded, 1.0, 0.0)
+    return np.where(sigma <= most * specified.recorded, 1.0, 0.0)
 
 
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:

@@ -32,10 +32,10 @@ def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Arr
 
     The first and the last one have one neighbour.
     """
-    torn = np.zeros(readings.value.shape)
+    moved = np.zeros(readings.value.shape)
     if len(measured) > 1:
-        torn[measured] = np.gradient(readings.value[measured], axis=0)
-    return torn * _late(scene, readings)
+        moved[measured] = np.gradient(readings.value[measured], axis=0)
+    return moved * _late(scene, readings)
 
 
 def swept(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -73,50 +73,50 @@ def scan_share(
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
         return 0.0
-    torn = passing(scene, readings, measured)
-    size = np.sqrt(np.mean((torn / readings.sigma) ** 2, axis=(1, 2)))
+    moved = passing(scene, readings, measured)
+    size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
     moving = inner[np.argsort(-size[inner])][:MOST_FRAMES]
     if size[moving[0]] < LEAST_MOTION:
         return 0.0
     base = FrameFit.of(scene, resting, None, sizes, noise)
     if base is None or base.fit.tail < LEVEL:
         return 0.0
-    fits = [explained(scene, readings[frame], torn[frame], 0.0) for frame in moving]
+    fits = [explained(scene, readings[frame], moved[frame], 0.0) for frame in moving]
     if min(tail for _, tail in fits) < LEVEL:
-        found = _share_that_explains(scene, readings, torn, moving, [cost for cost, _ in fits])
+        found = _share_that_explains(scene, readings, moved, moving, [cost for cost, _ in fits])
         return found or float(np.median([tail for _, tail in fits]) < LEVEL)  # the whole period, or nothing
     for frame in moving[size[moving] >= LEAST_MOTION]:
         here = FrameFit.of(scene, readings[frame], base.fit.cells, sizes, noise)
-        if here is not None and (share := _share(base, here, torn[frame])):
+        if here is not None and (share := _share(base, here, moved[frame])):
             return share
     return 0.0
 
 
-def explained(scene: Scene, readings: Readings, torn: Array, share: float) -> tuple[float, float]:
+def explained(scene: Scene, readings: Readings, moved: Array, share: float) -> tuple[float, float]:
     """(log(1 + χ²), its tail) of what cells leave of one frame once share·Δ·τ is taken off; 0 without a fit."""
-    freed = replace(readings, value=np.maximum(readings.value - share * torn, LEAST_LEFT * readings.value))
+    freed = replace(readings, value=np.maximum(readings.value - share * moved, LEAST_LEFT * readings.value))
     fit = fitted(scene, freed, patient=True)
     return (0.0, 1.0) if fit is None else (float(np.log1p(fit.chi_square)), fit.tail)
 
 
 def _share_that_explains(
-    scene: Scene, readings: Readings, torn: Array, frames: NDArray[np.intp], untorn: list[float]
+    scene: Scene, readings: Readings, moved: Array, frames: NDArray[np.intp], still: list[float]
 ) -> float:
     """The share that leaves least of the frames; 0 where it does not leave a THIRD of χ² in the mean."""
-    costs = {0.0: sum(untorn)}
+    costs = {0.0: sum(still)}
     for share in SHARES:
-        costs[share] = sum(explained(scene, readings[frame], torn[frame], share)[0] for frame in frames)
+        costs[share] = sum(explained(scene, readings[frame], moved[frame], share)[0] for frame in frames)
     best = min(costs, key=lambda share: costs[share])
     return best if costs[best] < costs[0.0] - len(frames) * np.log(THIRD) else 0.0
 
 
-def _share(base: FrameFit, here: FrameFit, torn: Array) -> float:
+def _share(base: FrameFit, here: FrameFit, moved: Array) -> float:
     """√E[s²] from one frame."""
     moves = Moves.between(base, [here])
     cost, _ = still_cells(moves.change, moves.covariance(0.0))
-    tearing = moves.with_column(here.answer(torn[None]))
-    better, still = still_cells(tearing.change, tearing.covariance(0.0))
+    moving_cells = moves.with_column(here.answer(moved[None]))
+    better, still = still_cells(moving_cells.change, moving_cells.covariance(0.0))
     if better > cost - GAIN:
         return 0.0
-    root = possible(tearing, 0.0, still)
+    root = possible(moving_cells, 0.0, still)
     return float(np.sqrt((root[-1] ** 2).sum()))

@@ -160,10 +160,10 @@ class Joint:
         sizes = []
         for model in self.models:
             loss, x = model.at.cost.terms[0].loss, model.residual
-            bend = loss.curvature(x)
-            flat = (bend <= 0) & (x != 0)
-            bend[flat] = loss.steady_pull(x[flat]) / np.abs(x[flat])
-            sizes.append(np.sqrt(bend))
+            curvature = loss.curvature(x)
+            flat = (curvature <= 0) & (x != 0)
+            curvature[flat] = loss.steady_pull(x[flat]) / np.abs(x[flat])
+            sizes.append(np.sqrt(curvature))
         return sizes
 
     @cached_property
