@@ -4,7 +4,7 @@ Format v110 has checksums of all metadata, small values among it; larger values 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from lampest.files.checksums import DIGEST, check_attribute, check_digest, check_seal, digest_of, located, read_through
 from lampest.files.errors import InputError
+from lampest.files.left_open import Closed, is_left_open
 from lampest.files.scales import attach_scales as attach_scales
-from lampest.files.whole import check_room, whole_file
+from lampest.files.whole import check_room, is_locked, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
@@ -81,17 +82,18 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _opened(path: Path) -> h5py.File:
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        # One that is being recorded, or whose recorder was killed, opens only as that; it says so in its superblock.
-        # For others that would switch off the checks of sizes, and wait without end for a checksum that is right.
-        with path.open("rb") as stream:
-            flags = stream.read(12)[11:]
-        if flags <= b"\3" or not any(words in str(error) for words in OPEN_FOR_WRITING):
-            raise
-        return h5py.File(path, "r", swmr=True)
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    with ExitStack() as stack:
+        try:
+            file = h5py.File(path, "r")
+        except OSError as error:
+            if not any(words in str(error) for words in OPEN_FOR_WRITING) or not is_left_open(path):
+                raise
+            # Of one that is being recorded a wrong checksum is waited for until the recorder makes it right.
+            alive = is_locked(path)
+            file = h5py.File(path if alive else stack.enter_context(Closed(path)), "r", swmr=alive)
+        yield stack.enter_context(file)
 
 
 def checked(path: Path) -> tuple[int, int]:

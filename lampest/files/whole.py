@@ -9,6 +9,11 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 from lampest.files.errors import InputError
 from lampest.files.memory import in_bytes
 
@@ -142,6 +147,27 @@ def opened_for_locking(path: Path, make: bool = False) -> int:
         os.close(descriptor)
         raise InputError(f"{path}: is no regular file, which a lock must be")
     return descriptor
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """A lock that readers do not mind and that ends with the process."""
+    with os.fdopen(opened_for_locking(path), "rb") as handle:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_SH)
+        yield
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds a lock on the file."""
+    if fcntl is None:
+        return False
+    with os.fdopen(opened_for_locking(path), "rb") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
 
 
 def remove_own(path: Path) -> None:

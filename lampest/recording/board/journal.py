@@ -3,7 +3,6 @@
 Its layout is the recording's. Single writer, multiple readers (SWMR): what was flushed stays readable after kill -9.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,15 +12,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
-from lampest.files.whole import check_output, opened_for_locking
+from lampest.files.whole import check_output, locked
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
@@ -54,7 +48,7 @@ class Journal:
             _lay_out(file, scene, readings)
             file.flush()
             file.swmr_mode = True
-            with _locked(path):
+            with locked(path):  # HDF5's own lock ended where SWMR began
                 yield cls(file, group_of(scene.circuit), scene.circuit.signal)
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
@@ -99,27 +93,6 @@ def is_finished(path: Path) -> bool:
     """Whether a recording was closed. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
         return "lampest_unfinished" not in file.attrs
-
-
-def is_being_written(path: Path) -> bool:
-    """Whether a living process is recording into the file."""
-    if fcntl is None:
-        return False
-    with os.fdopen(opened_for_locking(path), "rb") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return True
-    return False
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """A lock that readers do not mind and that ends with the process; HDF5's own ends where SWMR begins."""
-    with os.fdopen(opened_for_locking(path), "rb") as handle:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_SH)
-        yield
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.files.interrupts import deaf, ending_signals
-from lampest.files.whole import check_output
+from lampest.files.whole import check_output, is_locked
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.board.journal import Journal, is_being_written, is_finished
+from lampest.recording.board.journal import Journal, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
@@ -189,7 +189,7 @@ def repair(path: Path) -> int:
     if is_finished(path):
         recording = opened(path)
         return recording.frames if isinstance(recording, StoredRecording) else len(recording.time)
-    if is_being_written(path):
+    if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     return finished(path)[1]
 
