@@ -50,7 +50,7 @@ class Closed(io.FileIO):
 
 def lookup3(superblock: bytes) -> int:
     """HDF5's checksum of the first 44 bytes. Source: Jenkins, lookup3.c, 2006."""
-    words = struct.unpack("<11I", superblock[:44])
+    words: tuple[int, ...] = struct.unpack("<11I", superblock[:44])
     a = b = c = 0xDEADBEEF + 44
     for first in range(0, 9, 3):
         a, b, c = (a + words[first]) & WORD, (b + words[first + 1]) & WORD, (c + words[first + 2]) & WORD
