@@ -39,6 +39,7 @@ def audit(folder: Path, text: str = FILE) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
     done = audit(tmp_path)
     assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ import pytest
 Command = Callable[..., SimpleNamespace]
 
 
+@pytest.mark.slow
 def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Command) -> None:
     text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nmats: {sides: [4], draws: 1}\n"
     text += "limits: {nodal: 0, scipy_difference: 0, scipy_lbfgsb: 0}\n"

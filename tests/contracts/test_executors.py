@@ -17,6 +17,7 @@ from lampest import read_results
 Command = Callable[..., SimpleNamespace]
 
 
+@pytest.mark.slow
 def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest: Command) -> None:
     import distributed
 
@@ -61,6 +62,7 @@ def test_wrong_executors_are_named(text: str, message: str, disk: SimpleNamespac
     assert not (disk.folder / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["processes, workers: 2", "dask, workers: 2"], ids=["processes", "dask"])
 def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) -> None:
     """Ctrl-C reaches every process of the terminal's group."""

@@ -106,6 +106,7 @@ class BelowGround(Divider):
         return -super().reading(row, column, mutual)
 
 
+@pytest.mark.slow
 def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
     negative = simulated(BelowGround())
     found = lampest.reconstruct(negative, [Misfit(weighting="noise")], formulation="reduced")
@@ -168,6 +169,7 @@ def installed(folder: Path, groups: dict[str, str]) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
+@pytest.mark.slow
 def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
     environment = installed(tmp_path, GROUPS)
 
@@ -196,6 +198,7 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
         assert_allclose(soft, plain, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("groups", "sentence"),
     [

@@ -121,6 +121,7 @@ MISTAKES = (
 )
 
 
+@pytest.mark.slow
 def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
     script, wrong = tmp_path / "script.py", tmp_path / "wrong.py"
     script.write_text(SCRIPT)

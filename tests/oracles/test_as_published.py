@@ -60,6 +60,7 @@ def recording() -> Recording:
     return Recording(scene, readings, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "term"),
     [

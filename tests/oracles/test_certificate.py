@@ -259,6 +259,7 @@ def test_an_absolute_loss_is_certified_with_its_duals() -> None:
     assert check(start, outcome).status is Status.OPTIMUM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
 @pytest.mark.parametrize("seed", [0, 1, 3, 5])
 def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, seed: int) -> None:

@@ -66,6 +66,7 @@ def test_contacts_are_resistors_at_the_terminals(readout: Readout) -> None:
     assert_allclose(readout.network(cells, ties, scene.wiring).potentials(), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @each_readout
 def test_plain_least_squares_learns_nothing_of_contacts_and_its_bars_say_so(readout: Readout) -> None:
     """As many readings as cells: the prior stays. Over draws the errors are as large as the bars."""
@@ -79,6 +80,7 @@ def test_plain_least_squares_learns_nothing_of_contacts_and_its_bars_say_so(read
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
 
 
+@pytest.mark.slow
 @each_readout
 def test_forgotten_contacts_are_far_outside_the_bars(readout: Readout) -> None:
     recording = recorded(readout, 3)

@@ -64,6 +64,7 @@ def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
     assert_allclose(found.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "terms",
     [
@@ -86,6 +87,7 @@ def test_penalties_do_not_see_broken_cells(terms: tuple[Term, ...]) -> None:
     assert np.all(found.cell_resistance[:, others] < 1e5)
 
 
+@pytest.mark.slow
 def test_unknown_open_cell_is_flagged() -> None:
     truth = cells()
     truth[:, 1, 2] = np.inf
@@ -95,6 +97,7 @@ def test_unknown_open_cell_is_flagged() -> None:
     assert flags.sum() == len(flags)
 
 
+@pytest.mark.slow
 def test_unknown_short_is_flagged() -> None:
     """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
     truth = cells()
@@ -105,6 +108,7 @@ def test_unknown_short_is_flagged() -> None:
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
 
 
+@pytest.mark.slow
 def test_saturated_codes_are_bounds() -> None:
     """One row far above what 4 bits can tell: its readings bound it from below and do not pull it down to the rail."""
     readout = TwoPointReadout(adc_bits=4, noise_lsb=0.0, readings=1, reference_ohm=100.0)

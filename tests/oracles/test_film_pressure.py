@@ -67,6 +67,7 @@ def test_memory_is_causal(told: Film) -> None:
     np.testing.assert_array_equal(part.pressure, found.pressure[:30])
 
 
+@pytest.mark.slow
 def test_intervals_hold_films_that_differ() -> None:
     """Films and cells drawn as the scene says what is known of them: 95 % intervals, 12 films."""
     told = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
@@ -106,6 +107,7 @@ def estimated(creep: float, release: bool = True) -> Estimates:
     return reconstruct(recording, Estimator((Misfit(),), "reduced"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("creep", [0.0, 0.02, 0.08])
 def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
     film = estimated(creep).film
@@ -114,12 +116,14 @@ def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
     assert film.hysteresis == (0.24, pytest.approx(0.024))
 
 
+@pytest.mark.slow
 def test_open_creep_stays_open_where_nothing_was_released() -> None:
     film = estimated(0.05, release=False).film
     assert film is not None and film.creep.mean == pytest.approx(OPEN_CREEP[0], rel=0.5)
     assert film.creep.sd == pytest.approx(OPEN_CREEP[1], rel=0.5) and "assumed" in film.sentence
 
 
+@pytest.mark.slow
 def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent() -> None:
     found = estimated(0.08)
     assert found.pressure is not None and found.recording.truth_pressure is not None
@@ -127,6 +131,7 @@ def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent()
     assert np.percentile(np.abs(found.pressure - truth), 99) < 0.08 * truth.max()
 
 
+@pytest.mark.slow
 def test_results_say_what_the_film_was_taken_for(tmp_path: Path) -> None:
     path = tmp_path / "results.h5"
     write_results(path, [named_result(estimated(0.08), "LSM")])

@@ -125,6 +125,7 @@ def test_reads_what_the_netlist_says(readout: Any) -> None:
     assert_allclose(modelled, recording.recorded, rtol=1e-7 if readout.drive_ohm == 0 else 1e-11)
 
 
+@pytest.mark.slow
 @every_readout
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_finds_the_cells_of_clean_readings(readout: Any, formulation: Any) -> None:

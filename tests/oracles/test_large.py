@@ -129,6 +129,7 @@ def test_the_square_of_a_stencil_inverts_what_it_stands_for() -> None:
     assert_allclose(solved[free], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_least_squares_from_inside_ends_where_stops_at_bounds_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a large panel with noise, a third of the cells at their bound; begun inside, and stopped one by one."""
     generator = np.random.default_rng(8)

@@ -155,6 +155,7 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
         assert_allclose(lines, np.divide(expected, expected[0]), rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
 def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
     """All channels and the reference drawn anew for every panel: errors in units of the error bars."""

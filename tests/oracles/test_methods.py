@@ -149,6 +149,7 @@ def test_region_with_absolute_loss() -> None:
     assert_allclose(found.cell_resistance[0][BLOCK], cells[BLOCK], rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_region_is_the_full_solution_to_within_the_noise() -> None:
     cells = pressed(resting())
     data = recording(*[resting()] * 4, *[cells] * 6, noise=2e-4, unloaded=4)

@@ -192,6 +192,7 @@ def test_without_noise_there_is_no_test_and_that_is_said() -> None:
     assert "noise" in check.sentence
 
 
+@pytest.mark.slow
 def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be uniform or larger."""
     readout = TwoPointReadout()
@@ -209,6 +210,7 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
     assert np.min(tails) > 1e-4
 
 
+@pytest.mark.slow
 def test_a_large_panel_is_held_against_cells_alone() -> None:
     side = 21
     assert side**2 > MOST_CELLS
@@ -245,6 +247,7 @@ def test_a_series_resistance_that_is_not_there_is_named(told: float) -> None:
     assert float(check.better.split()[-1]) < 20
 
 
+@pytest.mark.slow
 def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
     recording = rod_on(Scene(PANEL, LOADED))
     recorded = recording.recorded.copy()
@@ -288,6 +291,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (case,) = lampest.read_results(results).cases
     assert case.model_mark == "no"

@@ -238,6 +238,7 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
     assert hidden is not None and hidden.sizes.reading_error == 0.02
 
 
+@pytest.mark.slow
 def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_for_that() -> None:
     """Neighbours in time say nothing of such readings but how far they may be off."""
     place, held = (35.0, 35.0), []

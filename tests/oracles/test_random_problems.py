@@ -63,6 +63,7 @@ def test_pairs_that_conjugate_gradients_follow_round_and_round_go_on_by_factors(
     assert found.optimum and 40 < found.iterations < 150
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [190, 247])
 def test_frames_that_may_have_several_minima_are_sought_from_several_places(number: int) -> None:
     """A comparison with the frame before, read in volts; plain squares of readings that cells cannot meet."""

@@ -140,6 +140,7 @@ def test_errors_that_the_cost_knows_nothing_of_move_its_end_as_told() -> None:
     assert np.abs(there.position - joint.position - answer).max() < 0.1 * np.abs(answer).max()
 
 
+@pytest.mark.slow
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
     """Φ written out once more, from Kirchhoff's laws, minimised by BFGS from the estimate and from beside it."""
     joint, start = ended(panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
@@ -167,6 +168,7 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
         assert least.fun > joint.value - 1e-6 * joint.value
 
 
+@pytest.mark.slow
 def test_it_halves_the_error_and_its_bars_hold() -> None:
     """Standing cells, a jump, and a tap that lasts one frame."""
     alone, together, held, tapped = [], [], [], []

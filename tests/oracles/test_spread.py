@@ -28,6 +28,7 @@ def walked(fitting: Fitting, start: Array, root: Array) -> Array:
     return np.array(found[STEPS // 5 :])
 
 
+@pytest.mark.slow
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
     frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), PANEL)
     verdict = Detector.of(PANEL, PATCH_MM, frame).push(frame)[1]

@@ -11,6 +11,7 @@ from lampest.runs.results import read_results
 Command = Callable[..., SimpleNamespace]
 
 
+@pytest.mark.slow
 def test_case_that_fails_stops_no_other(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

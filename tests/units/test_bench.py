@@ -60,6 +60,7 @@ def timing(side: int, wall: np.ndarray, method: str = "LSM", solver: str = "redu
     )
 
 
+@pytest.mark.slow
 def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
     assert {(one.shape, one.solver, one.recording) for one in tiny.timings} == {
         *(((3, 3), solver, number) for solver in SOLVERS for number in (0, 1)),

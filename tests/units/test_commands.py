@@ -116,6 +116,7 @@ def test_a_simulation_asks_for_its_room_beforehand(
     assert not (tmp_path / "deep").exists()
 
 
+@pytest.mark.slow
 def test_pictures_of_a_frame_an_estimator_and_a_form(disk: SimpleNamespace, lampest: Command) -> None:
     assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder, "--jobs", "1").code == 0
     results, new = disk.folder / "results.h5", disk.folder / "new"

@@ -148,6 +148,7 @@ def test_the_frame_that_most_estimators_solved() -> None:
     assert strongest_index(cases) == 1
 
 
+@pytest.mark.slow
 def test_where_pictures_go(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
     two = [invented_case("LSM", stem, (1, 3, 3)) for stem in ("a", "b")]

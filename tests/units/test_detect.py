@@ -70,6 +70,7 @@ def results() -> Results:
     return Results((solved_case(), solved_case("LSR-CR", failed=(1,))), {})
 
 
+@pytest.mark.slow
 def test_every_estimate_and_the_readings_are_looked_at(results: Results) -> None:
     calls: list[tuple[int, int]] = []
     found = detect(results, on_case=lambda done, total: calls.append((done, total)))

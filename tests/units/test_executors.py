@@ -52,6 +52,7 @@ def threads(_: Any) -> list[str | None]:
     return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
 def test_results_are_those_of_serial_even_where_a_worker_dies(
     executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
@@ -79,6 +80,7 @@ def test_errors_stay_with_their_task(executor: Any) -> None:
     assert list(executor.results(eval, [])) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
 def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     tasks = [f"{number} + 0" for number in range(6)]
@@ -86,6 +88,7 @@ def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died twice"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
 def test_workers_have_one_thread_and_the_environment_is_as_before(
     executor: Any, monkeypatch: pytest.MonkeyPatch
@@ -161,6 +164,7 @@ def _waiting(seconds: float) -> float:
     return seconds
 
 
+@pytest.mark.slow
 def test_a_task_that_hangs_is_ended_and_costs_no_other() -> None:
     begin = time.monotonic()
     found = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, 600.0, 0.01])}

@@ -48,6 +48,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> tuple[Solve, ...]:
     return run_atlas(read_atlas(path))
 
 
+@pytest.mark.slow
 def test_every_solve_ends_verified_or_with_a_sentence(tiny: tuple[Solve, ...]) -> None:
     assert {solve.sample.case for solve in tiny} == set(CASES)
     assert {solve.formulation for solve in tiny} == {"reduced", "nodal"}

@@ -80,6 +80,7 @@ def test_weights_live_follow_the_strongest_frame_so_far(lamprey: Recording) -> N
     assert np.median(np.abs(last - batch.relative_change[-1])) < 0.1 * np.median(np.abs(batch.relative_change[-1]))
 
 
+@pytest.mark.slow
 def test_what_is_left_to_another_process_reaches_the_frames_after(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

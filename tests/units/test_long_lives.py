@@ -1,5 +1,6 @@
 """What runs for weeks: memory stays, and no file is left open. The long version: python -m tests.studies.long_lives."""
 
+import pytest
 from studies.long_lives import live_figures, stream_figures
 
 # A leak of one float a frame would be 8 bytes; interpreters keep some pools of their own.
@@ -12,6 +13,7 @@ def test_a_stream_keeps_nothing_of_the_frames_that_went() -> None:
     assert after.open_files <= before.open_files
 
 
+@pytest.mark.slow
 def test_the_live_page_keeps_its_history_and_nothing_else() -> None:
     """Its history is full after 1,800 frames."""
     before, after = live_figures((2 * FRAMES, 3 * FRAMES))

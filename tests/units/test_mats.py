@@ -51,6 +51,7 @@ def solves() -> list[MatSolve]:
     return list(solved_mats(Mats(sides=SIDES, draws=2, noise_percent=(0, 1)), seed=3, settings=Settings()))
 
 
+@pytest.mark.slow
 def test_ours_and_theirs_stand_side_by_side_on_the_same_mats(solves: list[MatSolve]) -> None:
     names = ["reduced", "scipy_exact", *PUBLISHED]
     assert [(one.side, one.noise_percent, one.draw, one.solver) for one in solves] == [

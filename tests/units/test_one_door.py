@@ -109,6 +109,7 @@ def own_loop(recording: Recording, estimator: Estimator) -> tuple[Array, Array]:
     return np.stack(cells), stream.baseline_resistance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_every_way_in_gives_the_same_cells(name: str) -> None:
     case = CASES[name]

@@ -123,6 +123,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stored, "BLOCK", 400)
 
 
+@pytest.mark.slow
 def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, small: None) -> None:
     """A part without a measured frame, frames that cannot be read and readings that leap are among them."""
     values = frames(110)
@@ -148,6 +149,7 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> None:
     save(tmp_path, frames(90))
     (tmp_path / "run.yaml").write_text(RUN)
@@ -160,6 +162,7 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
 
 
+@pytest.mark.slow
 def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) -> None:
     """Where noise and circuit are asked of all frames alike: parts have 32, the load is largest in the middle."""
     save(tmp_path, frames(60))
@@ -206,6 +209,7 @@ def test_time_that_is_left_time_in_words() -> None:
     assert found == ["40 s", "3 min", "1 h 0 min", "3 h 5 min"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
     """Peak resident size of two processes; one map of the longer recording alone would be 8 MB, and there are 25."""
@@ -283,6 +287,7 @@ def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest
     assert sorted(file.name for file in tmp_path.iterdir()) == ["parts.h5", "whole.h5"]
 
 
+@pytest.mark.slow
 def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
     for module in ("lampest.recording.stored", "lampest.report.info", "lampest.report.checked"):

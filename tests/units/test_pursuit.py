@@ -29,6 +29,7 @@ def larger() -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("terms", ["LSM", "LSR-CR", "LSR-gdCR", "huber"])
 def test_every_readout(readout: str, terms: str) -> None:
@@ -41,6 +42,7 @@ def test_every_readout(readout: str, terms: str) -> None:
         assert isinstance(stream.prepared, KeptPreconditioner)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terms", [name for name in TERMS if name != "huber"])
 def test_holes_and_faults(terms: str) -> None:
     """Readings that say nothing, a bound at a rail, and an open cell that is held."""
@@ -51,6 +53,7 @@ def test_holes_and_faults(terms: str) -> None:
     assert_same(*both(stream, Readings.of(scene, recorded[2])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terms", ["LSM", "LSR-CR", "LSR-dCR", "log"])
 def test_cells_pressed_against_bounds(terms: str) -> None:
     scene, recorded = frames(READOUTS["two_point"], 6)
@@ -65,6 +68,7 @@ def test_cells_pressed_against_bounds(terms: str) -> None:
     assert held > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("terms", ["LSM", "LSR-gdCR", "huber"])
 @pytest.mark.parametrize("straight", [0, -1])

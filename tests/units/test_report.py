@@ -75,6 +75,7 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_else() -> None:
     page = Page(report(batch(*(certain(invented_case(method)) for method in METHODS[:3]))))
     assert not {tag for tag, _ in page.tags} & {"script", "iframe", "object", "embed", "base", "form"}
@@ -90,6 +91,7 @@ def test_page_needs_nothing_else() -> None:
     assert "These results lack" not in page.text
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_said_in_one_line() -> None:
     page = Page(report(batch(*(invented_case(method, truth=False, weights={}) for method in METHODS[:2]))))
     assert "lack the noise of the readings, error bars, resolution, the truth and the weights;" in page.text
@@ -120,6 +122,7 @@ def test_frames_without_a_baseline_to_compare_with_are_shown() -> None:
     assert "LSR-CR" in Page(report(batch(certain(invented_case("LSM", truth=False)), without))).text
 
 
+@pytest.mark.slow
 def test_frames_that_failed_are_named() -> None:
     failed = {"LSM": (), "LSR-CR": (0, 1, 2), "LSR-dCR": (1,)}
     page = Page(report(batch(*(certain(invented_case(name, failed=frames)) for name, frames in failed.items()))))
@@ -128,6 +131,7 @@ def test_frames_that_failed_are_named() -> None:
     Page(report(batch(invented_case("LSM", failed=(0, 1, 2)))))
 
 
+@pytest.mark.slow
 def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
     cases = [invented_case(name, f"r{number}", (2, 3, 3)) for number in range(8) for name in ("A", "B")]
     page = Page(report(batch(*cases)))
@@ -136,6 +140,7 @@ def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
     assert all(f"r{number}" in page.text for number in range(8)) and "smallest in, of 8" in page.text
 
 
+@pytest.mark.slow
 def test_copies_of_a_recording_are_no_further_recordings() -> None:
     """Two recordings and a copy of one, under another name and without its last frame, are two."""
     cases = [invented_case(name, f"r{number}", (4, 3, 3)) for number in range(2) for name in ("A", "B")]
@@ -176,6 +181,7 @@ def test_files_are_put_together(tmp_path: Path) -> None:
     assert found.estimators == ("LSM", "LSR-CR", "LSM [2]", "LSR-dCR")
 
 
+@pytest.mark.slow
 def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
     source, out = tmp_path / "results.h5", tmp_path / "report.html"
     write_results(source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]])

@@ -103,6 +103,7 @@ def test_limits_that_are_none(disk: SimpleNamespace, lampest: Callable[..., Simp
     assert done.code == 2 and "time_limit_s" in done.err and done.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_batch_says_which_frames_were_not_solved_in_time(
     disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
 ) -> None:

@@ -20,6 +20,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Measured, ...]:
     return run_tradeoff(read_plan(path))
 
 
+@pytest.mark.slow
 def test_every_rung_is_measured_with_every_method_on_every_recording(found: tuple[Measured, ...]) -> None:
     names = {(one.subject.recording.name, one.method, one.formulation) for one in found}
     assert len(names) == len(found) == 2 * 2 * (7 + 6)
