@@ -91,6 +91,7 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
     assert_array_equal(np.isnan(found.measured[0]), np.isnan(found.recording.recorded[2]))
 
 
+@pytest.mark.slow
 def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read() -> None:
     """The others stay as good as their own readings make them; that cell's interval is wide and holds the truth."""
     other, held, width = [], [], []
