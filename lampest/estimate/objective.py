@@ -21,7 +21,8 @@ from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings, StandIn
 from lampest.solvers.solution import Settings
 
-FARTHEST, NEAREST, SHORTED = 1e9, 1e-3, 1e-6
+FARTHEST, SHORTED = 1e9, 1e-6  # of the apparent resistance: beyond, double precision sees no difference
+NEAREST = 1e-3  # of the upper bound, where a reading that contradicts it leaves the lower one
 MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
 UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
 MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none

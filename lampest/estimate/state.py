@@ -19,7 +19,6 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Status, blank
 
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
-MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +112,9 @@ class CarriedOver:
             found |= {"deviation": track.deviation}
             found |= dict(zip(("answer", "answer_of_baseline"), track.answers or (), strict=False))
             found |= dict(zip(("bend_below", "bend_above"), track.beyond or (), strict=False))
-            for kind, memory in MEMORIES.items():
-                if isinstance(track.memory, memory):
-                    found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
+            if track.memory is not None:
+                kind = "dense" if isinstance(track.memory, DenseMemory) else "sampled"
+                found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
         known = {name: value for name, value in found.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 

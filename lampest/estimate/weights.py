@@ -27,7 +27,7 @@ from lampest.solvers.search import best_solution
 from lampest.solvers.solution import Settings
 from lampest.solvers.starts import BROKEN, convex, evaluated
 
-MOST_SOLVES, SETTLED = 4, 0.2
+MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 

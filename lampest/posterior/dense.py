@@ -34,7 +34,7 @@ from lampest.panel.panel import Array
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 
-MOST_RANKED = 2048
+MOST_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties is nearly full
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,8 @@ from lampest.posterior.dense import DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_of
 from lampest.posterior.sampled import SampledErrors
 
-MOST_ROUNDS, SETTLED, FLAT, NOTHING = 30, 0.01, 1e-9, 1e-12
+MOST_ROUNDS, SETTLED = 30, 0.01  # of the fixed point; of log λ
+FLAT, NOTHING = 1e-9, 1e-12  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
 LEAST = 1e-300  # instead of a division by zero
 
 

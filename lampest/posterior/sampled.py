@@ -20,8 +20,8 @@ from lampest.solvers.newton.directions import misfit_inverse
 from lampest.solvers.newton.local import local_inverse
 from lampest.solvers.newton.smoothing import Smoothing
 
-SAMPLES, PROBES = 100, 8
-ACCURACY, FINE = 1e-3, 1e-7
+SAMPLES, PROBES = 100, 8  # of the error, which standard deviations of 7 % suffice for; of a trace
+ACCURACY, FINE = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, and of what is reported itself
 
 
 @dataclass(frozen=True, eq=False)

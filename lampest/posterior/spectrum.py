@@ -20,7 +20,9 @@ from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import IGNORANCE, LinearModel
 
 Rule = Literal["risk", "evidence", "press"]
-POINTS, BEYOND, LEAST, TOLD = 80, 1e4, 1e-12, 0.5
+POINTS = 80  # of a grid of log λ, between which the least value is searched for
+BEYOND, LEAST = 1e4, 1e-12  # times the stiffest and softest direction; of the stiffest, below which there is none
+TOLD = 0.5  # of a direction's precision: where the data make up more than that, and not IGNORANCE, they determine it
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from lampest.estimate.model_check.cells_fit import LEVEL
 from lampest.estimate.model_check.comparison import Better, Explanation, better_rival, broken_law
 from lampest.estimate.model_check.rivals import Question, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.noise.outliers import without_outliers
+from lampest.estimate.noise.scatter import LEAST_FACTOR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -17,11 +18,8 @@ from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.starts import BROKEN
 
-UNKNOWN_NOISE = "the circuit was not checked: the noise of the readings is unknown"
 EXPLAINED = "the circuit explains its readings"
-NOT_COMPARED = "other circuits were not tried, too many readings are missing"
 MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved
-LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def model_check(
     """
     readings = Readings.of(scene, recorded, sigma)
     if readings.sigma is None:
-        return ModelCheck(None, UNKNOWN_NOISE)
+        return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
     try:
         with np.errstate(all="ignore"):
             outliers, _ = without_outliers(readings, np.isin(np.arange(len(recorded)), unloaded))
@@ -107,18 +105,15 @@ def _checked(
     fault = fault or _below_series(scene, recorded, readings, named)
     if found is None and not fault:
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    whole = _nearly_whole(readings, scene, question)
+    compared = readings[np.concatenate([question.resting, question.standing])]
+    whole = float(compared.missing(scene).mean()) <= MOST_MISSING
     better = better_rival([specified, *rivals], question, None if fault else found) if whole else None
-    sentence = _sentence(fault, better) if whole else f"{fault or EXPLAINED}; {NOT_COMPARED}"
+    sentence = _sentence(fault, better)
+    if not whole:
+        sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing"
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
     return ModelCheck(not fault and better is None, sentence, "" if better is None else better.name, noise)
-
-
-def _nearly_whole(readings: Readings, scene: Scene, question: Question) -> bool:
-    """Whether the frames have enough of their readings to be held against other circuits."""
-    asked = np.concatenate([question.resting, question.standing])
-    return float(readings[asked].missing(scene).mean()) <= MOST_MISSING
 
 
 def noise_factor(resting: Readings) -> float:

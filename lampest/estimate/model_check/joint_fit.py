@@ -22,7 +22,7 @@ from lampest.recording.readings import Readings
 # −2 log probability, per cell that is said to move: what a cell gains at random is χ² of one degree, and the largest of
 # 400 such exceeds 12 in one case of five.
 PRICE = 12.0
-CREEPS = (0.0, 3e-3)  # of log r, by which cells may move on their own: not at all, or as films creep in seconds
+CREEP = 3e-3  # of log r, by which films creep on their own in seconds
 LONGEST = 1.5  # of log r, that of one step
 SETTLED = 0.1  # of χ²: a smaller gain changes no verdict
 FIT = LevenbergMarquardt(evaluations=60, settled=SETTLED / 2, damping=1e-4, most_damping=1e4, longest=LONGEST)
@@ -257,7 +257,7 @@ def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.b
     together = own + np.linalg.inv(resting.normal)
     least = float(np.linalg.slogdet(frame.normal)[1])
     best = (np.inf, np.ones(resting.cells.shape, dtype=bool))
-    for creep in CREEPS:
+    for creep in (0.0, CREEP):
         covariance = together + creep**2 * np.eye(len(change))
         precision = np.linalg.inv(covariance)
         gained, moved = _forward(precision @ change, precision)

@@ -17,6 +17,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
 LEVEL = 1e-3  # of each of three tests: one clean recording in 300 gets a part that it has not
+LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
 ENOUGH = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
 UNSURE = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small

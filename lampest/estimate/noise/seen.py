@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.estimate.model_check.cells_fit import LEVEL
 from lampest.estimate.noise.motion import scan_share, swept
 from lampest.estimate.noise.outliers import LEAST_FRAMES, without_outliers
-from lampest.estimate.noise.scatter import Scatter, unloaded_scatter
+from lampest.estimate.noise.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.noise.still_cells import errors_left_possible
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -24,7 +24,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.starts import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
-LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 CROWDED = 0.05  # of the unloaded readings: where more are outliers, neighbours in time are, too, and replace them badly
 
 

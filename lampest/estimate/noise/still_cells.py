@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.model_check.cells_fit import LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
+from lampest.estimate.model_check.joint_fit import CREEP
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -51,9 +52,9 @@ AGAIN = 3  # times that cells are chosen by the size that they give
 LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 ROUNDS = 15  # of choosing cells; the choice is settled after a handful
 CLEARLY = 4.0  # σ of a change that noise does not make
-CREEP = 3e-3  # of log r, by which films move on their own, as in the check of the circuit
 TOGETHER = 0.05  # of log r, by which all cells may change with temperature
 UNREAD = 1e12  # times σ, of a reading that says nothing, or one side only
+# Of −2 log p by less than a hundredth: sizes are taken on a grid of steps of a third.
 FIT = LevenbergMarquardt(evaluations=25, settled=5e-3, damping=0.0, longest=1.5)
 
 Chosen = NDArray[np.bool_]
