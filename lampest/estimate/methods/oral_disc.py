@@ -21,10 +21,9 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.frame import Direct, counting
 from lampest.loads.recognition.oral_disc import OralDiscFit, fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.solvers.newton.newton import Newton
 from lampest.solvers.solution import Outcome, Solution, Solver, Status, approximation, failure
@@ -35,16 +34,11 @@ from lampest.solvers.starts import BROKEN
 class OralDiscTracker:
     """Where a sequence of such fits stands.
 
-    panel, water : (rows, columns) kPa. baseline : of the unloaded readings. period : s between frames.
-    noise : what readings of a frame share by chance, or None.
-    frames : how many were fitted. detector, last : prepared for the panel, and the fit before; None at first.
+    baseline : of the unloaded readings. frames : how many were fitted. detector, last : prepared for the panel, and the
+    fit before; None at first.
     """
 
-    panel: Panel
-    water: Array
     baseline: Baseline
-    period: float
-    noise: FrameNoise | None = None
     frames: int = 0
     detector: Detector | None = None
     last: OralDiscFit | None = None
@@ -58,18 +52,18 @@ class OralDiscTracker:
         errors = ModelErrors().told_by(scene, state.reading_error)
         common = None if noise is None else noise.columns(resting.value[None], True)
         try:
-            baseline = Baseline.of(resting.value, _sigma(resting), scene, errors, common)
+            return cls(Baseline.of(resting.value, _sigma(resting), scene, errors, common))
         except ValueError as error:
             raise InputError(f"formulation: oral_disc: {error}") from error
-        every = state.period if np.isfinite(state.period) else 0.0
-        return cls(scene.panel, water_pressure(scene.panel, scene.water), baseline, every, noise)
 
-    def push(self, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
+    def push(self, state: SequenceState, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
         """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
-        seconds = (self.frames + 1) * self.period
-        common = None if self.noise is None else self.noise.columns(readings.value[None], False)
-        frame = Direct(readings.value, _sigma(readings), self.baseline, self.water, seconds, common=common)
-        detector = self.detector or Detector.of(self.panel, RecognitionSettings().patch_of(self.panel), frame)
+        panel, noise = state.scene.panel, state.frame_noise
+        seconds = (self.frames + 1) * state.period if np.isfinite(state.period) else 0.0
+        common = None if noise is None else noise.columns(readings.value[None], False)
+        water = water_pressure(panel, state.scene.water)
+        frame = Direct(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
+        detector = self.detector or Detector.of(panel, RecognitionSettings().patch_of(panel), frame)
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
 
@@ -113,7 +107,7 @@ class OralDiscMethod(Method):
         data, cost = _judged(state, readings)
         weights = tuple(map(float, cost.weights))
         with delayed_interrupt(), suppress(*BROKEN):
-            sequence, disc = state.prepared.push(readings)
+            sequence, disc = state.prepared.push(state, readings)
             solver = Newton(cost, state.estimator.solver)
             solution = replace(self.solution(solver, data, None, disc), at=None, dual=None)
             return replace(state, prepared=sequence), Step(solution, perf_counter() - begin, weights, disc=disc)

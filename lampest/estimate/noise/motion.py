@@ -66,9 +66,9 @@ def scan_share(
     measured: NDArray[np.intp],
     noise: FrameNoise | None,
 ) -> float:
-    """√E[s²] of the share of its period that a frame's scan seems to take; 0 where still cells do not tell.
+    """√E[s²] of the share of its period that a frame's scan seems to take; 0 where still cells do not show it.
 
-    Frames with most motion that have two neighbours are asked.
+    Frames with most motion that have two neighbours are tried.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
@@ -81,10 +81,22 @@ def scan_share(
     base = FrameFit.of(scene, resting, None, sizes, noise)
     if base is None or base.fit.tail < LEVEL:
         return 0.0
-    fits = [explained(scene, readings[frame], moved[frame], 0.0) for frame in moving]
-    if min(tail for _, tail in fits) < LEVEL:
-        found = _share_that_explains(scene, readings, moved, moving, [cost for cost, _ in fits])
-        return found or float(np.median([tail for _, tail in fits]) < LEVEL)  # the whole period, or nothing
+
+    def left(share: float) -> tuple[list[float], float]:
+        """(χ²'s tails, Σ log(1 + χ²)) of what cells leave of the frames once share·Δ·τ is taken off."""
+        least = LEAST_LEFT * readings.value
+        freed = replace(readings, value=np.maximum(readings.value - share * moved, least))
+        fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
+        tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
+        return tails, float(sum(np.log1p(fit.chi_square) for fit in fits))
+
+    tails, cost = left(0.0)
+    if min(tails) < LEVEL:
+        costs = {share: left(share)[1] for share in SHARES}
+        best = min(costs, key=lambda share: costs[share])
+        if costs[best] < cost - len(moving) * np.log(THIRD):
+            return best
+        return float(np.median(tails) < LEVEL)  # the whole period, or nothing
     for frame in moving[size[moving] >= LEAST_MOTION]:
         here = FrameFit.of(scene, readings[frame], base.fit.cells, sizes, noise)
         if here is not None and (share := _share(base, here, moved[frame])):
@@ -92,31 +104,12 @@ def scan_share(
     return 0.0
 
 
-def explained(scene: Scene, readings: Readings, moved: Array, share: float) -> tuple[float, float]:
-    """(log(1 + χ²), its tail) of what cells leave of one frame once share·Δ·τ is taken off; 0 without a fit."""
-    freed = replace(readings, value=np.maximum(readings.value - share * moved, LEAST_LEFT * readings.value))
-    fit = fitted(scene, freed, patient=True)
-    return (0.0, 1.0) if fit is None else (float(np.log1p(fit.chi_square)), fit.tail)
-
-
-def _share_that_explains(
-    scene: Scene, readings: Readings, moved: Array, frames: NDArray[np.intp], still: list[float]
-) -> float:
-    """The share that leaves least of the frames; 0 where it does not leave a THIRD of χ² in the mean."""
-    costs = {0.0: sum(still)}
-    for share in SHARES:
-        costs[share] = sum(explained(scene, readings[frame], moved[frame], share)[0] for frame in frames)
-    best = min(costs, key=lambda share: costs[share])
-    return best if costs[best] < costs[0.0] - len(frames) * np.log(THIRD) else 0.0
-
-
 def _share(base: FrameFit, here: FrameFit, moved: Array) -> float:
-    """√E[s²] from one frame."""
-    moves = Moves.between(base, [here])
-    cost, _ = still_cells(moves.change, moves.covariance(0.0))
-    moving_cells = moves.with_column(here.answer(moved[None]))
-    better, still = still_cells(moving_cells.change, moving_cells.covariance(0.0))
+    """√E[s²] from how cells that nobody touched seem to move in one frame."""
+    plain = Moves.between(base, [here])
+    cost, _ = still_cells(plain.change, plain.covariance(0.0))
+    moves = plain.with_column(here.answer(moved[None]))
+    better, still = still_cells(moves.change, moves.covariance(0.0))
     if better > cost - GAIN:
         return 0.0
-    root = possible(moving_cells, 0.0, still)
-    return float(np.sqrt((root[-1] ** 2).sum()))
+    return float(np.sqrt((possible(moves, 0.0, still)[-1] ** 2).sum()))

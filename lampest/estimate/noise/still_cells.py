@@ -83,7 +83,9 @@ def errors_left_possible(
     size, still = own_error(moves, resting.value.shape)
     apart = apart_from_moved(still, resting.value.shape)
     sure = size > 0
-    size = size or hinted_error(moves, apart)
+    if not sure:  # an error that still cells make likelier than none, though that may be chance
+        hint, gained = size_of(moves, apart)
+        size = hint if gained > HINT and hint * moves.reach <= LINEAR else 0.0
     if sure:
         alone, linear = UnloadedPanel.of(scene, resting), LINEAR / moves.reach
         if size > linear or alone.contradicts(size) > LARGER:
@@ -203,12 +205,6 @@ def own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
         if gained > SURE:
             return size, still
     return 0.0, costs[0.0][1]
-
-
-def hinted_error(moves: Moves, still: Chosen) -> float:
-    """e where the still cells make one likelier than none, though that may be chance; else 0."""
-    size, gained = size_of(moves, still)
-    return size if gained > HINT and size * moves.reach <= LINEAR else 0.0
 
 
 def size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
