@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -116,19 +116,10 @@ def record(
                 batches = board_samples(port_url, scene, period, on_state, lambda: bool(asked()))
                 stack.enter_context(contextlib.closing(batches))
                 wanted = _wanted(batches, frames, seconds, period or 1.0)
-                journal: Journal | None = None
-                for batch in wanted:
-                    if batch:
-                        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
-                        appended(journal, batch, scene, baseline - count.frames)
-                        state = ""
-                        for sample in batch:
-                            for key in keys():
-                                journal.mark(sample.time, key)
-                            count = count.after(sample, bool(asked()))
-                            on_progress(Progress(sample, count.frames, count.lost, state))
-                    if state:
-                        on_progress(Progress(None, count.frames, count.lost, state))
+                for count, sample in _written(wanted, out, scene, baseline, stack, keys, asked):
+                    state = state if sample is None else ""
+                    if sample is not None or state:
+                        on_progress(Progress(sample, count.frames, count.lost, state))
         except KeyboardInterrupt:
             if not count.frames:
                 raise
@@ -143,6 +134,30 @@ def record(
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         agreed, _, noise = made
         return Recorded(path=out, scene=agreed, ended_by=asked(), noise_lsb=noise, **asdict(count))
+
+
+def _written(
+    batches: Samples,
+    out: Path,
+    scene: Scene | None,
+    baseline: int,
+    stack: contextlib.ExitStack,
+    keys: Callable[[], str],
+    asked: Callable[[], str],
+) -> Iterator[tuple[FrameCount, Sample | None]]:
+    """Write batches as they come: the count after each sample, with None after a batch without any."""
+    journal, count = None, FrameCount()
+    for batch in batches:
+        if not batch:
+            yield count, None
+            continue
+        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
+        appended(journal, batch, scene, baseline - count.frames)
+        for sample in batch:
+            for key in keys():
+                journal.mark(sample.time, key)
+            count = count.after(sample, bool(asked()))
+            yield count, sample
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:

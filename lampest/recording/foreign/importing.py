@@ -1,7 +1,7 @@
 """Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -141,20 +141,11 @@ def import_file(
     scene = scene or Scene(panel)
     recorded = recorded_values(frames.values, kind, scene, frames.place)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
-    kept, gaps = _without_missing(recorded, missing, frames.place, path)
-    unloaded = int(np.sum(role[kept] == UNLOADED))
-    notes = (
-        *frames.notes,
-        reason,
-        clock.sentence,
-        _assumed(scene, given),
-        gaps,
-        *_bounds(recorded[kept], scene),
-        f"{_counted(len(kept), 'frame')} of {panel.rows} × {panel.columns} cells, the first {unloaded} unloaded",
-    )
+    kept, gaps = _without_missing(recorded, missing, path)
     recording = Recording(
         scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
     )
+    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
     return recording, tuple(map(printable, notes))
 
 
@@ -206,8 +197,8 @@ def _clock(frames: Frames, period: float | None) -> Clock:
     return frames.timing()
 
 
-def _without_missing(recorded: Array, missing: str, place: Place, path: Path) -> tuple[NDArray[np.intp], str]:
-    """Which frames are kept, and a sentence on readings that are missing. Raises InputError where they are refused."""
+def _without_missing(recorded: Array, missing: str, path: Path) -> tuple[NDArray[np.intp], str]:
+    """Which frames are kept, and a sentence on missing readings. Raises InputError where none would be left."""
     blank = np.isnan(recorded)
     gaps = blank.any(axis=(1, 2))
     every = np.arange(len(recorded))
@@ -215,8 +206,6 @@ def _without_missing(recorded: Array, missing: str, place: Place, path: Path) ->
         return every, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
-    if missing == "refuse":
-        _refuse_missing(blank, place)
     said = (
         f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(recorded), 'frame')}"
     )
@@ -240,11 +229,15 @@ def _assumed(scene: Scene, given: bool) -> str:
     return f"{both}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
 
 
-def _bounds(recorded: Array, scene: Scene) -> tuple[str, ...]:
-    """A sentence on readings at the converter's rails, which are kept as bounds."""
+def _summary(recording: Recording) -> Iterator[str]:
+    """How many readings lie at the converter's rails, which are kept as bounds, and how many frames there are."""
+    scene, recorded = recording.scene, recording.recorded
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
-    return (f"{_counted(beyond, 'reading')} at or beyond a rail of the converter: kept as bounds",) if beyond else ()
+    if beyond:
+        yield f"{_counted(beyond, 'reading')} at or beyond a rail of the converter: kept as bounds"
+    cells, unloaded = " × ".join(map(str, scene.panel.shape)), int(np.sum(recording.role == UNLOADED))
+    yield f"{_counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"
 
 
 def _counted(number: int, noun: str) -> str:
