@@ -4,12 +4,13 @@ A kind of readout is one file: it states its ties and its reading. All else has 
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
@@ -20,9 +21,16 @@ from lampest.panel.readouts.wiring import Wiring
 
 LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the apparent resistance
 SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth
-# Of Newton's method for the cells of a block: steps, halvings of a step, the longest step in log r (beyond, a reading's
-# slope no longer predicts it), and the residual of a fit in units of the largest reading.
-MOST_STEPS, MOST_HALVINGS, LONGEST_STEP, FITTED = 30, 12, 1.5, 1e-9
+FITTED = 1e-9  # of the largest reading, the residual of a fitted block
+# Beyond 1.5 in log r a reading's slope no longer predicts it.
+BLOCK_FIT = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedBlock(SumOfSquares):
+    """A block's misfit in units of its largest reading, and its network."""
+
+    network: Network = field(kw_only=True)
 
 
 class Surroundings(Protocol):
@@ -170,30 +178,25 @@ class Readout(Converter, ABC):
     ) -> Network:
         """The network with a block's cells such that they reproduce its chosen readings, as far as bounds allow.
 
-        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens. Newton's method
-        in log r, steps halved until the largest residual falls.
+        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens. Gauss and
+        Newton's method in log r, damped where it does not gain.
         """
         whole = np.zeros(network.conductance.shape, dtype=bool)
         whole[block] = chosen
-        cells = np.flatnonzero(whole)
-        missed = (measured - network.reading()[block])[chosen]
-        for _ in range(MOST_STEPS):
-            size = float(np.abs(missed).max(initial=0.0))
-            if size <= FITTED * float(np.abs(measured).max()):
-                break
-            step = np.linalg.lstsq(network.sensitivity(cells, cells), missed, rcond=None)[0]
-            step *= min(1.0, LONGEST_STEP / float(np.abs(step).max(initial=1e-300)))
-            for halving in range(MOST_HALVINGS):
-                conductance = network.conductance[block].copy()
-                conductance[chosen] *= np.exp(-step * 0.5**halving)
-                there = network.changed(block, np.maximum(conductance, least))
-                left = (measured - there.reading()[block])[chosen]
-                if float(np.abs(left).max(initial=0.0)) < size:
-                    break
-            else:
-                break
-            network, missed = there, left
-        return network
+        cells, size = np.flatnonzero(whole), float(np.abs(measured).max())
+
+        def fitted(logarithm: Array) -> FittedBlock:
+            conductance = network.conductance[block].copy()
+            conductance[chosen] = np.exp(-logarithm)
+            there = network.changed(block, np.maximum(conductance, least))
+            missed = (there.reading()[block] - measured)[chosen]
+            return FittedBlock(missed / size, there.sensitivity(cells, cells) / size, network=there)
+
+        start, highest = (-np.log(part[chosen]) for part in (network.conductance[block], least))
+        found = BLOCK_FIT.minimum(
+            fitted, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= FITTED)
+        )
+        return found.at.network
 
     # What readings show of the circuit.
 
