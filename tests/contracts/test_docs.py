@@ -127,6 +127,7 @@ def change(folder: Path, diff: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heading", EXAMPLES)
 def test_example_says_what_the_page_says(heading: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
@@ -137,6 +138,7 @@ def test_example_says_what_the_page_says(heading: str, copy: Path) -> None:
             assert checker.check_output(answer, found, SAME), f"$ {command}\n{found}"
 
 
+@pytest.mark.slow
 def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
     new = []
     for fence in (fence for fences in EXAMPLES.values() for fence in fences):
@@ -208,6 +210,7 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
 
 
+@pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
     command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))

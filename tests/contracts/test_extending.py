@@ -106,7 +106,6 @@ class BelowGround(Divider):
         return -super().reading(row, column, mutual)
 
 
-@pytest.mark.slow
 def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
     negative = simulated(BelowGround())
     found = lampest.reconstruct(negative, [Misfit(weighting="noise")], formulation="reduced")
@@ -198,7 +197,6 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
         assert_allclose(soft, plain, rtol=1e-4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("groups", "sentence"),
     [

@@ -16,6 +16,9 @@ def paper(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=dict(os.environ))
 
 
+pytestmark = pytest.mark.slow  # the module's fixture takes half a minute
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("paper")

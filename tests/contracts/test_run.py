@@ -117,6 +117,7 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
     assert all(np.all(case.solved) for case in fine)
 
 
+@pytest.mark.slow
 def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
     disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
     path = disk.run(disk.text.replace("[small.h5]", '["*.h5"]'))

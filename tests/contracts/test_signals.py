@@ -58,6 +58,7 @@ def wait_for(board: WildBoard, frames: int) -> int:
     return board.sent // length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
 def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "r.h5"

@@ -25,6 +25,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Path) -> None:
     (wheel,) = dist.glob("*.whl")
     site, empty = tmp_path / "site", tmp_path / "empty"

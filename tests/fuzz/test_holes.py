@@ -55,6 +55,7 @@ FORMULATIONS: list[MethodName] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TERMS)
 @pytest.mark.parametrize("kind", SCENES)
 def test_any_holes(kind: str, name: str) -> None:

@@ -41,6 +41,7 @@ def killed_again_and_again(tmp_path: Path, made: Batch, kills: int, seed: int) -
     return counts
 
 
+@pytest.mark.slow
 def test_killed_runs_resume(tmp_path: Path) -> None:
     assert killed_again_and_again(tmp_path, batch(tmp_path, 2, (1e-4,)), 2, 1)["kills"] == 2
 

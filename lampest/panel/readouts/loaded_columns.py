@@ -131,11 +131,14 @@ class LoadedColumnsReadout(DrivenReadout):
         """Rs of the sensed lines, the converter parallel to it."""
         return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm)
 
+    def _drive(self, shape: tuple[int, ...]) -> Array:
+        """Rd, to be broadcast to (rows, columns)."""
+        return along(self.driven, per_line("drive_ohm", self.drive_ohm, of_side(self.driven, *shape)[0]))
+
     def _circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
         """(Rd, Rs), each to be broadcast to (rows, columns)."""
-        driven, sensed = of_side(self.driven, *shape)
-        drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, driven))
-        return drive, along(opposite(self.driven), self._load(sensed))
+        load = along(opposite(self.driven), self._load(of_side(self.driven, *shape)[1]))
+        return self._drive(shape), load
 
     def ties(self, measured: Array) -> Array:
         """1/Rs at the sensed lines, none at the driven ones."""
@@ -145,7 +148,7 @@ class LoadedColumnsReadout(DrivenReadout):
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """V = U·Z_ij/(Rd_i + Z_ii)."""
         driven, _ = of_side(self.driven, row, column)
-        resistance = driven + np.broadcast_to(self._circuit(mutual.shape)[0], mutual.shape)
+        resistance = driven + np.broadcast_to(self._drive(mutual.shape), mutual.shape)
         supply = self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
         return supply * mutual / resistance
 
