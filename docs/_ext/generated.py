@@ -14,6 +14,7 @@ from typer.cli import get_docs_for_click
 
 from lampest.cli import app as commands
 from lampest.runs.columns import all_columns
+from lampest.solvers.solution import ADVICE
 
 MARKED = re.compile(r"<!-- generated: (\w+) -->\n")
 EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
@@ -35,11 +36,18 @@ def columns_table() -> str:
     return "\n".join(("| dataset | over | unit | what it is |", "|---|---|---|---|", *rows)) + "\n"
 
 
+def status_table() -> str:
+    """Every way in which a solve can end, and what to do."""
+    rows = [f"| {status.value} | {advice} |" for status, advice in ADVICE.items()]
+    return "\n".join(("| status | what you can do |", "|---|---|", *rows)) + "\n"
+
+
 PARTS: dict[str, Callable[[], str]] = {
     "commands": commands_page,
     "names": names_page,
     "keys": keys_page,
     "columns": columns_table,
+    "status": status_table,
 }
 
 
