@@ -16,6 +16,7 @@ from lampest.cost.losses import Absolute, Huber, Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, term_types
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Panel
@@ -65,6 +66,7 @@ class RandomProblem:
     sigma: Array | None
     pushed: int
     about: str
+    joint: bool = False
 
     @classmethod
     def drawn(cls, seed: int, number: int) -> "RandomProblem":
@@ -106,7 +108,7 @@ class RandomProblem:
             terms.append(term_types()[one.kind](**more))
         bars = any(one.kind == "arrival" for one in self.penalties)
         bounds = Bounds() if self.sigma is not None else Bounds(upper="none")
-        return Estimator(tuple(terms), formulation="reduced", bounds=bounds, error_bars=bars)
+        return Estimator(tuple(terms), OptimalMethod("reduced", joint=self.joint), bounds=bounds, error_bars=bars)
 
     @property
     def alone(self) -> Estimator:

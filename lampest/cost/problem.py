@@ -29,9 +29,8 @@ class Data:
     given : readings, their noise and what is known from earlier frames, as arrays.
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
     readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
-    whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. hasty : whether the minimum
-    nearest to the frame before will do, without a search for lower ones. factored : whether second derivatives are,
-    whatever the panel's size.
+    whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. first : whether no frame before
+    this one was solved, so that the solve begins at several places.
     """
 
     given: Given
@@ -41,8 +40,7 @@ class Data:
     wiring: Wiring | None = None
     noise_known: bool = False
     until: float = math.inf
-    hasty: bool = False
-    factored: bool = False
+    first: bool = False
 
     def limited(self, seconds: float | None) -> "Data":
         """The same with so many s from now on to solve it, or without end."""

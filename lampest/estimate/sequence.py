@@ -112,8 +112,12 @@ def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Rea
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
-    """What weights are chosen from: one frame, with the baseline where terms compare it with that."""
-    return estimator.data(resting.together(frame) if estimator.relative else frame.alone(), Background(scene))
+    """What weights are chosen from: one frame, with the baseline or against it where terms compare it with that."""
+    if not estimator.relative:
+        return estimator.data(frame.alone(), Background(scene))
+    if estimator.joint_start:
+        return estimator.data(resting.together(frame), Background(scene))
+    return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
 
 
 def frame_period(recording: Recording) -> float:

@@ -34,8 +34,8 @@ class SequenceState:
     has no error bars.
     prepared : what the method keeps between frames, or None.
     track : what error bars need of earlier frames; None where there are to be none.
-    hasty : whether frames take the weights that there are, and the minimum nearest to the frame before, without search
-    for lower ones; what that leaves open is in `Solution.unsearched`.
+    hasty : whether frames take the weights that there are, though others would be chosen.
+    first : whether no frame but the baseline was solved yet.
     reading_error : of the logarithm of each reading, the same in all frames, as the frames or else the scene have it.
     frame_noise : what readings of a frame share by chance, as the frames have it, or None.
     """
@@ -50,6 +50,7 @@ class SequenceState:
     prepared: Any = None
     track: Track | None = None
     hasty: bool = False
+    first: bool = True
     reading_error: float = 0.0
     frame_noise: FrameNoise | None = None
 
@@ -130,7 +131,7 @@ class CarriedOver:
                 beyond=self._pair("bend_below", "bend_above"),
             )
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
-        return replace(begun, previous=previous, previous_deviation=deviation, track=track)
+        return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
 
     def _pair(self, first: str, second: str) -> tuple[Array, Array] | None:
         return (self.arrays[first], self.arrays[second]) if first in self.arrays else None

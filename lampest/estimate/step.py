@@ -41,7 +41,7 @@ class Step:
 
     def bare(self) -> "Step":
         """Without what error bars follow from: it holds compiled functions, and much memory."""
-        return replace(self, solution=replace(self.solution, at=None, dual=None, factor=None))
+        return replace(self, solution=replace(self.solution, at=None, dual=None, kept=None))
 
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""

@@ -22,10 +22,9 @@ from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weight
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.posterior.track import MOST_DENSE
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
-from lampest.solvers.starts import BROKEN, convex, evaluated
 
 MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
@@ -113,7 +112,7 @@ class WeightSearch:
 
     def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
-        found = best_solution(Newton(self.weighted(weights), self.settings), self.data, start)
+        found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), self.data, start)
         return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
 
     def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.panel.conjugate import Linear, conjugate_gradients
 from lampest.panel.panel import Array
+from lampest.panel.trust_region import Linear, steihaug
 from lampest.posterior.dense import rank
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import misfit_inverse
-from lampest.solvers.newton.local import local_inverse
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.preconditioners import TwoLevel
+from lampest.solvers.smoothing import Smoothing
 
 SAMPLES, PROBES = 100, 8  # of the error, which standard deviations of 7 % suffice for; of a trace
 ACCURACY, FINE = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, and of what is reported itself
@@ -56,8 +55,8 @@ class SampledErrors:
     drawn: Array | None = None
 
     @cached_property
-    def _curvature(self) -> Curvature:
-        return Curvature(self.model.at, Smoothing.start(self.model.at))
+    def _curvature(self) -> Hessian:
+        return Hessian(self.model.at, Smoothing.start(self.model.at))
 
     @cached_property
     def _penalties(self) -> sparse.csr_array:
@@ -93,17 +92,13 @@ class SampledErrors:
         return product, self._preconditioner(least)
 
     def _solved(self, right: Array, accuracy: float) -> Array:
-        return conjugate_gradients(*self._system, right, accuracy)[0]
+        return -steihaug(*self._system, right, accuracy).step
 
     def _preconditioner(self, least: float) -> Linear:
-        model, at = self.model, self.model.at
-        if not self._penalties.nnz and len(at.cell_resistance) == 1:
-            return misfit_inverse(self._curvature, model.free, np.full(at.cell_resistance.size, least))
-        through = sparse.csr_array(model.through)
-        weight = through.multiply(through).T @ model.data_curvature
-        own = weight * np.stack([network.own_response() for network in at.networks]).ravel() ** 2
-        local = sparse.csr_array(self._penalties.T @ self._penalties + sparse.diags_array(own + least))
-        return local_inverse(local, np.zeros(len(model.free)), model.free)
+        size = self.model.at.cell_resistance.size
+        free = np.zeros(size, dtype=bool)
+        free[self.model.free] = True
+        return TwoLevel.of(self._curvature, np.full(size, least)).over(free, self.model.at.cell_resistance)
 
     @cached_property
     def _widened(self) -> Array:

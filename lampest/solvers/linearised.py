@@ -1,19 +1,17 @@
 """One Newton step from a solved baseline with a factor that is computed once."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.panel import Array
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.local import local_inverse
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.panel.trust_region import Linear, steihaug
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.preconditioners import Cholesky, preconditioner
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solution, Status, approximation
 
 ACCURACY = 1e-5  # single cells are small beside whole lines in what is minimised: 1e-2 leaves a change of one unseen
@@ -33,17 +31,16 @@ class LinearisedSolver:
         """The step for a frame's readings, within the bounds and no longer than a factor of 20 either way."""
         here = replace(self.baseline, cost=cost, data=data)
         smoothing = Smoothing.start(here)
-        step = np.clip(-self._inverse(Curvature(here, smoothing).gradient), -FARTHEST, FARTHEST)
+        step = np.clip(-self._inverse(Hessian(here, smoothing).gradient), -FARTHEST, FARTHEST)
         cells = here.cell_resistance * np.exp(step).reshape(here.cell_resistance.shape)
         return approximation(cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
 
     @cached_property
-    def _inverse(self) -> Callable[[Array], Array]:
-        curvature = Curvature(self.baseline, Smoothing.start(self.baseline))
-        everything = np.arange(len(curvature.gradient))
-        if len(everything) <= DENSE_UNKNOWNS:
-            matrix = curvature.matrix
-            factor = cho_factor(matrix + np.diag(1e-12 * np.abs(np.diag(matrix))))
-            return lambda slope: cho_solve(factor, slope)
-        precondition = local_inverse(curvature.local, np.zeros(len(everything)), everything)
-        return lambda slope: conjugate_gradients(curvature.product, precondition, slope, ACCURACY)[0]
+    def _inverse(self) -> Linear:
+        hessian = Hessian(self.baseline, Smoothing.start(self.baseline))
+        free = np.ones(len(hessian.gradient), dtype=bool)
+        kept = preconditioner(hessian, free)
+        precondition = kept.over(free, self.baseline.cell_resistance)
+        if isinstance(kept, Cholesky):
+            return precondition
+        return lambda slope: -steihaug(hessian.product, precondition, slope, ACCURACY).step

@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation, within_one
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import Bend, Certificate, certificate, free_cells
-from lampest.solvers.held import held_back
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.directions import Factor
-from lampest.solvers.newton.kinks import Straight
-from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.newton.squares import ORTHOGONAL_UNKNOWNS, runs_off
+from lampest.solvers.bound_multipliers import bounds_matter
+from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.solvers.descent import free_cells
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.kinks import Unsmoothed
+from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, runs_off
+from lampest.solvers.preconditioners import Preconditioner
+from lampest.solvers.smoothing import Smoothing
 
 VERIFIED = 1e-6
 OPEN_FRACTION = 0.99
+MOST_STARTS = 1000
 SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its kink
 
 
@@ -33,7 +35,7 @@ class Status(Enum):
         " (by a millionth where that is unknown)"
     )
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
-    FAINT = "an optimum, but some cells are told so faintly that they may still move"
+    FAINT = "an optimum, but some cells are determined so weakly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
     FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
     SADDLE = "the optimality conditions hold, but at a saddle: the cost falls from there"
@@ -41,10 +43,8 @@ class Status(Enum):
     WORSE = "the solver stopped at a point that costs more than its start"
     UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
     UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
-    ROUNDED = (
-        "double precision cannot tell: one term outweighs the others by more than its sixteen digits; lower its weight"
-    )
-    DRIFT = "no optimum within reach: the cost falls ever less along a valley in which some cells run off"
+    ROUNDED = "not converged: one term outweighs the others by more than the sixteen digits of double precision"
+    DRIFT = "not converged: the cost keeps falling slowly while some cells run to their bounds"
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
@@ -52,6 +52,31 @@ class Status(Enum):
     UNAVAILABLE = "the solver or its linear solver is not available"
 
 
+UNSETTLED = {
+    Definiteness.POSITIVE: Status.FAINT,
+    Definiteness.UNDETERMINED: Status.FLAT,
+    Definiteness.INDEFINITE: Status.SADDLE,
+}
+ADVICE = {
+    Status.OPTIMUM: "Nothing to do.",
+    Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too narrow.",
+    Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the undetermined cells.",
+    Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these cells.",
+    Status.APPROXIMATE: "Take a formulation that ends at an optimum where a frame matters.",
+    Status.FITTED: "Take `formulation: reduced` for the cells themselves.",
+    Status.SADDLE: "Begin at more places: `solver: {starts: 10}`.",
+    Status.UNVERIFIED: "Take `formulation: reduced`; if that ends so too, report the frame.",
+    Status.WORSE: "Take `formulation: reduced`; if that ends so too, report the frame.",
+    Status.UNREAD: "Measure the frame again; `lampest info` counts what is missing.",
+    Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
+    Status.ROUNDED: "Lower the weight of the heaviest term.",
+    Status.DRIFT: "Name an upper bound in `bounds`, or solve the baseline first (`joint: false`).",
+    Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
+    Status.TIME: "Raise `solver: time_limit_s`.",
+    Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
+    Status.BREAKDOWN: "Check the weights and the scene's unit; report the frame if both are right.",
+    Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
+}  # one sentence for each: what a user can do
 STRICT = (Status.OPTIMUM, Status.HELD)  # minima as certified as can be
 OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
@@ -61,7 +86,8 @@ class Settings:
     """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
 
     time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so.
-    None for no limit: then no result depends on how fast the computer is.
+    None for no limit: then no result depends on how fast the computer is. starts : places from which every frame is
+    begun, the lowest minimum is taken; None: three for a first frame, one for each that follows another.
 
     Raises ValueError where a number is out of range.
     """
@@ -70,6 +96,7 @@ class Settings:
     tolerance: float = 1e-8
     max_iterations: int = 300
     time_limit_s: float | None = None
+    starts: int | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
@@ -78,6 +105,8 @@ class Settings:
             raise ValueError("max_iterations must lie between 1 and 1000000")
         if self.time_limit_s is not None and not 0 < self.time_limit_s < math.inf:
             raise ValueError("time_limit_s must be positive and finite")
+        if self.starts is not None and not 1 <= self.starts <= MOST_STARTS:
+            raise ValueError(f"starts must lie between 1 and {MOST_STARTS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +114,7 @@ class Outcome:
     """What a solver hands back before anybody checked it.
 
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
-    these cells or of those one such step before, where the solver asked for one. factor : of second derivatives near
-    them, by Cholesky, where the solver has one.
+    these cells, where the solver asked for one. kept : a preconditioner that serves a frame like this one, or None.
     """
 
     cell_resistance: Array
@@ -94,7 +122,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    factor: Factor | None = None
+    kept: Preconditioner | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +132,8 @@ class Solution:
     cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
-    factor : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they reached.
-    unsearched : whether others would have been tried had there been time (`Data.hasty`).
+    kept : of the outcome, for the next frame. starts : from how many points it was sought; it is the lowest minimum
+    that they reached.
     """
 
     cell_resistance: Array
@@ -119,9 +147,8 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    factor: Factor | None = None
+    kept: Preconditioner | None = None
     starts: int = 1
-    unsearched: bool = False
 
     @property
     def solved(self) -> bool:
@@ -173,7 +200,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         certified = _certified(evaluation, gradient, outcome)
         if certified is Status.SADDLE:
             return failure(cost, data, certified, residual, outcome)
-        if certified is Status.OPTIMUM and held_back(evaluation, gradient, outcome.dual):
+        if certified is Status.OPTIMUM and bounds_matter(evaluation, gradient, outcome.dual):
             certified = Status.HELD
         return _solution(evaluation, residual, outcome, certified)
     fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
@@ -189,24 +216,24 @@ def _rounded(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> bool:
 
 
 def _certificate(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Certificate:
-    return outcome.certificate or certificate(Curvature(evaluation, _sharp(evaluation, outcome)), gradient.ravel())
+    return outcome.certificate or certificate(Hessian(evaluation, _sharp(evaluation, outcome)), outcome.kept)
 
 
 def _limit(evaluation: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
     """The fault, or that digits were lost: where the solver got no further and second derivatives are rounding."""
     if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
         return fault
-    curvature = Curvature(evaluation, _sharp(evaluation, outcome))
-    if certificate(curvature, gradient.ravel()).bend is not Bend.FLAT:
+    hessian = Hessian(evaluation, _sharp(evaluation, outcome))
+    if certificate(hessian).definiteness is not Definiteness.UNDETERMINED:
         return fault
     free = np.flatnonzero(free_cells(evaluation, gradient.ravel()))
-    return Status.DRIFT if runs_off(curvature, free) else Status.ROUNDED
+    return Status.DRIFT if runs_off(hessian, free) else Status.ROUNDED
 
 
 def _sharp(evaluation: Evaluation, outcome: Outcome) -> Smoothing:
     """Kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
     if evaluation.cell_resistance.size <= ORTHOGONAL_UNKNOWNS:
-        return Straight(0.0, within_one(outcome.dual))
+        return Unsmoothed(0.0, within_one(outcome.dual))
     return Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
 
 
@@ -215,7 +242,7 @@ def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Sta
     found = _certificate(evaluation, gradient, outcome)
     if found.settled:
         return Status.OPTIMUM
-    return {Bend.UP: Status.FAINT, Bend.FLAT: Status.FLAT, Bend.DOWN: Status.SADDLE}[found.bend]
+    return UNSETTLED[found.definiteness]
 
 
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
@@ -240,7 +267,7 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
         outcome.iterations,
         evaluation,
         outcome.dual,
-        outcome.factor,
+        outcome.kept,
     )
 
 

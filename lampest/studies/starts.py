@@ -13,9 +13,8 @@ from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run
-from lampest.solvers.search import solved_from
+from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.solvers.starts import evaluated
 from lampest.studies.study import OnStep, Reported, screen_table, write_rows
 
 SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one

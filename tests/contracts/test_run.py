@@ -64,7 +64,7 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
         {"misfit", "cell_resistance"},
         {"misfit", "relative_change"},
     ]
-    assert [case.joint_start for case in found] == [False, False, True]
+    assert [case.joint_start for case in found] == [False, False, False]
 
 
 def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:

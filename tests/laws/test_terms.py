@@ -23,10 +23,10 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.program import Program
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.smoothing import Smoothing
 
 PANEL = Panel(3, 4)
 CORNER = 40.0
@@ -167,9 +167,9 @@ def test_second_derivative_without_potentials(term: type[Term], words: dict[str,
     data, cells = example(frames)
     rng, width, step = np.random.default_rng(4), 50.0, 2e-6  # 0.006 ohm: a loss bends within CORNER of them
 
-    def curvature(where: Array) -> Curvature:
+    def curvature(where: Array) -> Hessian:
         at = Evaluation.at(cost, data, where)
-        return Curvature(at, Smoothing(width, Smoothing(width, np.zeros(len(at.rough))).slope(at.rough)))
+        return Hessian(at, Smoothing(width, Smoothing(width, np.zeros(len(at.rough))).slope(at.rough)))
 
     here = curvature(cells)
     matrix = here.matrix

@@ -12,10 +12,10 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.certificate import at_kinks
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.kinks import Kinks, Straight
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.kinks import Kinks, Unsmoothed
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Status
 from tests.least_cost import Circuit, LeastCost, Penalty
 
@@ -81,7 +81,7 @@ def test_a_large_panel_takes_no_more_steps(side: int, loss: Squared | Absolute) 
     scene, nothing = Scene(Panel(side, side)), np.zeros(measured.shape)
     data = estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
     cost = estimator.cost(scene, 1, data.partial)
-    found = Newton(cost, Settings()).solve(data, Evaluation.at(cost, data, data.uniform_start))
+    found = ProjectedNewton(cost, Settings()).solve(data, Evaluation.at(cost, data, data.uniform_start))
     assert found.status is Status.OPTIMUM and found.iterations < 60
 
 
@@ -93,11 +93,11 @@ def test_a_step_brings_rows_to_their_kink_and_balances_the_rest() -> None:
     data = estimator.data(Readings(measured, 0.01 * measured, 0 * cells, 0 * cells + 1), Background(scene))
     cost = estimator.cost(scene, 1, data.partial)
     at = Evaluation.at(cost, data, cells)
-    curvature = Curvature(at, Straight(0.0, np.zeros(len(at.rough))))
+    curvature = Hessian(at, Unsmoothed(0.0, np.zeros(len(at.rough))))
     everything, free = np.ones(len(at.rough), dtype=bool), np.arange(12)
     kinks = Kinks.of(curvature, everything, free)
     assert kinks.along.shape == (12, 1)  # all cells alike
-    step = at_kinks(curvature, curvature.gradient, free, kinks).step
+    step = at_kinks(curvature, free, kinks).step
     assert np.ptp((at.position.ravel() + step).ravel()) < 1e-12
     left = curvature.gradient + curvature.matrix @ step
     dual = kinks.balanced(curvature.smoothing.dual, left, cost.slope)

@@ -6,6 +6,7 @@ from scipy.optimize import least_squares
 
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -73,7 +74,8 @@ def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellRe
     told = recording()
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
     left = left_by_solver(method, PANEL, told.recorded[0], told.recorded[1:], weights)
-    found = reconstruct(told, Estimator((Misfit(), term), "reduced", bounds=Bounds(upper="none")))
+    formulation = OptimalMethod("reduced", joint=True)
+    found = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
     assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")
     assert left.baseline == pytest.approx(found.baseline_resistance, rel=0.02)
     assert left.cells == pytest.approx(found.cell_resistance, rel=0.02)

@@ -25,7 +25,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Solution
 
 pytestmark = pytest.mark.slow

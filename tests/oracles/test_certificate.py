@@ -23,11 +23,11 @@ from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readou
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
-from lampest.solvers.certificate import Bend, certificate
-from lampest.solvers.newton.curvature import Curvature
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.newton.smoothing import Smoothing
-from lampest.solvers.newton.squares import Squares
+from lampest.solvers.certificate import Definiteness, certificate
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.orthogonal import Squares
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status, check
 
 ROWS, COLUMNS = 6, 7
@@ -146,8 +146,8 @@ def test_step_is_newtons() -> None:
     at = evaluation((Misfit(), Gradient(weight=1e-4)), cells * 1.02, readings_of(cells))
     gradient = at.log_gradient(np.zeros(0)).ravel()
     step = -np.linalg.solve(by_differences(at), gradient)
-    found = certificate(Curvature(at, NOTHING), gradient)
-    assert found.bend is Bend.UP
+    found = certificate(Hessian(at, NOTHING))
+    assert found.definiteness is Definiteness.POSITIVE
     np.testing.assert_allclose(found.step, step, rtol=1e-5, atol=1e-7)
     assert found.decrement == pytest.approx(np.sqrt(-gradient @ step), rel=1e-5)
 
@@ -161,10 +161,10 @@ PENALTIES: dict[str, Term] = {
 
 @pytest.mark.parametrize("name", PENALTIES)
 def test_squares_have_the_gradient_and_newtons_step(name: str) -> None:
-    """Aᵀb is the gradient, and the step through A's factor that of second derivatives; none where these bend down."""
+    """Aᵀb is the gradient, and the step through A's factor Newton's; none where ∇²φ is indefinite."""
     cells = usual()
     at = evaluation((Misfit(), PENALTIES[name]), cells * 1.02, readings_of(cells))
-    curvature = Curvature(at, Smoothing.start(at))
+    curvature = Hessian(at, Smoothing.start(at))
     squares = Squares.of(curvature, np.arange(cells.size))
     gradient = curvature.gradient
     np.testing.assert_allclose(
@@ -186,8 +186,7 @@ def test_deviations_bound_every_step() -> None:
     cells, sigma = usual(), 0.5
     measured = readings_of(cells)
     at = evaluation((Misfit(),), cells * 1.001, measured, np.full(measured.shape, sigma))
-    gradient = at.log_gradient(np.zeros(0)).ravel()
-    found = certificate(Curvature(at, NOTHING), gradient)
+    found = certificate(Hessian(at, NOTHING))
     sensitivity = at.networks[0].sensitivity()
     deviation = np.sqrt(np.diag(np.linalg.inv(sensitivity.T @ sensitivity / sigma**2)))
     share = np.abs(found.step) / deviation
@@ -202,7 +201,7 @@ def test_a_small_cell_is_not_hidden() -> None:
     off[2, 3] *= 1.1
     at = evaluation((Misfit(),), off, measured)
     assert at.kkt_residual(np.zeros(0)) < 1e-6
-    assert not certificate(Curvature(at, NOTHING), at.log_gradient(np.zeros(0)).ravel()).settled
+    assert not certificate(Hessian(at, NOTHING)).settled
     found = check(at, Outcome(off[None], np.zeros(0), Status.OPTIMUM, 1))
     assert found.status is Status.FAINT and found.solved
 
@@ -247,7 +246,7 @@ def test_what_the_noise_hides_needs_no_further_step(noise: float | None) -> None
     measured = readings_of(cells)
     sigma = None if noise is None else noise * measured
     at = evaluation((Misfit(),), cells * (1 + 3e-6), measured, sigma)
-    found = certificate(Curvature(at, NOTHING), at.log_gradient(np.zeros(0)).ravel())
+    found = certificate(Hessian(at, NOTHING))
     assert found.settled is (noise is not None)
 
 
@@ -255,7 +254,7 @@ def test_an_absolute_loss_is_certified_with_its_duals() -> None:
     cells = usual()
     measured = readings_of(cells)
     start = evaluation((Misfit(), Gradient(weight=1e-2, loss=Absolute())), cells, measured)
-    outcome = Newton(start.cost, Settings()).solve(start.data, start)
+    outcome = ProjectedNewton(start.cost, Settings()).solve(start.data, start)
     assert check(start, outcome).status is Status.OPTIMUM
 
 

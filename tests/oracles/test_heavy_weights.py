@@ -13,7 +13,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Solution, Status
 from tests.least_cost import Circuit, LeastCost, Penalty
 

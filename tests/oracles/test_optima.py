@@ -18,14 +18,14 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point.readout import resolution_limit
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import solved_from
-from lampest.solvers.starts import evaluated
+from lampest.solvers.multistart import evaluated, solved_from
+from lampest.solvers.projected_newton import ProjectedNewton
 
 WEIGHTS = {
     "misfit": 0.0,
@@ -40,8 +40,10 @@ RELATIVE = ("relative_change", "gradient_of_relative_change")
 
 
 def estimator(method: str, **options: Any) -> Estimator:
+    """Relative methods with a joint first pair, as the paper has them."""
     terms = [Misfit()] if method == "misfit" else [Misfit(), term_types()[method](weight=WEIGHTS[method])]
-    return Estimator(tuple(terms), **options)
+    formulation = OptimalMethod(options.pop("formulation", "auto"), joint=True)
+    return Estimator(tuple(terms), formulation=formulation, **options)
 
 
 def truth(shape: tuple[int, int], frames: int, seed: int, spread: float = 0.3) -> Array:
@@ -344,7 +346,7 @@ def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> N
     data = chosen.data(readings.readings()[2].alone(), Background(readings.scene))
     cost, rng = chosen.cost(readings.scene, 1), np.random.default_rng(seed)
     starts = data.apparent_resistance * np.exp(rng.uniform(0, 3, (4, *data.measured.shape)))
-    others = [solved_from(Newton(cost, chosen.solver), evaluated(cost, data, start)) for start in starts]
+    others = [solved_from(ProjectedNewton(cost, chosen.solver), evaluated(cost, data, start)) for start in starts]
     least = min(other.objective for other in others if other.solved)
     assert found.steps[2].solution.objective <= least * (1 + 1e-9)
 

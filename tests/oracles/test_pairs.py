@@ -12,8 +12,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.solvers.newton import curvature
-from lampest.solvers.search import best_solution
+from lampest.solvers import hessian
+from lampest.solvers.multistart import best_solution
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 SHAPE = (12, 11)
@@ -34,13 +34,16 @@ def mouth() -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("most", [curvature.DENSE_JOINT_UNKNOWNS, 0], ids=["factors", "products"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("method", "most"),
+    [("relative_change", 600), ("gradient_of_relative_change", 600), ("relative_change", 0)],
+    ids=["relative_change-factors", "gradient_of_relative_change-factors", "relative_change-products"],
+)
 def test_a_joint_pair_ends_where_nothing_else_finds_less(
     method: str, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of several hundred unknowns, most of a disc's cells bending the cost downwards."""
-    monkeypatch.setattr(curvature, "DENSE_JOINT_UNKNOWNS", most)
+    monkeypatch.setattr(hessian, "DENSE_STIFF_CELLS", most)
     cells, readout = mouth(), TwoPointReadout(reference_ohm=1000.0, adc_bits=10, readings=20, noise_lsb=0.7)
     exact = two_point_resistance(cells)
     sigma = readout.sigma(exact)

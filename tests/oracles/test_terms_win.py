@@ -40,11 +40,10 @@ from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution
-from lampest.solvers.search import solved_from as run
+from lampest.solvers.multistart import best_solution, evaluated
+from lampest.solvers.multistart import solved_from as run
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
-from lampest.solvers.starts import evaluated
 
 pytestmark = pytest.mark.slow
 
@@ -163,7 +162,7 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     rng = np.random.default_rng(9)
     recorded = scene(CUP, 1, 0.0, 10)
     resting, measured = recorded.truth_cell_resistance[0], recorded.resistance[-1:]
-    solver = Newton(Cost(PANEL, (Misfit(weighting="noise"), term)), Settings())
+    solver = ProjectedNewton(Cost(PANEL, (Misfit(weighting="noise"), term)), Settings())
     given = Given(measured=measured, sigma=recorded.sigma[-1:], previous=resting, baseline=resting)
     data = Data(given, measured, 100 * measured)
     starts = measured * np.exp(1.4 * rng.standard_normal((5, *PANEL.shape)) + 1.4)
@@ -193,7 +192,7 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     measured = two_point_resistance(known[:1]) * np.exp(1e-3 * rng.standard_normal((1, *shape)))
     terms: tuple[Term, ...] = (Misfit(weighting="noise"), LogRatio(weight=0.05, loss=Squared()))
     terms += (LogRatio(weight=0.02, loss=Squared(), reference="previous"),) if reads_both else ()
-    solver = Newton(Cost(Panel(*shape), terms), Settings(tolerance=1e-12))
+    solver = ProjectedNewton(Cost(Panel(*shape), terms), Settings(tolerance=1e-12))
     given = Given(measured=measured, sigma=0.02 * measured, previous=known[0], baseline=known[1])
     data = Data(given, measured / 9, measured * 1e3)
 

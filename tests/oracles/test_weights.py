@@ -22,7 +22,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
 
 SHAPE = (8, 7)
 AUTO = "auto"

@@ -13,7 +13,7 @@ from time import process_time
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Solution
 from lampest.studies.bench.problems import frame_data, solver_of
 from lampest.studies.bench.settings import BenchFile

@@ -26,9 +26,34 @@ from lampest.recording.readings import Readings
 from lampest.solvers.ipopt import ipopt
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.ipopt.program import Program
+from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Outcome, Status, check
-from lampest.solvers.starts import evaluated
-from tests.studies.speed import METHODS, begun, simulated
+
+FRAMES = 9
+METHODS = {
+    "LSM": (),
+    "LSR-CR": (lampest.CellResistance(weight=1e-7),),
+    "LSR-dCR": (lampest.RelativeChange(weight=1e-2),),
+    "LSR-gCR": (lampest.Gradient(weight=1e-6),),
+    "LSR-gdCR": (lampest.GradientOfRelativeChange(weight=1e-2),),
+}
+
+
+def simulated(side: int) -> lampest.Recording:
+    """A rod on a square panel, read with 12 bits: every frame has its own noise."""
+    readout = lampest.TwoPointReadout(adc_bits=12, reference_ohm=400.0, readings=4, noise_lsb=1.0)
+    rod = lampest.Rod(centre_mm=(5.0 * side, 5.0 * side), diameter_mm=40.0, mass_g=500.0)
+    scene = lampest.Scene(lampest.Panel(side, side), readout)
+    return lampest.simulate(
+        lampest.Simulation(1, 5, scene, frames=FRAMES, loads=(rod,), baseline_frames=2, frame_period_s=0.2)
+    )
+
+
+def begun(recording: lampest.Recording, estimator: lampest.Estimator) -> lampest.Stream:
+    """Before the first frame."""
+    resting = Readings.of(recording.scene, recording.recorded[recording.role == 0]).mean()
+    return lampest.Stream.begin(estimator, recording.scene, 0.2, resting)
+
 
 TURNS, LONGEST_S = 5, 20.0
 ORDERS = {"approximate minimum degree": 0, "METIS": 5, "what MUMPS takes": 7}

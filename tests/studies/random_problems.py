@@ -32,9 +32,9 @@ from lampest.cost.problem import Evaluation
 from lampest.files.errors import InputError
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.newton.newton import Newton
+from lampest.solvers.multistart import BROKEN, convex, evaluated
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
-from lampest.solvers.starts import BROKEN, convex, evaluated
 from tests.least_cost import Array
 from tests.random_problem import RandomProblem
 
@@ -149,7 +149,8 @@ def ends(problem: RandomProblem, random: np.random.Generator, found: Array | Non
             continue
     estimator = problem.estimator if problem.asked is not None else problem.alone
     cost = estimator.cost(problem.scene, len(data.measured), data.partial)
-    solvers: list[tuple[str, Any, list[Array]]] = [("random starts", Newton(cost, estimator.solver), scattered)]
+    ours = ProjectedNewton(cost, estimator.solver)
+    solvers: list[tuple[str, Any, list[Array]]] = [("random starts", ours, scattered)]
     if size <= NODAL_CELLS and problem.scene.wiring is None:
         nodal = Ipopt(cost, problem.scene.circuit, FORMULATIONS["nodal"], estimator.solver)
         solvers.append(("nodal", nodal, [starts[0], np.log(convex(data, None)).ravel()]))

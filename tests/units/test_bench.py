@@ -14,8 +14,8 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
 from lampest.runs.terms import Terms
+from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.solvers.starts import evaluated
 from lampest.studies.bench.mats import solved_mats
 from lampest.studies.bench.problems import frame_data, resting_cells
 from lampest.studies.bench.report import bench_remarks, page

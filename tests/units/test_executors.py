@@ -112,19 +112,13 @@ def test_nobody_waits_for_a_call_that_is_no_longer_wanted(tmp_path: Path, monkey
     assert [file.name for file in tmp_path.iterdir()] == ["soon"] and not multiprocessing.active_children()
 
 
-def test_ctrl_c_that_machine_code_took_for_its_own_ends_a_batch() -> None:
-    from lampest.panel.machine import result_of
-
-    def numba_like(cause: BaseException | None) -> Any:
+def test_ctrl_c_that_compiled_code_took_for_its_own_ends_a_batch() -> None:
+    def compiled(cause: BaseException | None) -> Any:
         raise SystemError("returned a result with an exception set") from cause
 
     with pytest.raises(KeyboardInterrupt):
-        result_of(numba_like, KeyboardInterrupt())
-    with pytest.raises(KeyboardInterrupt):
-        list(Serial().results(numba_like, [KeyboardInterrupt()]))
-    with pytest.raises(SystemError):
-        result_of(numba_like, None)
-    [(_, outcome)] = Serial().results(numba_like, [ValueError()])
+        list(Serial().results(compiled, [KeyboardInterrupt()]))
+    [(_, outcome)] = Serial().results(compiled, [ValueError()])
     assert isinstance(outcome, SystemError)
 
 

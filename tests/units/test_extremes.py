@@ -18,10 +18,8 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
-from lampest.solvers.newton.reach import within_reach
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.solution import Settings, Status
-from lampest.solvers.starts import evaluated
 from lampest.studies.extremes.judges import convex_estimate, correct_digits, exact_residual, fifty_digits
 from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
 from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
@@ -119,18 +117,6 @@ def test_audit_is_the_kkt_residual() -> None:
     assert exact_residual(cost, data, here.cell_resistance) == pytest.approx(here.kkt_residual(np.zeros(0)), rel=1e-5)
 
 
-def test_step_within_reach_goes_along_the_faintest_negative_curvature() -> None:
-    rotation, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((5, 5)))
-    values = np.array([-1e-9, 1e-6, 1e-3, 1.0, 1e3])
-    matrix = rotation @ np.diag(values) @ rotation.T
-    slope = rotation @ np.full(5, 1e-8)
-    step = within_reach(matrix, slope, 2.0)
-    assert 0.5 <= np.abs(step).max() <= 2
-    assert slope @ step + 0.5 * step @ matrix @ step < 0
-    newton = within_reach(np.eye(2), np.array([0.1, 0.2]), 1.0)
-    np.testing.assert_allclose(newton, [-0.1, -0.2], rtol=1e-6)
-
-
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
 def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(*arguments: object) -> None:
@@ -141,8 +127,8 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     data = estimator.data(recording.readings()[0].alone(), Background(recording.scene))
     solver = estimator.problem(Scene(Panel(3, 3)), 1, 1.0)
     for place in (
-        "lampest.solvers.newton.steps.direction",
-        "lampest.solvers.starts.evaluated",
+        "lampest.solvers.projected_newton.direction",
+        "lampest.solvers.multistart.evaluated",
         "lampest.panel.readouts.two_point.readout.convex_start",
     ):
         with monkeypatch.context() as patch:

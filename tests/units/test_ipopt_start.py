@@ -14,9 +14,9 @@ from lampest.recording.readings import Readings
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
 from lampest.solvers.ipopt.limits import Limits
-from lampest.solvers.newton.newton import Newton
+from lampest.solvers.multistart import evaluated
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check
-from lampest.solvers.starts import evaluated
 
 CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
 CASES: list[tuple[str, Readout]] = [
@@ -54,7 +54,7 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
 def test_an_optimum_is_left_alone(kind: str, readout: Readout, method: str) -> None:
     """Zero iterations: voltages, currents and bounds satisfy all conditions with the multipliers that were given."""
     cost, data, cells = problem(readout, method)
-    optimum = Newton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
+    optimum = ProjectedNewton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
     start = evaluated(cost, data, optimum)
     outcome = Ipopt(cost, readout, FORMULATIONS[kind], Settings()).solve(data, start)
     assert (outcome.status, outcome.iterations) == (Status.OPTIMUM, 0)

@@ -13,10 +13,8 @@ import lampest
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.recording.readings import Readings
-from lampest.solvers.kernel.following import from_previous
-from lampest.solvers.newton import newton as newton_module
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.solution import Settings, Status
+from lampest.solvers import projected_newton as newton_module
+from lampest.solvers.solution import Settings
 
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7))
 SHORT, LONG = Settings(time_limit_s=1e-9), Settings(time_limit_s=1e9)
@@ -80,21 +78,6 @@ def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert stream.baseline is not None
     assert stream.baseline.status == "the time limit was reached before an optimum"
     assert 1 <= stream.baseline.solution.iterations <= 2
-
-
-def test_machine_code_looks_at_the_clock() -> None:
-    """A frame that it solves in one call is left undecided where the time is over before it begins."""
-    estimator = Estimator(FORMULATIONS["reduced"], "reduced", error_bars=False)
-    frames = recorded()
-    stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, frames[:1]).mean())
-    stream, _ = stream.push(Readings.of(SCENE, frames[1]))
-    data, start = stream.given(Readings.of(SCENE, frames[2]))
-    solver = estimator.problem(SCENE, 1, 0.2, data.partial)
-    assert isinstance(solver, Newton) and start is not None
-    for seconds in (None, 1e9):
-        found = from_previous(solver, data.limited(seconds), start)
-        assert found is not None and found.status is Status.OPTIMUM
-    assert from_previous(solver, data.limited(1e-9), start) is None
 
 
 @pytest.mark.parametrize("limit", ["0", "-1", ".nan", ".inf", "soon"])

@@ -12,9 +12,9 @@ from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.state import S
 from lampest.panel.panel import Array
 from lampest.solvers.linearised import LinearisedSolver
+from lampest.solvers.multistart import BROKEN, evaluated
 from lampest.solvers.region.region import RegionSolver
 from lampest.solvers.solution import Settings, Solution, Solver
-from lampest.solvers.starts import BROKEN, evaluated
 
 
 class Anchor(Protocol):

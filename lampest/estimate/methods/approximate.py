@@ -1,7 +1,7 @@
 """Methods that end at no optimum: a few Newton steps, and cells read off the readings."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.solvers.newton.newton import Newton
+from lampest.solvers.multistart import evaluated
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
-from lampest.solvers.starts import evaluated
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,6 @@ class TruncatedMethod(Method):
     Raises ValueError unless there is at least one.
     """
 
-    joint: ClassVar[bool] = True
     kind: Literal["truncated"] = "truncated"
     steps: int = 2
 
@@ -32,7 +31,7 @@ class TruncatedMethod(Method):
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Wherever the steps lead."""
         start = evaluated(solver.cost, data, data.uniform_start if previous is None else previous)
-        outcome = Newton(solver.cost, Settings(max_iterations=self.steps)).solve(data, start)
+        outcome = ProjectedNewton(solver.cost, Settings(max_iterations=self.steps)).solve(data, start)
         return approximation(solver.cost, data, outcome)
 
 

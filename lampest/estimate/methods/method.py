@@ -25,9 +25,9 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.profile_interval import beyond_tangents
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.solvers.newton.newton import Newton
+from lampest.solvers.multistart import BROKEN
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
-from lampest.solvers.starts import BROKEN
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,20 @@ class Method(ABC):
     """How an estimate is computed; what `formulation:` names, by the bare word or with options.
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
-    that compares frames solves its baseline together with the first frame, as the paper does. delays : whether it keeps
+    that compares frames solves its baseline together with the first frame. delays : whether it keeps
     Ctrl-C itself where that would be taken for a failed evaluation, and not where only machine code runs. together :
     whether it needs all frames of a recording at once.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     optimum: ClassVar[bool] = False
-    joint: ClassVar[bool] = False
     delays: ClassVar[bool] = False
     together: ClassVar[bool] = False
+
+    @property
+    def joint(self) -> bool:
+        """See above."""
+        return False
 
     if TYPE_CHECKING:
 
@@ -64,7 +68,7 @@ class Method(ABC):
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
-        return Newton(cost, settings)
+        return ProjectedNewton(cost, settings)
 
     def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
         """Build what can be built before the first solve of its kind, so that no frame is charged for it."""
@@ -83,7 +87,7 @@ class Method(ABC):
         return prepared
 
     def joint_start(self, objective: Objective) -> bool:
-        """Whether the baseline is solved together with the first frame, as the paper does for relative methods.
+        """Whether the baseline is solved together with the first frame: of relative methods, where that is asked for.
 
         Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
         """
@@ -106,14 +110,14 @@ class Method(ABC):
         if objective.weighs_previous and known is not None:
             step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
             data = objective.data(readings.alone(), replace(behind, previous=known * step))
-        return data, None if state.previous is None else state.previous[None]
+        return replace(data, first=state.first), None if state.previous is None else state.previous[None]
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
         """One solve, with the weights that are left to the data."""
         objective = state.estimator
         with nullcontext() if self.delays and not objective.automatic else delayed_interrupt():
             begin = perf_counter()
-            limit, data = objective.solver.time_limit_s, replace(data, hasty=True) if state.hasty else data
+            limit = objective.solver.time_limit_s
             if objective.automatic:
                 noisy = state.resting.sigma is not None
                 objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous, noisy)
@@ -129,7 +133,7 @@ class Method(ABC):
 
     def begin(self, state: S) -> S:
         """The state after its baseline, which is solved alone."""
-        alone = state.without_comparisons() if state.estimator.weighs_previous else state
+        alone = state.without_comparisons() if state.estimator.relative else state
         settled, baseline = with_contacts(
             alone, state.resting, self.solve(alone, *self.given(alone, state.resting)), self._elsewhere
         )
@@ -155,7 +159,7 @@ class Method(ABC):
         state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
         if found is not None:
             deviation = None if track is None or step.bars is None else track.deviation
-            state = replace(state, previous=found, previous_deviation=deviation)
+            state = replace(state, previous=found, previous_deviation=deviation, first=False)
         return state, step
 
     def sequence(
@@ -196,7 +200,7 @@ class Method(ABC):
 
         def moved(readings: Readings) -> Array:
             data, _ = self.given(state, readings)
-            ended = self.solve(state, replace(data, hasty=True), solved.solution.cell_resistance)
+            ended = self.solve(state, replace(data, first=False), solved.solution.cell_resistance)
             return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
 
         missing = readings.missing(state.scene)

@@ -13,9 +13,8 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.kernel.following import load_machine_code, serves, without_factor
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
 NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many seconds a frame, IPOPT keeps pace
@@ -23,12 +22,16 @@ NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many se
 
 @dataclass(frozen=True)
 class OptimalMethod(Method):
-    """argmin Σ weight·loss(residual) within the bounds, checked outside the solver that found it."""
+    """argmin Σ weight·loss(residual) within the bounds, checked outside the solver that found it.
+
+    joint : whether terms that compare frames solve the baseline together with the first frame (paper, equations 15 and
+    21), rather than the baseline alone and the first frame against it.
+    """
 
     optimum: ClassVar[bool] = True
-    joint: ClassVar[bool] = True
     delays: ClassVar[bool] = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
+    joint: bool = False
 
     def check_scene(self, scene: Scene) -> None:
         """Raise InputError where the formulation cannot say what the readout reads, or the panel is wired.
@@ -55,23 +58,17 @@ class OptimalMethod(Method):
             kind = "nodal" if slow and scene.wiring is None else "reduced"
         return _solver(cost, scene.circuit, kind, settings)
 
-    def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
-        """The compiled cost, and machine code where a frame follows another one."""
-        solver.prepare()
-        if previous is not None and serves(solver.cost, data):
-            load_machine_code(without_factor(solver.cost, data))
-
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The best optimum of all starts that a frame deserves; prepared : the factor of the frame before, or None."""
+        """The best optimum of all starts that a frame deserves; prepared : what that frame kept, or None."""
         return best_solution(solver, data, previous, prepared)
 
     def kept(self, solution: Solution, prepared: Any) -> Any:
-        """The factor of a single frame's second derivatives."""
-        return solution.factor if solution.solved and len(solution.cell_resistance) == 1 else None
+        """The preconditioner of a single frame."""
+        return solution.kept if solution.solved and len(solution.cell_resistance) == 1 else None
 
 
 @lru_cache(maxsize=32)
 def _solver(cost: Cost, readout: Readout, kind: str, settings: Settings) -> Solver:
     if kind in FORMULATIONS:
         return Ipopt(cost, readout, FORMULATIONS[kind], settings)
-    return Newton(cost, settings)
+    return ProjectedNewton(cost, settings)

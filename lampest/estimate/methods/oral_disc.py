@@ -25,9 +25,9 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.solvers.newton.newton import Newton
+from lampest.solvers.multistart import BROKEN
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Outcome, Solution, Solver, Status, approximation, failure
-from lampest.solvers.starts import BROKEN
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class OralDiscMethod(Method):
         weights = tuple(map(float, cost.weights))
         with delayed_interrupt(), suppress(*BROKEN):
             sequence, disc = state.prepared.push(state, readings)
-            solver = Newton(cost, state.estimator.solver)
+            solver = ProjectedNewton(cost, state.estimator.solver)
             solution = replace(self.solution(solver, data, None, disc), at=None, dual=None)
             return replace(state, prepared=sequence), Step(solution, perf_counter() - begin, weights, disc=disc)
         nothing = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)

@@ -24,9 +24,9 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.solvers.held import held_back
+from lampest.solvers.bound_multipliers import bounds_matter
+from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Solver, Status, blank
-from lampest.solvers.starts import BROKEN
 
 STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
 MOST_PARTS = 5  # of the unloaded frames: a wrong reading among three is told apart, and more cost time
@@ -180,7 +180,7 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
             solutions.append(replace(failed, kkt_residual=float(residual), iterations=rounds))
             continue
         low, high = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        held = held_back(at, slope.reshape(cells.shape), NO_DUAL)
+        held = bounds_matter(at, slope.reshape(cells.shape), NO_DUAL)
         status = Status.FAINT if weak else Status.HELD if held else Status.OPTIMUM
         outcome = (at.costs, at.objective, float(residual), low, high, status, rounds)
         solutions.append(Solution(cells, at.reading, *outcome))

@@ -22,9 +22,8 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
-from lampest.solvers.search import best_solution, solved_from
+from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated, solved_from
 from lampest.solvers.solution import Settings
-from lampest.solvers.starts import BROKEN, convex, evaluated
 
 LEVEL = 1e-4  # P(χ²) below which cells do not explain a frame: of each of a handful of tests
 EXACT = 1e-2  # χ² that changes no verdict

@@ -16,7 +16,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.starts import BROKEN
+from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
 MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved

@@ -13,7 +13,7 @@ from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings
-from lampest.solvers.starts import BROKEN
+from lampest.solvers.multistart import BROKEN
 
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 GRID = 5  # resistances in series that are tried; what lies between is found by steps

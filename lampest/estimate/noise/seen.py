@@ -21,7 +21,7 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.starts import BROKEN
+from lampest.solvers.multistart import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
 CROWDED = 0.05  # of the unloaded readings: where more are outliers, neighbours in time are, too, and replace them badly

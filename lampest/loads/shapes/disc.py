@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lampest.loads.pressure import GRAVITY
+from lampest.loads.shapes.patches import patch_means
 from lampest.panel.panel import Array, Panel
 
 
@@ -92,11 +93,7 @@ EVEN = Unevenness(0.0, 0.0, 0.0, 0.0)
 
 def oval_pressure(panel: Panel, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
     """Mean pressure on every patch, (rows, columns) kPa, and its slopes by the numbers of both (12, rows, columns)."""
-    from lampest.loads.shapes.patches import add_means
-
-    means = np.zeros((13, *panel.shape))
     across, down = panel.centres_mm()
-    add_means(
-        across, down, np.array(disc, dtype=float), np.array(form, dtype=float), patch_mm, SOFT * patch_mm, POINTS, means
-    )
+    numbers = np.array(disc, dtype=float), np.array(form, dtype=float)
+    means = patch_means(across, down, *numbers, patch_mm, SOFT * patch_mm, POINTS)
     return means[0], means[1:]

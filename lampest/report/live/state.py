@@ -16,7 +16,7 @@ from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 from lampest.report.live.load import Force, read_load, verdict_of
 from lampest.report.live.message import Picture
-from lampest.solvers.search import SAME
+from lampest.solvers.multistart import SAME
 
 ASKED = "it was asked for"
 
@@ -128,7 +128,7 @@ class PanelState:
 
     def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
         """At the frame that comes next, once it was solved in haste; None where it left nothing open."""
-        stream, due = self.stream, step.solution.unsearched or self.stream.due(readings)
+        stream, due = self.stream, self.stream.due(readings)
         if not stream.hasty or not step.solution.solved or not (due or self.track is not None):
             return None
         baseline = None if stream.baseline is None else stream.baseline.bare()

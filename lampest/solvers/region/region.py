@@ -13,12 +13,12 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Term
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array, Panel
-from lampest.solvers.newton.curvature import Curvature, weighted_square
-from lampest.solvers.newton.newton import Newton
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian, weighted_square
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.region.blocks import alone_among, area, covered_by, grown, widened
 from lampest.solvers.region.footprint import moved_lines
-from lampest.solvers.search import best_solution
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import OPEN_FRACTION, Outcome, Settings, Solution, Status, approximation
 
 HALO = 2  # cells round a block that a gradient inside it reads
@@ -63,7 +63,7 @@ class RegionSolver:
             found = grown(outstanding, blocks)
             large = sum(map(area, found)) > min(LARGEST_SHARE * change.size, MOST_CELLS)
             if large or (found == blocks and self._moved(left, noise)):
-                return best_solution(Newton(cost, self.settings), data, previous[None])
+                return best_solution(ProjectedNewton(cost, self.settings), data, previous[None])
             if found == blocks:
                 if not outstanding.any():
                     break
@@ -273,7 +273,7 @@ def _model(inside: Inside, here: BlockPoint, sharpness: int) -> tuple[Array, Arr
         smoothing = replace(smoothing, width=smoothing.width / 10**sharpness)
         smoothing = replace(smoothing, dual=smoothing.slope(part.rough))
         direct, through = (side.ravel() for side in part.partials(smoothing.dual))
-        terms, count = Curvature(part, smoothing).terms, part.cell_resistance.size
+        terms, count = Hessian(part, smoothing).terms, part.cell_resistance.size
         if part.cost is inside.misfit:
             jacobian = here.network.sensitivity(own, inside.reads)
             slope += jacobian.T @ through

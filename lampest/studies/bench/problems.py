@@ -17,9 +17,9 @@ from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution, convex, evaluated
+from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.solution import Settings, Solution, Solver, check
-from lampest.solvers.starts import convex, evaluated
 from lampest.studies.bench.settings import BenchFile
 from lampest.studies.study import published_code
 from lampest.studies.timing import clocked
@@ -56,10 +56,12 @@ def other_solver(name: str, cost: Cost, settings: Settings) -> Solver:
     return solver
 
 
-def timed(name: str, solver: Solver, data: Data, previous: Array | None) -> TimedSolve:
+def timed(
+    name: str, solver: Solver, data: Data, previous: Array | None, kept: Preconditioner | None = None
+) -> TimedSolve:
     """Solve as a sequence does; scipy's from the cheapest of the same starts, checked as ours are."""
     if name in OURS:
-        solution, wall, cpu = clocked(lambda: best_solution(solver, data, previous))
+        solution, wall, cpu = clocked(lambda: best_solution(solver, data, previous, kept))
         return TimedSolve(solution, solution.objective, wall, cpu)
 
     def judged() -> tuple[Solution, Array]:

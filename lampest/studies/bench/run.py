@@ -1,7 +1,7 @@
 """The measurement: every frame solved by every solver in turn, panel by panel, for as long as there is time."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from time import perf_counter
 from typing import Any
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
+from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.solution import STRICT, Solution
 from lampest.studies.bench.mats import MatSolve, solved_mats
 from lampest.studies.bench.problems import (
@@ -167,6 +168,7 @@ def _timings(bench: BenchFile, recording: Recording, part: BenchPart, end: float
     frames: list[list[list[TimedSolve]]] = []  # by frame, by turn, by solver
     inverses: list[float] = []
     sizes: list[float] = []
+    kept: dict[str, Preconditioner | None] = {}
     for number in range(bench.frames + 1):
         if frames and sum(solve.wall for turn in frames[-1] for solve in turn) > end - perf_counter():
             break
@@ -175,10 +177,16 @@ def _timings(bench: BenchFile, recording: Recording, part: BenchPart, end: float
         previous = None if best is None else best[None]
         turns: list[list[TimedSolve]] = []
         while len(turns) < (bench.repeats if number else 1):
-            turns.append([timed(name, solver, fresh(), previous) for name, solver in solvers.items()])
+            turns.append(
+                [
+                    timed(name, solver, replace(fresh(), first=not number), previous, kept.get(name))
+                    for name, solver in solvers.items()
+                ]
+            )
             inverses.append(inverse_time(matrix))
             if sum(solve.wall for solve in turns[-1]) > LONG_S:
                 break
+        kept = {name: solve.solution.kept for name, solve in zip(solvers, turns[-1], strict=True)}
         frames.append(turns)
         sizes.append(float(np.sum(fresh().measured ** 2)))
         solved: list[Solution] = [solve.solution for turn in turns for solve in turn if solve.solution.solved]

@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.estimate.weights import rule_in_use
 from lampest.posterior.spectrum import Rule
-from lampest.solvers.starts import convex
+from lampest.solvers.multistart import convex
 from lampest.studies.weights.curves import CurvePoint, Curves, trace
 from lampest.studies.weights.subject import WeightSubject
 

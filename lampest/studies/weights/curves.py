@@ -11,7 +11,7 @@ from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum
-from lampest.solvers.starts import BROKEN, evaluated
+from lampest.solvers.multistart import BROKEN, evaluated
 from lampest.studies.weights.subject import WeightSubject
 
 POINTS = 33  # of the even grid

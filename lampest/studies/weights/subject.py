@@ -17,7 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.track import MOST_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.solvers.search import best_solution
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Solution
 
 

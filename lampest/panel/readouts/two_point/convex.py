@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lampest.panel.conjugate import DENSE_UNKNOWNS, conjugate_gradients
 from lampest.panel.network import Block
 from lampest.panel.panel import Array
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, Stencil, grounding, uniform_factor
+from lampest.panel.trust_region import DENSE_CELLS, steihaug
 
 MOST_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
@@ -98,7 +98,7 @@ def _least_cost(
 def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) -> Array:
     """−(D∘D)⁻¹ ∇ on the free cells; (D∘D)·p = −(∂R/∂g)·p."""
     step = np.zeros(gradient.shape)
-    if gradient.size <= DENSE_UNKNOWNS:
+    if gradient.size <= DENSE_CELLS:
         chosen = np.flatnonzero(free)
         curvature = network.transfer[np.ix_(chosen, chosen)] ** 2
         step[free] = lapack.dposv(curvature, -gradient[free], lower=1)[1]
@@ -110,10 +110,10 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
         whole[free] = values
         return linear(whole)[free]
 
-    step[free], _ = conjugate_gradients(
+    step[free] = steihaug(
         lambda search: -over_panel(network.conductance_product, search),
         lambda residual: over_panel(stencil.solve, residual),
-        -gradient[free],
+        gradient[free],
         0.05,
-    )
+    ).step
     return step

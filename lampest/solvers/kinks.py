@@ -14,8 +14,8 @@ from scipy import linalg, sparse
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.solvers.newton.curvature import Curvature, block_diagonal
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian, block_diagonal
+from lampest.solvers.smoothing import Smoothing
 
 INSIDE = 1e-3  # of 1, by which the dual of a row at its kink is less
 AT_ZERO = 1e-9  # of log r, by which cells would have to move for a row to be at its kink
@@ -24,7 +24,7 @@ PROJECTIONS = 50  # between |z| ≤ 1 and duals that balance the gradient, where
 
 
 @dataclass(frozen=True, eq=False)
-class Straight(Smoothing):
+class Unsmoothed(Smoothing):
     """Nothing rounded: slopes are the duals, and nothing bends at a kink."""
 
     def slope(self, residual: Array) -> Array:
@@ -56,10 +56,10 @@ class Kinks:
     back: Array
 
     @classmethod
-    def of(cls, curvature: Curvature, standing: NDArray[np.bool_], free: NDArray[np.intp]) -> "Kinks":
+    def of(cls, hessian: Hessian, standing: NDArray[np.bool_], free: NDArray[np.intp]) -> "Kinks":
         """Those of `standing` (rows) that a free cell can move."""
         rows = np.flatnonzero(standing)
-        slopes = derivatives(curvature, rows)
+        slopes = derivatives(hessian, rows)
         whole, slopes = _lengths(slopes), slopes[:, free]
         movable = _lengths(slopes) > INDEPENDENT * whole
         rows, slopes = rows[movable], slopes[movable]
@@ -67,10 +67,10 @@ class Kinks:
         if not len(rows):
             return cls(rows, length, np.zeros((len(free), 0)), np.eye(len(free)), np.zeros((0, 0)), np.zeros(len(free)))
         unit = slopes / length[:, None]
-        chosen = _independent(unit, curvature.at.cost.slope[rows])
+        chosen = _independent(unit, hessian.at.cost.slope[rows])
         turn, upper = linalg.qr(unit[chosen].T, check_finite=False)
         rank = len(chosen)
-        missing = (curvature.at.rough[rows] / length)[chosen]
+        missing = (hessian.at.rough[rows] / length)[chosen]
         back = -turn[:, :rank] @ linalg.solve_triangular(upper[:rank], missing, trans="T")
         return cls(rows, length, turn[:, :rank], turn[:, rank:], turn[:, :rank].T @ unit.T, back)
 
@@ -118,11 +118,11 @@ def _lengths(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
-def derivatives(curvature: Curvature, rows: NDArray[np.intp]) -> Array:
+def derivatives(hessian: Hessian, rows: NDArray[np.intp]) -> Array:
     """∂x/∂u (rows, frames · cells) of some residuals with an absolute loss."""
-    at = curvature.at
+    at = hessian.at
     cells = at.cell_resistance.ravel()
-    by_both = curvature.smoothing.jacobian(at)[rows]
+    by_both = hessian.smoothing.jacobian(at)[rows]
     direct = (by_both[:, : len(cells)] @ sparse.diags_array(cells)).toarray()
     through = sparse.csr_array(by_both[:, len(cells) :])
     if not through.nnz:
@@ -130,6 +130,6 @@ def derivatives(curvature: Curvature, rows: NDArray[np.intp]) -> Array:
     return np.asarray(direct + through @ block_diagonal([network.sensitivity() for network in at.networks]))
 
 
-def standing(at: Evaluation, dual: Array) -> NDArray[np.bool_]:
+def at_kink(at: Evaluation, dual: Array) -> NDArray[np.bool_]:
     """(rows) which residuals stand at their kink: their duals lie within ±1, or but a hair parts them from 0."""
     return np.asarray((np.abs(dual) < 1 - INSIDE) | (np.abs(at.rough) <= AT_ZERO * at.rough_reach))

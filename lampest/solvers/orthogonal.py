@@ -1,13 +1,13 @@
-"""The cost as a sum of squares near a point, φ ≈ ½|b + A s|², and the digits that its second derivatives lose.
+"""Least squares by orthogonal factorisation (QR): φ ≈ ½|b + A s|² near a point, with twice the digits of ∇²φ.
 
-Row i of A is √κ_i·∂x_i/∂u and b_i = ρ'(x_i)/√κ_i, so that Aᵀb is the gradient; κ = ρ'(x)/x, of absolute losses what
-their smoothing bends. AᵀA never bends down, which makes a step where ∇²φ does. And by an orthogonal factorisation of A
-itself, with rows and columns sorted, a penalty may outweigh the data by the square of what ∇²φ bears.
+Row i of A is √κ_i·∂x_i/∂u and b_i = ρ'(x_i)/√κ_i, so that Aᵀb is the gradient; κ = ρ'(x)/x. AᵀA is never indefinite,
+which gives a step where ∇²φ is. With rows and columns sorted, a penalty may outweigh the data by the square of what ∇²φ
+allows.
 Source: Björck, Numerical Methods for Least Squares Problems, 1996, sections 4.4 (heavy rows) and 9.2 (Gauss, Newton).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,10 +17,10 @@ from scipy import linalg, sparse
 from lampest.cost.problem import Evaluation
 from lampest.cost.residuals import Part, residuals
 from lampest.panel.panel import Array
-from lampest.solvers.newton.curvature import Curvature, block_diagonal
-from lampest.solvers.newton.ways import LONGEST_STEP
+from lampest.solvers.hessian import Hessian, block_diagonal, slopes_of
 
 ORTHOGONAL_UNKNOWNS = 600  # beyond, an orthogonal factorisation takes more than a second
+FARTHEST = 2.5  # of log r: a step of least squares that is longer leads away by factors
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -33,12 +33,12 @@ class Squares:
     size: Array
 
     @classmethod
-    def of(cls, curvature: Curvature, free: NDArray[np.intp]) -> "Squares":
+    def of(cls, hessian: Hessian, free: NDArray[np.intp]) -> "Squares":
         """Of a point, over its free cells."""
         matrices, rights = [], []
-        for part, value, slope in sloped(curvature.at, free):
-            pull, bend = pulls(curvature, part, value)
-            root = np.sqrt(bend)
+        for part, value, slope in sloped(hessian.at, free):
+            pull, stiffness = slopes_of(hessian, part, value)
+            root = np.sqrt(stiffness)
             matrices.append(slope * root[:, None])
             rights.append(pull / np.where(root > 0, root, 1.0))
         matrix = np.concatenate(matrices)
@@ -89,11 +89,11 @@ class Squares:
         return float(values[0]), lost, np.asarray(step / self.size), float(np.sqrt(np.sum(along**2 / values)))
 
 
-def runs_off(curvature: Curvature, free: NDArray[np.intp]) -> bool:
+def runs_off(hessian: Hessian, free: NDArray[np.intp]) -> bool:
     """Whether least squares, which bear more digits than second derivatives, would still move cells by factors."""
     if not 0 < len(free) <= ORTHOGONAL_UNKNOWNS:
         return False
-    return bool(np.abs(Squares.of(curvature, free).step(0.0)).max() > LONGEST_STEP)
+    return bool(np.abs(Squares.of(hessian, free).step(0.0)).max() > FARTHEST)
 
 
 def _factored(matrix: Array, right: Array) -> tuple[Array, Array, NDArray[np.intp]]:
@@ -111,22 +111,3 @@ def sloped(at: Evaluation, free: NDArray[np.intp]) -> Iterator[tuple[Part, Array
     for part in (found.data, found.penalties):
         direct = sparse.csc_array(part.jacobian("by_cells", at) @ cells)[:, free].toarray()
         yield part, part.values(at), np.asarray(direct + part.jacobian("by_model", at) @ sensitivity)
-
-
-def pulls(curvature: Curvature, part: Part, value: Array) -> tuple[Array, Array]:
-    """weight·(ρ'(x), κ) of every row; absolute losses are smoothed."""
-    cost, smoothing = curvature.at.cost, curvature.smoothing
-    bend: Array = 2 * cost.weights[part.term]
-    pull = bend * value
-    for number, term in enumerate(cost.terms):
-        rows = part.term == number
-        if not rows.any():
-            continue
-        if term.loss.enters == "dual":
-            own = replace(smoothing, dual=smoothing.dual[cost.functions.rough_terms == number])
-            pull[rows] = cost.weights[number] * own.slope(value[rows])
-            bend[rows] = cost.weights[number] * own.stiffness(value[rows])
-        elif not term.loss.squared:
-            bend[rows] *= term.loss.stiffness(value[rows])
-            pull[rows] = bend[rows] * value[rows]
-    return pull, bend

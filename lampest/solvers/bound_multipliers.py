@@ -16,7 +16,7 @@ MILLIONTH = 1e-6  # of a reading: the same where no noise is known
 HALF = 0.5  # of the readings' pull on a cell: with less, penalties rather than its bound hold it
 
 
-def held_back(at: Evaluation, gradient: Array, dual: Array) -> bool:
+def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     """Whether bounds hold cells, and are why some reading is missed by more than its noise.
 
     Of squared losses of readings alone nothing else can be. With penalties, or losses that forgive a reading, they are

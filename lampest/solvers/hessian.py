@@ -1,11 +1,13 @@
-"""Second derivatives of the cost in u = log r, potentials eliminated: as a product, or as a matrix on small panels.
+"""First and second derivatives of the cost in u = log r, potentials eliminated: as products, or as a matrix.
 
-With the network's J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), and H the second derivatives of the
-terms with respect to (r; y): ∇²φ = (diag r; J)ᵀ H (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e).
+With the network's J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), and T the second derivatives of the
+terms with respect to (r; y): ∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix is
+JᵀWJ + PᵀKP with W = max(∂²φ/∂y², 0), P = ∂x/∂u of the penalties' residuals x and K = ρ'(x)/x of their losses.
+Source: Nocedal & Wright, Numerical Optimization, 2006, section 10.3.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,24 +15,28 @@ from scipy import sparse
 
 from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation
-from lampest.panel.conjugate import DENSE_UNKNOWNS
-from lampest.panel.network import Afar, SecondOrder
+from lampest.cost.residuals import Part, residuals
+from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
-from lampest.solvers.newton.smoothing import Smoothing
+from lampest.panel.trust_region import DENSE_CELLS
+from lampest.solvers.smoothing import Smoothing
 
-# Frames that are solved jointly, a first frame and its baseline. Under a mouth pairs of 16 × 16 cells took three times
-# as long by factors as by conjugate gradients in the ratios of their cells, of 24 × 24 five times.
-DENSE_JOINT_UNKNOWNS = 300
-# Kinks of absolute losses make second derivatives that conjugate gradients gropes along, and are taken exactly here.
-DENSE_KINKED_UNKNOWNS = 600
+DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose valleys conjugate gradients follow slowly
 
 
 @dataclass(frozen=True, eq=False)
-class Curvature:
-    """∇²φ at one point; vectors are flat (frames · cells). `smoothing` stands in for absolute losses."""
+class Hessian:
+    """∇²φ at one point; vectors are flat (frames · cells). `smoothing` replaces absolute losses."""
 
     at: Evaluation
     smoothing: Smoothing
+
+    @property
+    def dense(self) -> bool:
+        """Whether the problem is small enough for a matrix."""
+        cells = self.at.cell_resistance
+        stiff = len(self.at.cost.slope) > 0 or len(cells) > 1
+        return bool(cells.size <= (DENSE_STIFF_CELLS if stiff else DENSE_CELLS))
 
     @cached_property
     def gradient(self) -> Array:
@@ -74,7 +80,7 @@ class Curvature:
 
     @cached_property
     def terms(self) -> sparse.csr_array:
-        """H, (2·frames·cells)² sparse; it is symmetric, so that its columns are its rows."""
+        """T, (2·frames·cells)² sparse; it is symmetric, so that its columns are its rows."""
         functions, size = self.at.cost.functions, 2 * self.at.cell_resistance.size
         matrix = sparse.csr_array((self._smooth_terms, *functions.hessian.by_columns), shape=(size, size))
         if len(self.at.cost.slope):
@@ -86,69 +92,54 @@ class Curvature:
     def product(self, step: Array) -> Array:
         """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells²."""
         cells = self.at.cell_resistance
-        change, bent = np.empty_like(cells), np.empty_like(cells)
+        change, second = np.empty_like(cells), np.empty_like(cells)
         for frame, part in enumerate(step.reshape(cells.shape)):
-            change[frame], bent[frame] = self._second_orders[frame].products(part)
-        whole: Array = self._of_terms(step, change) + bent.ravel() + (self.direct - self.through) * step
-        return whole
-
-    def straight_product(self, step: Array) -> Array:
-        """(diag r; J)ᵀ H (diag r; J)·p: what a change of r by r·p bends where readings follow it in proportion."""
-        return self._of_terms(step, self.forward(step))
-
-    def _of_terms(self, step: Array, change: Array) -> Array:
-        cells = self.at.cell_resistance
+            change[frame], second[frame] = self._second_orders[frame].products(part)
         force = self.terms @ np.concatenate([cells.ravel() * step, change.ravel()])
         direct, through = np.split(force, 2)
         whole: Array = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
-        return whole
+        return whole + second.ravel() + (self.direct - self.through) * step
 
-    @property
-    def factored(self) -> bool:
-        """Whether ∇²φ is made and factorised, rather than only multiplied with vectors."""
-        cells = self.at.cell_resistance
-        if self.at.data.factored:
-            return True
-        if len(cells) > 1:
-            return bool(cells.size <= DENSE_JOINT_UNKNOWNS)
-        return bool(cells.size <= (DENSE_KINKED_UNKNOWNS if len(self.at.cost.slope) else DENSE_UNKNOWNS))
-
-    @property
-    def paired(self) -> bool:
-        """Whether there are two frames, too large to be factored."""
-        return len(self.at.cell_resistance) == 2 and not self.factored
-
-    @property
-    def only_misfit(self) -> bool:
-        """Whether nothing but the readings of one frame bends the cost."""
-        cells, functions = self.at.cell_resistance, self.at.cost.functions
-        rough = functions.rough_jacobian.pattern[1] < cells.size
-        return len(cells) == 1 and not (len(functions.entries.cells) or rough.any())
+    def gauss_newton_product(self, step: Array) -> Array:
+        """(JᵀWJ + PᵀKP)·p."""
+        through = self.reading_weight * self.forward(step)
+        return np.asarray(self.penalty_matrix @ step + self.adjoint(through))
 
     @cached_property
-    def local(self) -> sparse.csr_array:
-        """A sparse, positive stand-in for ∇²φ: the terms' part, and of J only what a cell does to its own reading."""
-        cells = self.at.cell_resistance.ravel()
-        scale = sparse.diags_array(cells)
-        rest = self.own + self.bent_up
-        return sparse.csr_array(scale @ self.terms[: len(cells), : len(cells)] @ scale + sparse.diags_array(rest))
+    def reading_weight(self) -> Array:
+        """W = max(∂²φ/∂y², 0), (frames, rows, columns)."""
+        size = self.at.cell_resistance.size
+        weight = np.maximum(self.terms.diagonal()[size:], 0.0)
+        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
+
+    @cached_property
+    def penalty_matrix(self) -> sparse.csr_array:
+        """PᵀKP (frames · cells)², sparse and positive semidefinite."""
+        part = residuals(self.at.cost).penalties
+        size = self.at.cell_resistance.size
+        if not len(part.term):
+            return sparse.csr_array((size, size))
+        slopes = part.jacobian("by_cells", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
+        _, stiffness = slopes_of(self, part, part.values(self.at))
+        return sparse.csr_array(slopes.T @ (sparse.diags_array(stiffness) @ slopes))
+
+    @cached_property
+    def only_data(self) -> bool:
+        """Whether a single frame's readings alone enter the second derivatives."""
+        cells, functions = self.at.cell_resistance, self.at.cost.functions
+        absolute = functions.rough_jacobian.pattern[1] < cells.size
+        return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
 
     @property
     def own(self) -> Array:
-        """What a cell's own reading bends."""
+        """The part of each cell's own reading in JᵀWJ's diagonal: W_c·J_cc²."""
         response = np.stack([network.own_response() for network in self.at.networks]).ravel()
-        return np.asarray(self.terms.diagonal()[response.size :] * response**2)
+        return np.asarray(self.reading_weight.ravel() * response**2)
 
-    @property
-    def bent_up(self) -> Array:
-        """What the change of variable adds to the diagonal, where that is positive."""
-        return np.maximum(self.direct - self.through, 0)
-
-    @property
-    def afar(self) -> Afar:
-        """What the readings of one frame bend, as the network looks from afar."""
-        weight = self.terms.diagonal()[self.at.cell_resistance.size :].reshape(self.at.cell_resistance.shape)
-        return self.at.networks[0].normal_from_afar(weight[0])
+    @cached_property
+    def diagonal(self) -> Array:
+        """An estimate of ∇²φ's diagonal that is nowhere negative: own readings and penalties."""
+        return np.asarray(self.own + self.penalty_matrix.diagonal())
 
     @cached_property
     def matrix(self) -> Array:
@@ -160,8 +151,16 @@ class Curvature:
         matrix.flat[:: count + 1] += self.direct - self.through
         return matrix
 
+    @cached_property
+    def gauss_newton_matrix(self) -> Array:
+        """JᵀWJ + PᵀKP, dense."""
+        weights = self.reading_weight.reshape(len(self.at.networks), -1)
+        pairs = zip(self.at.networks, weights, strict=True)
+        blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
+        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
+
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
-        """matrix += (diag r; J)ᵀ H (diag r; J), J by frames."""
+        """matrix += (diag r; J)ᵀ T (diag r; J), J by frames."""
         cells = self.at.cell_resistance.ravel()
         count = len(cells)
         entries, values = self._entries
@@ -182,7 +181,7 @@ class Curvature:
 
     @property
     def _entries(self) -> tuple[Entries, Array]:
-        """Where the nonzeros of H stand, and their values."""
+        """Where the nonzeros of T stand, and their values."""
         functions = self.at.cost.functions
         if not len(self.at.cost.slope):
             return functions.entries, self._smooth_terms
@@ -192,6 +191,25 @@ class Curvature:
     @cached_property
     def _smooth_terms(self) -> Array:
         return self.at.call(self.at.cost.functions.hessian, self.smoothing.dual)
+
+
+def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]:
+    """weight·(ρ'(x), ρ'(x)/x) of every residual x of a part; absolute losses are smoothed."""
+    cost, smoothing = hessian.at.cost, hessian.smoothing
+    stiffness: Array = 2 * cost.weights[part.term]
+    slope = stiffness * value
+    for number, term in enumerate(cost.terms):
+        rows = part.term == number
+        if not rows.any():
+            continue
+        if term.loss.enters == "dual":
+            own = replace(smoothing, dual=smoothing.dual[cost.functions.rough_terms == number])
+            slope[rows] = cost.weights[number] * own.slope(value[rows])
+            stiffness[rows] = cost.weights[number] * own.stiffness(value[rows])
+        elif not term.loss.squared:
+            stiffness[rows] *= term.loss.stiffness(value[rows])
+            slope[rows] = stiffness[rows] * value[rows]
+    return slope, stiffness
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

@@ -1,0 +1,88 @@
+"""The trust-region subproblem by preconditioned conjugate gradients, as Steihaug and Toint solve it.
+
+Source: Steihaug, SIAM J. Numer. Anal. 20, 1983; Conn, Gould & Toint, Trust-Region Methods, 2000, section 7.5.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite
+
+import numpy as np
+
+from lampest.panel.panel import Array
+
+Linear = Callable[[Array], Array]
+DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it spares
+MOST_PRODUCTS = 400
+LONGEST = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
+
+
+@dataclass(frozen=True, eq=False)
+class SubproblemStep:
+    """step : s. length : ‖s‖_M. decrease : −gᵀs − ½ sᵀHs. negative : whether negative curvature was met.
+
+    products : how many with H it took.
+    """
+
+    step: Array
+    length: float
+    decrease: float
+    negative: bool
+    products: int
+
+
+def steihaug(
+    product: Linear, precondition: Linear, gradient: Array, accuracy: float, radius: float = inf
+) -> SubproblemStep:
+    """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
+
+    product : H·p. precondition : M⁻¹·p, symmetric and positive definite. gradient : g.
+    accuracy : ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
+    radius : may be infinite. A direction of negative curvature is followed to the radius or to LONGEST.
+    """
+    step, residual = np.zeros_like(gradient), gradient
+    if not float(residual @ precondition(residual)) > 0:
+        precondition = np.copy  # M has lost its digits
+    scaled = precondition(residual)
+    search, strength = -scaled, float(residual @ scaled)
+    goal = accuracy**2 * strength
+    inner, mixed, outer = 0.0, 0.0, strength  # ‖s‖², sᵀMp, ‖p‖²
+    count = 0
+    while strength > goal and count < MOST_PRODUCTS:
+        count += 1
+        image = product(search)
+        curvature = float(search @ image)
+        length = strength / curvature if curvature > 0 else inf
+        further = inner + 2 * length * mixed + length**2 * outer if isfinite(length) else inf
+        if not further < radius**2:
+            negative = not curvature > 0
+            length = _to_radius(inner, mixed, outer, radius)
+            if negative:
+                length = min(length, _to_longest(step, search))
+            ended = np.sqrt(inner + 2 * length * mixed + length**2 * outer)
+            step, residual = step + length * search, residual + length * image
+            return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
+        step, inner = step + length * search, further
+        residual = residual + length * image
+        scaled = precondition(residual)
+        before, strength = strength, float(residual @ scaled)
+        ratio = strength / before
+        search = ratio * search - scaled
+        mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
+    return SubproblemStep(step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), False, count)
+
+
+def _to_radius(inner: float, mixed: float, outer: float, radius: float) -> float:
+    """t ≥ 0 with ‖s + t p‖_M = radius."""
+    if radius == inf:
+        return inf
+    left = max(radius**2 - inner, 0.0)
+    return left / (mixed + float(np.sqrt(mixed**2 + outer * left))) if left else 0.0
+
+
+def _to_longest(step: Array, search: Array) -> float:
+    """t ≥ 0 at which an entry of s + t p reaches LONGEST."""
+    room = LONGEST - np.abs(step)
+    with np.errstate(divide="ignore"):
+        reached = room / np.abs(search)
+    return float(np.maximum(reached, 0.0).min(initial=inf))

@@ -1,0 +1,193 @@
+"""From where a solve is begun, and which of several minima is taken: multi-start.
+
+Plain least squares of two-point readings has a convex start, which is its answer where cells can reproduce the
+readings. A frame that follows another begins at that frame's estimate. A first frame whose cost may have several minima
+begins at three places: the frame before it (the baseline), equal cells, and the readout's own start.
+"""
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain, islice
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.losses import Squared
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms import Term
+from lampest.files.interrupts import delayed_interrupt
+from lampest.panel.panel import Array
+from lampest.solvers.preconditioners import Preconditioner
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+
+BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
+FIRST_STARTS = 3
+SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
+SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
+POLISHED = 0.1 * VERIFIED
+LAST_STEPS = Settings(max_iterations=20)
+# Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled.
+FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
+
+
+def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Preconditioner | None = None) -> Solution:
+    """The lowest minimum from as many starts as the settings or, by default, the frame asks for.
+
+    previous : (frames, rows, columns) ohm, the estimate of the frame before, or None. kept : what that frame's solution
+    kept. A start that fails is followed by the next one. Any other solver than ours goes on from the minimum that ours
+    found where the cost may have several, so that all formulations stand in the same one. Arithmetic that breaks down
+    costs its start; where it does at every start, the status says so.
+    """
+    with np.errstate(all="ignore"), delayed_interrupt():
+        if isinstance(solver, ProjectedNewton):
+            return _lowest(replace(solver, kept=kept), data, previous)
+        if not several_minima(solver.cost, data):
+            return _lowest(solver, data, previous)
+        scout = _lowest(ProjectedNewton(solver.cost, solver.settings, kept), data, previous)
+        if not scout.solved:
+            return scout
+        found = solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance))
+        return replace(found, starts=scout.starts, kept=scout.kept)
+
+
+def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
+    wanted = _wanted(solver, data, previous)
+    best, count = None, 0
+    places = chain(starts(solver.cost, data, previous), scattered(data) if solver.settings.starts else ())
+    for start in evaluable(solver.cost, data, places):
+        if count >= wanted and best is not None and best.solved:
+            break
+        if count and data.overdue:
+            break
+        found = solved_from(solver, _near_squares(solver, start))
+        count += 1
+        if best is None or _lower(found, best):
+            best = found
+    return _broken(solver.cost, data) if best is None else replace(best, starts=count)
+
+
+def _wanted(solver: Solver, data: Data, previous: Array | None) -> int:
+    if solver.settings.starts is not None:
+        return solver.settings.starts
+    return FIRST_STARTS if (previous is None or data.first) and several_minima(solver.cost, data) else 1
+
+
+def _lower(found: Solution, best: Solution) -> bool:
+    if not found.solved:
+        return False
+    return not best.solved or found.objective < best.objective * (1 - SAME)
+
+
+def several_minima(cost: Cost, data: Data) -> bool:
+    """Whether the cost may have several minima: all but plain least squares of two-point readings, and penalties that
+    are convex in log r beside whole frames of these.
+    """
+    if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
+        return True
+    if all(term.reads_measurement for term in cost.terms):
+        return False
+    comparing = [term for term in cost.terms if term.needs_previous]
+    convex_in_log = bool(comparing) and all(term.convex_in_log for term in comparing)
+    return not (convex_in_log and bool(data.plain.all()))
+
+
+def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
+    """Starts in the order in which they are tried: (frames, rows, columns) ohm."""
+    if all(term.reads_measurement for term in cost.terms) and data.readout.unique:
+        yield convex(data, previous)
+    if previous is not None:
+        yield previous
+    yield data.uniform_start
+    yield convex(data, None)
+
+
+def scattered(data: Data) -> Iterator[Array]:
+    """Apparent resistances times 1 to SPREAD, in as many draws as anyone asks for, the same for everybody.
+
+    The exponents are fractions of √2·n², which lie evenly, without correlation (Rudnick, Sarnak & Zaharescu, Invent.
+    Math. 145, 2001).
+    """
+    size = data.measured.size
+    for number in range(FIRST_STARTS, 1000):
+        places = np.arange(1, size + 1, dtype=float) + size * (number - FIRST_STARTS)
+        share = (np.sqrt(2.0) * places**2 % 1.0).reshape(data.measured.shape)
+        yield data.apparent_resistance * SPREAD**share
+
+
+def convex(data: Data, near: Array | None) -> Array:
+    """The readout's start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one.
+
+    Of two-point readings it is the convex one.
+    """
+    places = [None] * len(data.measured) if near is None else list(near)
+    with suppress(*BROKEN):
+        return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
+    return data.uniform_start
+
+
+def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
+    """The cost at a start that is put within the bounds."""
+    return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
+
+
+def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
+    """The cost at those starts where it is a number."""
+    for start in islice(places, 1000):
+        with suppress(*BROKEN):
+            point = evaluated(cost, data, start)
+            if np.isfinite(point.objective):
+                yield point
+
+
+def _near_squares(solver: Solver, start: Evaluation) -> Evaluation:
+    """Where the cost with squared losses of the readings ends, if that is lower.
+
+    Beyond its corner a loss pulls but does not curve: from afar, where all readings lie there, Newton's method takes a
+    hundred steps for what squares reach in five.
+    """
+    squared = tuple(replace(term, loss=Squared()) if _has_corner(term) else term for term in solver.cost.terms)
+    if squared == solver.cost.terms or not isinstance(solver, ProjectedNewton):
+        return start
+    near = ProjectedNewton(replace(solver.cost, terms=squared), solver.settings)
+    found = solved_from(near, evaluated(near.cost, start.data, start.cell_resistance))
+    reached = list(evaluable(solver.cost, start.data, [found.cell_resistance])) if found.solved else []
+    return min((*reached, start), key=lambda point: point.objective)
+
+
+def _has_corner(term: Term) -> bool:
+    return term.reads_measurement and not term.loss.squared and term.loss.enters == "split"
+
+
+def solved_from(solver: Solver, start: Evaluation) -> Solution:
+    """Solve from one start, and, where an interior-point method stopped short of an optimum or its bounds, take the
+    last steps from there; where these do not reach one either, from the start.
+    """
+    with suppress(*BROKEN):
+        return _solved(solver, start)
+    return _broken(solver.cost, start.data)
+
+
+def _solved(solver: Solver, start: Evaluation) -> Solution:
+    outcome = solver.solve(start.data, start)
+    solution = check(start, outcome)
+    settled = solution.strict and solution.kkt_residual <= POLISHED
+    unique = start.data.readout.unique
+    if (settled and unique) or isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM:
+        return solution
+    steps = LAST_STEPS if unique else FINE_STEPS
+    newton = ProjectedNewton(solver.cost, steps if solution.solved else solver.settings)
+    reached = [solution]
+    for near in (evaluated(solver.cost, start.data, outcome.cell_resistance), start):
+        polished = check(start, replace(newton.solve(start.data, near), iterations=outcome.iterations))
+        reached.append(polished)
+        if polished.strict:
+            break
+    solved = [one for one in reached if one.solved]
+    return min(solved, key=lambda one: (not one.strict, one.objective), default=solution)
+
+
+def _broken(cost: Cost, data: Data) -> Solution:
+    outcome = Outcome(data.measured, np.zeros(0), Status.BREAKDOWN, 0)
+    return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)

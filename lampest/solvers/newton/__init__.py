@@ -1,1 +1,0 @@
-"""Projected, damped Newton in log r with potentials eliminated."""

@@ -1,0 +1,237 @@
+"""Preconditioners M ≈ ∇²φ of conjugate gradients, kept from frame to frame while they serve.
+
+Small problems: the Cholesky factor of ∇²φ, or of Gauss–Newton's matrix where ∇²φ is not positive definite. Large ones:
+A = T + diag(c) + V S Vᵀ, in ohm: T of the penalties, c of each cell's own reading, V two columns for every line. T +
+diag(c) is factored, sparse; along V, A is inverted exactly before and after (a coarse space in two levels): with
+Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
+Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.linalg import lapack
+from scipy.sparse.linalg import splu
+
+from lampest.panel.kirchhoff import line_sums
+from lampest.panel.panel import Array
+from lampest.panel.trust_region import Linear
+from lampest.solvers.hessian import Hessian
+
+LEAST = 1e-12  # of the largest entry of a diagonal: double precision tells no smaller one from zero
+SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
+WEAK = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
+STRONG = 1.0  # VᵀAV over Vᵀ(T + diag c)V of a typical line, from which lines are worth their cost
+Numbers = NDArray[np.intp]
+Free = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Preconditioner:
+    """M, and the cell resistance (frames, rows, columns) ohm where it was made."""
+
+    cell_resistance: Array
+
+    def distance(self, cell_resistance: Array) -> float:
+        """The largest change of log r since; infinite for another panel."""
+        if cell_resistance.shape != self.cell_resistance.shape:
+            return float("inf")
+        return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
+
+    def over(self, free: Free, cell_resistance: Array) -> Linear:
+        """M⁻¹·p in u = log r between the free cells, flat; symmetric and positive definite."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Cholesky(Preconditioner):
+    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers); diagonal : of M, for the other cells."""
+
+    cells: Numbers
+    triangle: Array
+    size: Array
+    diagonal: Array
+
+    @classmethod
+    def of(cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0) -> "Cholesky | None":
+        """Of a matrix over some cells, with `least` added to its unit diagonal; None where it is not definite."""
+        size = np.diag(matrix)
+        if not (np.all(size > 0) and np.all(np.isfinite(matrix))):
+            return None
+        size = np.sqrt(size)
+        unit = matrix / size / size[:, None]
+        unit.flat[:: len(size) + 1] += least
+        triangle, failed = lapack.dpotrf(unit)
+        if failed:
+            return None
+        diagonal = np.full(cell_resistance.size, float(np.mean(size**2)))
+        diagonal[cells] = size**2
+        return cls(cell_resistance, cells, triangle, size, diagonal)
+
+    def solve(self, values: Array) -> Array:
+        """M⁻¹·p over its own cells."""
+        return np.asarray(lapack.dpotrs(self.triangle, values / self.size)[0] / self.size)
+
+    def over(self, free: Free, cell_resistance: Array) -> Linear:
+        """Cells that M does not know: by the diagonal."""
+        chosen = np.flatnonzero(free)
+        if np.array_equal(chosen, self.cells):
+            return self.solve
+        place = np.full(free.size, -1)
+        place[self.cells] = np.arange(len(self.cells))
+        known = place[chosen] >= 0
+        inner, outer, whole = place[chosen][known], 1 / self.diagonal[chosen], np.zeros(len(self.cells))
+
+        def solve(values: Array) -> Array:
+            whole[inner] = values[known]
+            found = outer * values
+            found[known] = self.solve(whole)[inner]
+            return found
+
+        return solve
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLevel(Preconditioner):
+    """local : T + diag(c), solve : its inverse. lines : V, or None where they are not worth their cost."""
+
+    solve: Linear
+    lines: "CoarseLines | None" = None
+
+    @classmethod
+    def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel":
+        """At a point; stiffness : (frames · cells) what is added to ∇²φ's diagonal, or None."""
+        cells = hessian.at.cell_resistance
+        inverse = sparse.diags_array(1 / cells.ravel())
+        added = np.zeros(cells.size) if stiffness is None else stiffness
+        penalties = inverse @ (hessian.penalty_matrix + sparse.diags_array(added)) @ inverse
+        own, lines = hessian.own, None
+        if len(cells) == 1:
+            weight = np.maximum(hessian.reading_weight[0], WEAK * (hessian.reading_weight.max(initial=0.0) or 1.0))
+            parts = hessian.at.networks[0].normal_from_afar(weight)
+            own = parts.own.ravel()
+            local = sparse.csr_array(penalties + sparse.diags_array(own / cells.ravel() ** 2))
+            lines = CoarseLines.of(local, parts.along / cells, parts.mixed)
+        if lines is None:
+            local = sparse.csr_array(penalties + sparse.diags_array(hessian.own / cells.ravel() ** 2))
+        return cls(cells, sparse_inverse(local), lines)
+
+    def over(self, free: Free, cell_resistance: Array) -> Linear:
+        """The part between the free cells."""
+        cells, whole = cell_resistance.ravel(), np.zeros(free.size)
+        every, chosen = bool(free.all()), np.flatnonzero(free)
+        size = cells[chosen]
+
+        def solve(values: Array) -> Array:
+            if every:
+                return np.asarray(self._solved(values / cells) / cells)
+            whole[chosen] = values / size
+            return np.asarray(self._solved(whole)[chosen] / size)
+
+        return solve
+
+    def _solved(self, values: Array) -> Array:
+        if self.lines is None:
+            return self.solve(values)
+        first = self.lines.solve(values)
+        between = self.solve(values - self.lines.product(first))
+        return np.asarray(first + between - self.lines.solve(self.lines.product(between)))
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLines:
+    """V = [diag(v)·U for v in along], U the incidence of cells and lines; local : T + diag(c). mixed : S.
+
+    coarse : (VᵀAV)⁻¹.
+    """
+
+    local: sparse.csr_array
+    along: Array
+    mixed: Array
+    coarse: Array
+
+    @classmethod
+    def of(cls, local: sparse.csr_array, along: Array, mixed: Array) -> "CoarseLines | None":
+        """None where most lines add less than what they cross."""
+        columns = _columns(along)
+        if not columns.shape[1]:
+            return None
+        length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
+        columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
+        crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
+        added = square @ (mixed * length[:, None] * length) @ square
+        if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < STRONG:
+            return None
+        whole = crossed + added
+        size = np.sqrt(np.maximum(np.abs(whole.diagonal()), 1e-300))
+        whole = whole / size[:, None] / size
+        whole.flat[:: len(whole) + 1] += SHIFTS[0]  # columns that are alike on even panels
+        scale = 1 / (size * length)
+        inverse = linalg.inv(whole) * scale[:, None] * scale
+        return cls(local, along, mixed, (inverse + inverse.T) / 2)
+
+    def solve(self, values: Array) -> Array:
+        """Q·x."""
+        return self._back(self.coarse @ self._sums(values))
+
+    def product(self, values: Array) -> Array:
+        """A·x."""
+        return np.asarray(self.local @ values + self._back(self.mixed @ self._sums(values)))
+
+    def _sums(self, values: Array) -> Array:
+        """Vᵀ·x."""
+        grid = values.reshape(self.along.shape[1:])
+        return np.concatenate([line_sums(one * grid) for one in self.along])
+
+    def _back(self, lines: Array) -> Array:
+        """V·y."""
+        rows = self.along.shape[1]
+        parts = lines.reshape(len(self.along), -1)
+        pairs = zip(self.along, parts, strict=True)
+        return np.asarray(sum(one * (part[:rows, None] + part[rows:]) for one, part in pairs)).ravel()
+
+
+def _columns(along: Array) -> sparse.csr_array:
+    """V (cells, k·lines) of v (k, rows, columns)."""
+    _, rows, columns = along.shape
+    number = np.arange(rows * columns)
+    places = np.concatenate([number // columns, rows + number % columns])
+    lines = sparse.csr_array((np.ones(len(places)), (np.tile(number, 2), places)), (len(number), rows + columns))
+    blank = sparse.csr_array((len(number), 0))
+    return sparse.csr_array(sparse.hstack([blank, *(sparse.diags_array(one.ravel()) @ lines for one in along)]))
+
+
+def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
+    """A new one at a point, over the free cells or over all."""
+    if not hessian.dense:
+        return TwoLevel.of(hessian)
+    cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
+    among = np.ix_(chosen, chosen)
+    found = Cholesky.of(cells, chosen, hessian.matrix[among])
+    if found is None:
+        matrix = hessian.gauss_newton_matrix[among]
+        matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
+        tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in SHIFTS)
+        found = next((one for one in tried if one is not None), None)
+    return TwoLevel.of(hessian) if found is None else found
+
+
+def floored(diagonal: Array) -> Array:
+    """None below LEAST of the largest."""
+    return np.asarray(np.maximum(diagonal, LEAST * (float(diagonal.max(initial=0.0)) or 1.0)))
+
+
+def sparse_inverse(matrix: sparse.csr_array) -> Linear:
+    """Of a symmetric matrix whose diagonal may span many decades, by sparse LU in symmetric order."""
+    diagonal = floored(matrix.diagonal())
+    if matrix.nnz <= len(diagonal):
+        inverse = 1 / diagonal
+        return lambda values: inverse * values
+    size = np.sqrt(diagonal)
+    scale = sparse.diags_array(1 / size)
+    unit = sparse.csc_array(scale @ matrix @ scale + 1e-9 * sparse.eye_array(len(size)))
+    options = {"SymmetricMode": True}
+    solve = splu(unit, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+    return lambda values: np.asarray(solve(values / size) / size)

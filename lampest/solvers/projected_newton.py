@@ -1,0 +1,306 @@
+"""Projected trust-region Newton method with potentials eliminated: the solver of the reduced formulation.
+
+The unknowns are relative changes s of the conductances, g ← g·(1 − s), in which readings are closest to quadratic.
+An iteration: the active set (cells that the gradient presses against a bound are held), a direction (Steihaug and
+Toint's conjugate gradients with the exact ∇²φ, preconditioned by what the frame before left), its projection on the
+bounds, acceptance by the ratio of actual to predicted decrease, with a smaller radius until a step is accepted.
+Absolute losses are smoothed less and less.
+Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (smoothing).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.panel.panel import Array
+from lampest.panel.trust_region import Linear, steihaug
+from lampest.solvers.active_kinks import unsmoothed_minimum
+from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.solvers.descent import downhill, free_cells
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.interior_point import by_interior_point
+from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, Squares
+from lampest.solvers.preconditioners import Preconditioner, preconditioner
+from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.solution import Outcome, Settings, Status
+
+ACCEPTED = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
+SHORTER = 0.25  # of a rejected step: the radius for the next try
+ROUNDING = 1e-12  # of the cost: a smaller decrease is invisible, and the gradient must fall to HALF instead
+HALF = 0.5
+FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell says nothing
+MOST_STOPS = 15  # solves of one direction, in which cells stop at their bounds one after the other
+MOST_REJECTIONS = 15  # each with a quarter of the radius: 4⁻¹⁵ is rounding
+GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
+WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
+MOVED = 0.7  # of log r: the same
+MOST_UNSETTLED = 8  # steps of an estimate that satisfies first-order conditions: they converge quadratically
+NEAR = 0.01  # of log r: second derivatives change by as much, and a predicted step with them
+LARGE, LITTLE = 1e-2, 1e-3  # of the cost's scale, a gradient; of the cost, a decrease
+DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
+
+
+@dataclass(frozen=True)
+class ProjectedNewton:
+    """One cost on one panel shape. kept : the preconditioner that the frame before left, or None."""
+
+    cost: Cost
+    settings: Settings
+    kept: Preconditioner | None = None
+
+    def prepare(self) -> None:
+        """Compile the cost, so that the first solve is not charged for it."""
+        _ = self.cost.functions.hessian.pattern
+
+    def solve(self, data: Data, start: Evaluation) -> Outcome:
+        """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
+        start, iteration = by_interior_point(start)
+        point = Iterate.of(start, Smoothing.start(start), kept=self.kept)
+        unsettled = 0
+        while iteration < self.settings.max_iterations:
+            if data.overdue:
+                return point.outcome(Status.TIME, iteration)
+            if point.residual <= max(self.settings.tolerance, HALF * point.gap):
+                if not point.sharp(self.settings.tolerance):
+                    point, iteration = point.sharpened(), iteration + 1
+                    continue
+                if point.certificate.settled or unsettled == MOST_UNSETTLED:
+                    return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
+                unsettled += 1
+            near = point.residual <= self.settings.tolerance
+            moved = (escaped(point) if near else None) or advanced(point)
+            if moved is None or not moved.gauss_newton or slow(point, moved):
+                moved = lower_of(moved, least_squares_step(point)) or escaped(point)
+            if moved is None:
+                if (ended := point.unsmoothed(iteration)) is not None:
+                    return ended
+                if not point.sharp(self.settings.tolerance):
+                    point, iteration = point.sharpened(), iteration + 1
+                    continue
+                return point.outcome(Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
+            point, iteration = moved, iteration + 1
+        return point.outcome(Status.ITERATIONS, iteration)
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point with its derivatives; objective : φ, smoothed. kept : M, or None.
+
+    gauss_newton : how many more steps with JᵀWJ may avoid negative curvature.
+    """
+
+    hessian: Hessian
+    objective: float
+    kept: Preconditioner | None = None
+    gauss_newton: int = GAUSS_NEWTON
+
+    @classmethod
+    def of(cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None) -> "Iterate":
+        """Where a solve begins."""
+        return cls(Hessian(at, smoothing), smoothing.objective(at), kept=kept)
+
+    @property
+    def at(self) -> Evaluation:
+        """The cost at this point."""
+        return self.hessian.at
+
+    @cached_property
+    def residual(self) -> float:
+        """The projected gradient, relative to the cost's scale."""
+        return self.at.projected_gradient(self.hessian.gradient.reshape(self.at.cell_resistance.shape))
+
+    @property
+    def gap(self) -> float:
+        """What the smoothing of absolute losses may still cost, relative to the cost's scale."""
+        slope = self.hessian.smoothing.slope(self.at.rough)
+        return self.at.dual_gap(slope) / self.at.cost_scale if len(slope) else 0.0
+
+    def sharp(self, tolerance: float) -> bool:
+        """Whether the smoothing costs no more than a share of the cost, and is not mere rounding."""
+        allowed = min(self.at.cost_scale, max(10 * self.at.objective, 1e-4 * self.at.cost_scale))
+        return self.gap * self.at.cost_scale <= tolerance * allowed
+
+    def sharpened(self) -> "Iterate":
+        """The same place with a tenth of the smoothing."""
+        smoothing = self.hessian.smoothing
+        return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10))
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """What one more step would do."""
+        return certificate(self.hessian, self.kept)
+
+    def outcome(self, status: Status, iterations: int) -> Outcome:
+        """What the caller gets, after the certificate's own step where that comes from a factor and certifies."""
+        found, cells, kept = self.__dict__.get("certificate"), self.at.cell_resistance, self.kept
+        dual = self.hessian.smoothing.slope(self.at.rough)
+        if found is not None and found.factor is not None:
+            kept = found.factor
+            if found.settled and not len(dual) and float(np.abs(found.step).max()) <= NEAR:
+                cells = np.exp(self.at.position + found.step.reshape(cells.shape))
+        return Outcome(cells, dual, status, iterations, found, kept)
+
+    def unsmoothed(self, iterations: int) -> Outcome | None:
+        """The minimum nearby without any smoothing; None where there are no absolute losses, or none is found."""
+        found = unsmoothed_minimum(self.at, self.hessian.smoothing.slope(self.at.rough))
+        if found is None:
+            return None
+        at, dual, certified = found
+        return Outcome(at.cell_resistance, dual, Status.OPTIMUM, iterations + 1, certified)
+
+    def at_step(self, step: Array) -> "Iterate | None":
+        """The point after a step of u (flat), within the bounds; None where its network cannot be solved."""
+        data, smoothing = self.at.data, self.hessian.smoothing
+        cells = np.exp(self.at.position.ravel() + step).reshape(data.measured.shape)
+        try:
+            at = self.at.elsewhere(np.clip(cells, data.lower, data.upper))
+        except np.linalg.LinAlgError:
+            return None
+        return Iterate(Hessian(at, smoothing.moved(self.at, at)), smoothing.objective(at), kept=self.kept)
+
+    def accepts(self, trial: "Iterate | None", predicted: float) -> float:
+        """The ratio of actual to predicted decrease; where rounding hides it, 1 or −1: did the gradient halve?"""
+        if trial is None or not np.isfinite(trial.objective):
+            return -1.0
+        gain = self.objective - trial.objective
+        invisible = ROUNDING * abs(self.objective)
+        if predicted > invisible:
+            return gain / predicted
+        return 1.0 if abs(gain) <= invisible and trial.residual <= HALF * self.residual else -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """step : of u = log r, within the bounds. predicted : decrease of the quadratic model. length : ‖s‖_M.
+
+    products : of the longest of its solves. negative : whether negative curvature was met.
+    """
+
+    step: Array
+    predicted: float
+    length: float
+    products: int
+    negative: bool
+
+
+def advanced(point: Iterate) -> Iterate | None:
+    """The next point by a trust-region step; None where no radius makes one that is accepted.
+
+    Every iteration begins with the whole step: a radius that is carried on holds readings at a rail back, which curve
+    the cost on one side alone.
+    """
+    hessian, cells = point.hessian, point.at.cell_resistance
+    free, kept = free_cells(point.at, hessian.gradient), point.kept
+    if kept is None or kept.distance(cells) > MOVED:
+        kept = preconditioner(hessian, free)
+    radius, patience = inf, point.gauss_newton
+    curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
+    exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
+    product = exact
+    for _ in range(MOST_REJECTIONS):
+        found = direction(point, kept, free, product, radius)
+        if found.negative and patience and product is exact:
+            product, patience = hessian.gauss_newton_product, patience - 1
+            found = direction(point, kept, free, product, radius)
+        trial = point.at_step(found.step)
+        ratio = point.accepts(trial, found.predicted)
+        if trial is not None and ratio >= ACCEPTED:
+            worn = found.products > WORN[hessian.dense]
+            patience = patience if found.negative or product is not exact else GAUSS_NEWTON
+            return replace(trial, kept=None if worn else kept, gauss_newton=patience)
+        radius = SHORTER * found.length
+        if not radius > 0:
+            break
+    return None
+
+
+def shares_conductance(at: Evaluation) -> bool:
+    """Whether lines touch, so that readings leave open how parallel cells share their conductance, and no penalty says.
+
+    In conductances all shares are equally good. In log r, which takes their place, cells stay near the start's shares.
+    """
+    wiring = at.data.wiring
+    return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
+
+
+def direction(
+    point: Iterate, kept: Preconditioner, free: NDArray[np.bool_], product: Linear, radius: float
+) -> Direction:
+    """argmin of the quadratic model within radius and bounds: cells beyond a bound stop there, the others go on."""
+    at, gradient = point.at, point.hessian.gradient
+    lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
+    low, high = np.maximum(lower, -FARTHEST), np.minimum(upper, FARTHEST)
+    logarithmic = shares_conductance(at)
+    if not logarithmic:
+        low, high = -np.expm1(-low), -np.expm1(-high)
+    accuracy = min(0.1, point.residual**0.5)
+    moving, step, slope = free, np.zeros(free.size), gradient
+    most, negative, length, predicted = 0, False, 0.0, -inf
+    whole = np.zeros(free.size)
+    for _ in range(MOST_STOPS):
+        chosen = np.flatnonzero(moving)
+
+        def among(search: Array, chosen: NDArray[np.intp] = chosen) -> Array:
+            whole[:] = 0.0
+            whole[chosen] = search
+            return product(whole)[chosen]
+
+        found = steihaug(among, kept.over(moving, at.cell_resistance), slope[chosen], accuracy, radius)
+        most, negative, length = max(most, found.products), negative or found.negative, found.length
+        step = np.where(moving, 0.0, step)
+        step[chosen] = found.step
+        beyond = moving & ((step < low) | (step > high))
+        if not beyond.any():
+            if moving is free:
+                predicted = found.decrease
+            break
+        step = np.clip(step, low, high)
+        moving = moving & ~beyond
+        if not moving.any():
+            break
+        slope = gradient + product(np.where(moving, 0.0, step))
+    if predicted == -inf:
+        predicted = -float(gradient @ step + 0.5 * step @ product(step))
+    return Direction(step if logarithmic else -np.log1p(-step), predicted, length, most, negative)
+
+
+def slow(point: Iterate, moved: Iterate) -> bool:
+    """Whether a step gained little though the gradient is large: ∇²φ is rounding there."""
+    return point.residual > LARGE and moved.objective > (1 - LITTLE) * point.objective
+
+
+def lower_of(one: Iterate | None, other: Iterate | None) -> Iterate | None:
+    """The one with the lower cost, of those that there are."""
+    return min((point for point in (one, other) if point is not None), key=lambda point: point.objective, default=None)
+
+
+def escaped(point: Iterate) -> Iterate | None:
+    """From a saddle, along a direction of negative curvature, where the cost falls there."""
+    found = point.certificate
+    if found.definiteness is not Definiteness.INDEFINITE or found.descent is None:
+        return None
+    lower = downhill(point.at, found.descent)
+    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower))
+
+
+def least_squares_step(point: Iterate) -> Iterate | None:
+    """By QR, which has twice the digits: for shorts and weights that leave ∇²φ none; None where it leads no lower."""
+    free = np.flatnonzero(free_cells(point.at, point.hessian.gradient))
+    if not 0 < len(free) <= ORTHOGONAL_UNKNOWNS or not point.hessian.dense:
+        return None
+    lower, upper = (bound.ravel() - point.at.position.ravel() for bound in point.at.data.log_bounds)
+    squares = Squares.of(point.hessian, free)
+    for damping in DAMPINGS:
+        whole = np.zeros(point.at.cell_resistance.size)
+        whole[free] = np.clip(squares.step(damping), -FARTHEST, FARTHEST)
+        for share in (1.0, 0.3, 0.1):
+            step = np.clip(share * whole, lower, upper)
+            trial = point.at_step(step)
+            if trial is not None and trial.objective < point.objective:
+                return replace(trial, kept=None)
+    return None
