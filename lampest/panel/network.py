@@ -6,7 +6,7 @@ the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. Nobody else reads an impedance.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
@@ -18,7 +18,6 @@ from lampest.panel.panel import Array
 
 Block = tuple[slice, slice]
 Numbers = NDArray[np.intp]
-GridLinear = Callable[[Array], Array]  # (rows, columns) → (rows, columns)
 
 
 class ReadCircuit(Hashable, Protocol):
@@ -51,7 +50,7 @@ class SecondOrder(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Afar:
+class NormalByLines:
     """diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U (cells, lines) whose columns are the lines.
 
     own (rows, columns), along (k, rows, columns), mixed (k·lines)².
@@ -102,19 +101,12 @@ class Network(ABC):
     def second_order(self, weights: Array) -> SecondOrder:
         """Second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
 
-    @abstractmethod
-    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
-        """What approximates (Jᵀ·diag(w)·J + diag(c))⁻¹ over the free cells: a preconditioner, symmetric and positive.
-
-        weight : w > 0 of the readings. diagonal : c ≥ 0 of the cells; all (rows, columns).
-        """
-
-    def normal_from_afar(self, weight: Array) -> Afar:
+    def normal_by_lines(self, weight: Array) -> NormalByLines:
         """What approximates JᵀWJ for weights w ≥ 0 of the readings (rows, columns): J's diagonal, and what lines add,
         where a kind knows that.
         """
         own: Array = weight * self.own_response() ** 2
-        return Afar(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
+        return NormalByLines(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
 
     def potentials(self) -> Array:
         """(lines, patterns) volt per ampere: what every line stands at while a unit current enters line `pattern`."""

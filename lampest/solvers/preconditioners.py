@@ -7,6 +7,7 @@ Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
 Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ Free = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Preconditioner:
+class Preconditioner(ABC):
     """M, and the cell resistance (frames, rows, columns) ohm where it was made."""
 
     cell_resistance: Array
@@ -40,9 +41,9 @@ class Preconditioner:
             return float("inf")
         return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
 
+    @abstractmethod
     def over(self, free: Free, cell_resistance: Array) -> Linear:
         """M⁻¹·p in u = log r between the free cells, flat; symmetric and positive definite."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ class TwoLevel(Preconditioner):
         own, lines = hessian.own, None
         if len(cells) == 1:
             weight = np.maximum(hessian.reading_weight[0], WEAK * (hessian.reading_weight.max(initial=0.0) or 1.0))
-            parts = hessian.at.networks[0].normal_from_afar(weight)
+            parts = hessian.at.networks[0].normal_by_lines(weight)
             own = parts.own.ravel()
             local = sparse.csr_array(penalties + sparse.diags_array(own / cells.ravel() ** 2))
             lines = CoarseLines.of(local, parts.along / cells, parts.mixed)

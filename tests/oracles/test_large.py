@@ -19,7 +19,7 @@ from lampest.panel.readouts.two_point.floating import (
     FloatingNetwork,
     Stencil,
     grounding,
-    square_from_afar,
+    square_by_lines,
 )
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
@@ -113,7 +113,7 @@ def test_lines_stand_for_the_square_of_the_stencil() -> None:
     own = np.maximum(resistance.ravel() ** 2 - np.diag(lines), 0.05 * resistance.ravel() ** 2)
     response = (lines + np.diag(own)) * conductance.ravel()
     matrix = response.T @ (weight.reshape(-1, 1) * response)
-    parts = square_from_afar(conductance, resistance, weight)
+    parts = square_by_lines(conductance, resistance, weight)
     lines = np.concatenate([row[:, None] == np.arange(4), column[:, None] == np.arange(5)], axis=1)
     across = np.concatenate([one.reshape(-1, 1) * lines for one in parts.along], axis=1)
     assert_allclose(matrix, np.diag(parts.own.ravel()) + across @ parts.mixed @ across.T, rtol=1e-10)

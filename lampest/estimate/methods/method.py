@@ -170,7 +170,7 @@ class Method(ABC):
         Of methods that need all frames `together`. resting : of the unloaded frames, of which the state has the mean.
         on_frame : called after every frame.
         """
-        raise NotImplementedError
+        raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
         """A frame solved with another state, begun at cells that are known."""

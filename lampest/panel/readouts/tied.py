@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.network import GridLinear, Network, Numbers, ReadCircuit, SecondOrder
+from lampest.panel.network import Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.equation import PARTS, compiled_equation
 
 Entries = tuple[Array, Array, Array]  # of (p, q, t) = (Z_jj, Z_kk, Z_jk)
-LEAST_RESPONSE = 1e-6  # (of the largest own response) below it a preconditioner takes no step
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +104,6 @@ class TiedNetwork(Network):
     def second_order(self, weights: Array) -> SecondOrder:
         """Through Z twice, and through the curvature of h."""
         return TiedSecondOrder(self, weights)
-
-    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
-        """Of the diagonal of J alone."""
-        response = np.abs(self.own_response())
-        floored = np.maximum(response, LEAST_RESPONSE * response.max(initial=1e-300))
-        inverse = np.where(free, 1 / (floored**2 * weight + diagonal), 0.0)
-        return lambda values: inverse * values
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.network import Block, GridLinear, Network, ReadCircuit, SecondOrder
+from lampest.panel.network import Block, Network, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
 from lampest.panel.readouts.wiring import Ladder, Wiring
@@ -92,10 +91,6 @@ class WiredNetwork(TiedNetwork):
     def second_order(self, weights: Array) -> SecondOrder:
         """Through D twice, and through the curvature of h."""
         return WiredSecondOrder(self, weights)
-
-    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
-        """Of the same cells without wire, which is near enough for a preconditioner."""
-        return self.readout.network(self.cell_resistance, self.ties).normal_inverse(weight, diagonal, free)
 
     def changed(self, block: Block, conductance: Array) -> "WiredNetwork":
         """Solved anew: Z alone, which terminals show, does not tell cells inside a wired panel apart."""

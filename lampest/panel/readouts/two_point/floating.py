@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.kirchhoff import line_sums
-from lampest.panel.network import Afar, Block, GridLinear, Network, Numbers, SecondOrder, inverse_of
+from lampest.panel.network import Block, Network, NormalByLines, Numbers, SecondOrder, inverse_of
 from lampest.panel.panel import Array
 
 LEAST_SHARE = (
@@ -96,13 +96,9 @@ class FloatingNetwork(Network):
         """With Z L_w Z."""
         return FloatingSecondOrder(self, self._impedance @ self._injected(weights, self._impedance))
 
-    def normal_inverse(self, weight: Array, diagonal: Array, free: NDArray[np.bool_]) -> GridLinear:
-        """From what a network looks like from afar."""
-        return StencilSquare.of(self.conductance, self.reading(), weight, diagonal, free)
-
-    def normal_from_afar(self, weight: Array) -> Afar:
-        """Diagonal, rows and columns; see `square_from_afar`."""
-        return square_from_afar(self.conductance, self.reading(), weight)
+    def normal_by_lines(self, weight: Array) -> NormalByLines:
+        """Diagonal, rows and columns; see `square_by_lines`."""
+        return square_by_lines(self.conductance, self.reading(), weight)
 
     def log_determinant(self) -> float:
         """log det Z."""
@@ -171,47 +167,9 @@ class Stencil:
         return solved
 
 
-@dataclass(frozen=True, eq=False)
-class StencilSquare:
-    """(JᵀWJ + diag(c))⁻¹ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D, W = diag(w).
-
-    (JᵀWJ + diag(c)) = G(diag(d²w + r²c) + [dwU, U]·M·[dwU, U]ᵀ)G, M = [[0, K], [K, K UᵀwU K]], so that Woodbury's
-    formula takes one inverse of twice as many lines. inverse : (rows, columns) 1/(d²w + r²c), zero at cells that are
-    left out. heavy : d·w. inner : (2·lines)², (M⁻¹ + [dwU, U]ᵀ·inverse·[dwU, U])⁻¹. cell_resistance : r, ohm.
-    """
-
-    inverse: Array
-    heavy: Array
-    inner: Array
-    cell_resistance: Array
-
-    @classmethod
-    def of(
-        cls, conductance: Array, two_point_resistance: Array, weight: Array, diagonal: Array, free: NDArray[np.bool_]
-    ) -> "StencilSquare":
-        """w > 0 : `weight`, c ≥ 0 : `diagonal`; all (rows, columns), siemens and ohm."""
-        cells, lines = _parts(conductance, two_point_resistance)
-        inverse = np.where(free, 1 / (cells**2 * weight + diagonal / conductance**2), 0.0)
-        heavy = cells * weight
-        mixed = np.diag(1 / lines) + _between_lines(heavy * inverse)
-        outer = _between_lines(heavy**2 * inverse - weight)
-        inner = np.linalg.inv(np.block([[outer, mixed], [mixed, _between_lines(inverse)]]))
-        return cls(inverse, heavy, inner, 1 / conductance)
-
-    def __call__(self, values: Array) -> Array:
-        """Of values (rows, columns) at the free cells; likewise."""
-        first = self.inverse * values * self.cell_resistance
-        heavy = self.heavy * first
-        sums = (heavy.sum(axis=1), heavy.sum(axis=0), first.sum(axis=1), first.sum(axis=0))
-        above, below = np.split(self.inner @ np.concatenate(sums), 2)
-        rows = len(first)
-        back = self.heavy * (above[:rows, None] + above[rows:]) + (below[:rows, None] + below[rows:])
-        solved: Array = (first - self.inverse * back) * self.cell_resistance
-        return solved
-
-
-def square_from_afar(conductance: Array, two_point_resistance: Array, weight: Array) -> Afar:
-    """JᵀWJ with J = S·diag(g), as its parts: diag(g²d²w), [g·dwU, g·U] and M of `StencilSquare`; w ≥ 0 (rows, columns).
+def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
+    """JᵀWJ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D: diag(g²d²w) + V M Vᵀ, V = [g·dwU, g·U],
+    M = [[0, K], [K, K UᵀwU K]]; w ≥ 0 (rows, columns).
 
     conductance, two_point_resistance : (rows, columns) siemens and ohm.
     """
@@ -219,7 +177,7 @@ def square_from_afar(conductance: Array, two_point_resistance: Array, weight: Ar
     heavy = conductance * cells * weight
     mixed = lines[:, None] * _between_lines(weight) * lines
     inner = np.block([[np.zeros_like(mixed), np.diag(lines)], [np.diag(lines), mixed]])
-    return Afar(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
+    return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
 
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
