@@ -102,8 +102,8 @@ class TwoLevel(Preconditioner):
     lines: "CoarseLines | None" = None
 
     @classmethod
-    def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel":
-        """At a point; stiffness : (frames · cells) what is added to ∇²φ's diagonal, or None."""
+    def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel | Woodbury":
+        """At a point, Woodbury's where T is diagonal; stiffness : (frames · cells) added to ∇²φ's diagonal, or None."""
         cells = hessian.at.cell_resistance
         inverse = sparse.diags_array(1 / cells.ravel())
         added = np.zeros(cells.size) if stiffness is None else stiffness
@@ -114,7 +114,11 @@ class TwoLevel(Preconditioner):
             parts = hessian.at.networks[0].normal_by_lines(weight)
             own = parts.own.ravel()
             local = sparse.csr_array(penalties + sparse.diags_array(own / cells.ravel() ** 2))
-            lines = CoarseLines.of(local, parts.along / cells, parts.mixed)
+            found = (local, parts.along / cells, parts.mixed)
+            lone = hessian.only_data and parts.along.size > 0
+            lines = CoarseLines(*found, np.zeros((0, 0))) if lone else CoarseLines.of(*found)
+            if lines is not None and local.nnz <= local.shape[0]:
+                return Woodbury(cells, floored(local.diagonal()).reshape(cells.shape[1:]), lines)
         if lines is None:
             local = sparse.csr_array(penalties + sparse.diags_array(hessian.own / cells.ravel() ** 2))
         return cls(cells, sparse_inverse(local), lines)
@@ -139,6 +143,29 @@ class TwoLevel(Preconditioner):
         first = self.lines.solve(values)
         between = self.solve(values - self.lines.product(first))
         return np.asarray(first + between - self.lines.solve(self.lines.product(between)))
+
+
+@dataclass(frozen=True, eq=False)
+class Woodbury(Preconditioner):
+    """A⁻¹ between any cells, exactly, where T + diag(c) is `diagonal`, in ohm (rows, columns)."""
+
+    diagonal: Array
+    lines: "CoarseLines"
+
+    def over(self, free: Free, cell_resistance: Array) -> Linear:
+        """(D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
+        shape = self.diagonal.shape
+        inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
+        inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
+        chosen, whole, flat = np.flatnonzero(free), np.zeros(free.size), inverse.ravel()
+        size = cell_resistance.ravel()[chosen]
+
+        def solve(values: Array) -> Array:
+            whole[chosen] = values / size
+            first = flat * whole
+            return np.asarray((first - flat * self.lines.back(inner @ self.lines.sums(first)))[chosen] / size)
+
+        return solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,18 +202,28 @@ class CoarseLines:
 
     def solve(self, values: Array) -> Array:
         """Q·x."""
-        return self._back(self.coarse @ self._sums(values))
+        return self.back(self.coarse @ self.sums(values))
 
     def product(self, values: Array) -> Array:
         """A·x."""
-        return np.asarray(self.local @ values + self._back(self.mixed @ self._sums(values)))
+        return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
 
-    def _sums(self, values: Array) -> Array:
+    def between(self, values: Array) -> Array:
+        """Vᵀ diag(x) V of x (rows, columns)."""
+
+        def block(grid: Array) -> Array:
+            matrix = np.diag(line_sums(grid))
+            matrix[: len(grid), len(grid) :], matrix[len(grid) :, : len(grid)] = grid, grid.T
+            return matrix
+
+        return np.block([[block(one * other * values) for other in self.along] for one in self.along])
+
+    def sums(self, values: Array) -> Array:
         """Vᵀ·x."""
         grid = values.reshape(self.along.shape[1:])
         return np.concatenate([line_sums(one * grid) for one in self.along])
 
-    def _back(self, lines: Array) -> Array:
+    def back(self, lines: Array) -> Array:
         """V·y."""
         rows = self.along.shape[1]
         parts = lines.reshape(len(self.along), -1)
