@@ -131,10 +131,6 @@ class Network(ABC):
         impedance = self._impedance - towards @ core @ towards.T
         return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
 
-    def relabelled(self, cell_resistance: Array) -> Self:
-        """The same network with cells that differ from its own by rounding alone."""
-        return replace(self, cell_resistance=cell_resistance, conductance=1 / cell_resistance)
-
     def lines_of(self, block: Block) -> NDArray[np.intp]:
         """The numbers of a block's lines, rows first."""
         rows, columns = self.conductance.shape

@@ -285,7 +285,7 @@ def test_rule_sees_who_breaks_it(rule: Callable[[str, ast.Module], Iterator[str]
 @pytest.mark.parametrize(
     ("module", "text"),
     [
-        ("lampest.solvers.ipopt.nodal", "import casadi\nimport numpy as np\nfrom pathlib import Path"),
+        ("lampest.solvers.ipopt.formulations", "import casadi\nimport numpy as np\nfrom pathlib import Path"),
         ("lampest.solvers.ipopt", "import casadi"),
         ("lampest.cost.cost", "from lampest.cost.losses import Huber\nfrom lampest.files.errors import InputError"),
         ("lampest", "from lampest.cost.cost import Cost"),

@@ -12,8 +12,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.recording.readings import Readings
 from lampest.solvers.ipopt.formulations import FORMULATIONS
-from lampest.solvers.ipopt.ipopt import Ipopt
-from lampest.solvers.ipopt.limits import Limits
+from lampest.solvers.ipopt.ipopt import Ipopt, Limits
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check

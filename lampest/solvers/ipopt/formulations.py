@@ -1,8 +1,187 @@
-"""The formulations that a run's file may name."""
+"""How readings follow from cell resistance inside an optimisation problem that keeps node voltages as unknowns."""
 
-from lampest.solvers.ipopt.formulation import Formulation
-from lampest.solvers.ipopt.nodal import Nodal
-from lampest.solvers.ipopt.per_pixel import PerPixel
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeVar
 
-__all__ = ["FORMULATIONS", "Formulation", "Nodal", "PerPixel"]
+import casadi
+import numpy as np
+
+from lampest.files.errors import InputError
+from lampest.panel.kirchhoff import current_balance
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.equation import reads_own
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSymbols:
+    """Decision variables and equations of one network.
+
+    potentials : (n, 1) node voltages for unit currents.
+    balance : (n, 1) Kirchhoff's current law; zero at a solution, bilinear in conductances and potentials.
+    reading : (cells, 1) row-major, in the readout's unit.
+    """
+
+    potentials: casadi.SX
+    balance: casadi.SX
+    reading: casadi.SX
+
+
+class Formulation(ABC):
+    """Node voltages as decision variables, Kirchhoff's current law as constraints."""
+
+    @abstractmethod
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
+        """Variables and equations for a (rows, columns) conductance and (rows + columns, 1) ties to ground.
+
+        Conductances and ties are in 1/`scale`, potentials for unit currents in units of `scale`, an ohm.
+        """
+
+    @abstractmethod
+    def potentials(self, readout: Readout, network: Network) -> Array:
+        """The values of `NetworkSymbols.potentials` in a solved network, in ohm."""
+
+    @abstractmethod
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ of `NetworkSymbols.balance` in a solved network: ∂φ/∂V + λᵀ ∂balance/∂V = 0 for slope = ∂φ/∂V, 1/ohm.
+
+        tie : (lines) siemens. V : `potentials`. Raises numpy.linalg.LinAlgError where digits do not suffice.
+        """
+
+    def check(self, readout: Readout) -> None:  # noqa: B027 - most formulations know all readouts
+        """Raise InputError for a readout that the formulation cannot express."""
+
+
+@dataclass(frozen=True)
+class Nodal(Formulation):
+    """y_jk = h(Z_jj, Z_kk, Z_jk), where column c of Z holds the potentials for a unit current into line c.
+
+    The n lines of the shorter side are driven, the m others are far. Unknowns are half of the symmetric driven block
+    of Z, the far-driven block, and the diagonal of the far block where the readout reads it: n(n + 1)/2 + mn + m.
+    """
+
+    kind: Literal["nodal"] = "nodal"
+
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
+        """A far line's own impedance closes its balance when it is driven."""
+        far, driven = sorted(conductance.shape, reverse=True)
+        swapped = conductance.shape[0] < conductance.shape[1]
+        cells = conductance.T if swapped else conductance
+        ties = [casadi.diag(part) for part in casadi.vertsplit(tie, [0, conductance.shape[0], tie.shape[0]])]
+        tie_far, tie_driven = _far_first(ties, conductance.shape)
+        half = casadi.SX.sym(f"{prefix}driven_driven", driven * (driven + 1) // 2)
+        mixed = casadi.SX.sym(f"{prefix}far_driven", far * driven)
+        own = casadi.SX.sym(f"{prefix}far_far", far)
+        near_potential = casadi.triu2symm(casadi.SX(casadi.Sparsity.upper(driven), half))
+        far_potential = casadi.reshape(mixed, driven, far).T
+
+        from_far, from_driven = current_balance(cells, far_potential, near_potential)
+        from_far += tie_far @ far_potential
+        from_driven += tie_driven @ near_potential - casadi.DM.eye(driven)
+        from_own, _ = current_balance(cells, casadi.diag(own), far_potential.T)
+        own_balance = casadi.diag(from_own + tie_far @ casadi.diag(own)) - 1
+        lower = casadi.vertcat(*(from_driven[line, : line + 1].T for line in range(driven)))
+
+        of_far, of_driven = casadi.repmat(own, 1, driven), casadi.repmat(casadi.diag(near_potential).T, far, 1)
+        entries = [of_driven.T, of_far.T, far_potential.T] if swapped else [of_far, of_driven, far_potential]
+        if readout.homogeneous:
+            reading = scale * readout.reading(*entries)
+        else:
+            reading = readout.reading(*(scale * entry for entry in entries))
+        reads_far, _ = _far_first(reads_own(readout, *conductance.shape), conductance.shape)
+        return NetworkSymbols(
+            casadi.vertcat(half, mixed, *([own] if reads_far else [])),
+            casadi.vertcat(lower, casadi.vec(from_far.T), *([own_balance] if reads_far else [])),
+            casadi.vec(reading.T),
+        )
+
+    def potentials(self, readout: Readout, network: Network) -> Array:
+        """Half of the driven block, the far-driven block and, if read, the diagonal of the far block of Z."""
+        impedance, shape = network.potentials(), network.conductance.shape
+        far, driven = _far_first(np.split(np.arange(len(impedance)), [shape[0]]), shape)
+        half = impedance[np.ix_(driven, driven)][np.tril_indices(len(driven))]
+        own = np.diag(impedance)[far if _far_first(reads_own(readout, *shape), shape)[0] else []]
+        return np.concatenate([half, impedance[np.ix_(far, driven)].ravel(), own])
+
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ of the lower half of S·Z_d = 1, then of the far lines; S = Z_d⁻¹ is what the driven lines see.
+
+        With slopes F of φ in Z_d, what far lines add included, the half Λ of driven lines obeys SΛ + (SΛ)ᵀ = −F, which
+        Z_d = HHᵀ makes triangular: H⁻¹ΛH + (H⁻¹ΛH)ᵀ = −HᵀFH.
+        """
+        impedance, shape = network.potentials(), network.conductance.shape
+        far, driven = _far_first(np.split(np.arange(len(impedance)), [shape[0]]), shape)
+        cells = network.conductance.T if shape[0] < shape[1] else network.conductance
+        leaving = cells.sum(axis=1) + tie[far]
+        rows, columns = np.tril_indices(len(driven))
+        half, mixed, own = np.split(slope, [len(rows), len(rows) + cells.size])
+        through = mixed.reshape(cells.shape)
+        if len(own):
+            through = through + cells * (own / leaving)[:, None]
+        slopes = (cells / leaving[:, None]).T @ through
+        slopes[rows, columns] += half
+        root = np.linalg.cholesky(impedance[np.ix_(driven, driven)])
+        turned = root.T @ (slopes + slopes.T) @ root
+        triangle = np.diag(turned.diagonal() / 2) - np.tril(turned)
+        of_driven = np.linalg.solve(root.T, (root @ triangle).T).T
+        of_far = (cells @ of_driven - through) / leaving[:, None]
+        return np.concatenate([of_driven[rows, columns], of_far.ravel(), -own / leaving[: len(own)]])
+
+
+def _far_first(sides: Sequence[T], shape: tuple[int, ...]) -> Sequence[T]:
+    """(far, driven) of what (rows, columns) have."""
+    return sides if shape[0] >= shape[1] else sides[::-1]
+
+
+@dataclass(frozen=True)
+class PerPixel(Formulation):
+    """R_jk = V_j − V^k while a unit current enters row j and leaves column k; paper, equations (5)-(9)."""
+
+    kind: Literal["per_pixel"] = "per_pixel"
+
+    def check(self, readout: Readout) -> None:
+        """Raise InputError for a readout other than two_point, whose patterns these are."""
+        if not isinstance(readout, TwoPointReadout):
+            raise InputError("formulation: per_pixel knows readout.kind: two_point only; nodal and reduced know all")
+
+    def network(
+        self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
+    ) -> NetworkSymbols:
+        """(rows + columns)·cells voltages and as many current balances."""
+        rows, columns = conductance.shape
+        row_potential = casadi.SX.sym(f"{prefix}row", rows, rows * columns)
+        column_potential = casadi.SX.sym(f"{prefix}column", columns, rows * columns)
+        from_rows, from_columns = current_balance(conductance, row_potential, column_potential)
+        into_rows = casadi.kron(casadi.DM.eye(rows), casadi.DM.ones(1, columns))
+        into_columns = casadi.kron(casadi.DM.ones(1, rows), casadi.DM.eye(columns))
+        from_rows += casadi.diag(tie[:rows]) @ row_potential - into_rows
+        from_columns += casadi.diag(tie[rows:]) @ column_potential + into_columns
+        read = casadi.sum1(into_rows * row_potential) - casadi.sum1(into_columns * column_potential)
+        return NetworkSymbols(
+            casadi.vec(casadi.vertcat(row_potential, column_potential)),
+            casadi.vec(casadi.vertcat(from_rows, from_columns)),
+            scale * read.T,
+        )
+
+    def potentials(self, readout: Readout, network: Network) -> Array:
+        """Z b for every pixel's current pattern b, one after the other."""
+        rows, impedance = network.rows, network.potentials()
+        pattern = impedance[:, :rows][:, :, None] - impedance[:, rows:][:, None, :]
+        return pattern.reshape(len(impedance), -1).T.ravel()
+
+    def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
+        """λ = −Z ∂φ/∂V, pattern by pattern."""
+        impedance = network.potentials()
+        return -(slope.reshape(-1, len(impedance)) @ impedance).ravel()
+
+
 FORMULATIONS: dict[str, Formulation] = {form.kind: form for form in (Nodal(), PerPixel())}

@@ -1,4 +1,7 @@
-"""IPOPT on the formulations that keep node voltages as decision variables."""
+"""IPOPT, an interior-point method, on formulations that keep node voltages as unknowns.
+
+Source: Wächter & Biegler, Mathematical Programming 106, 2006.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -13,7 +16,6 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
-from lampest.solvers.ipopt.limits import PUSH, Limits
 from lampest.solvers.ipopt.program import Program
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -26,36 +28,43 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-LEAST_MULTIPLIER = 1e-15  # times the room to a bound, some million times the scale, is still less than any tolerance
+PUSH = 1e-9  # of a bound, at least of 1: how far IPOPT keeps off it; far below what a cell is known to
 # A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
 WARM = {
-    "mu_strategy": "adaptive",
-    "warm_start_init_point": "yes",
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
-    "warm_start_mult_bound_push": LEAST_MULTIPLIER,
+    "warm_start_mult_bound_push": 1e-15,  # times the room to a bound it is below any tolerance
+    "warm_start_init_point": "yes",
+    "mu_strategy": "adaptive",
 }
-# Multipliers of residuals that are split are not known at a start. From a distance the adaptive barrier takes 9
-# iterations where the monotone one takes 13.
-FAR = {"mu_strategy": "adaptive"}
+FAR = {"mu_strategy": "adaptive"}  # multipliers of residuals that are split are not known at a start
 # A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
-NEAR = {
-    "mu_strategy": "monotone",
-    "mu_init": 1e-7,
-    "bound_mult_init_method": "mu-based",
-    "bound_push": PUSH,
-    "bound_frac": PUSH,
-}
-LARGEST_BARRIER = 0.1  # IPOPT's own mu_init
-# Approximate minimum degree (0) finds that cells and far lines go first. What MUMPS orders by itself takes 1.4 times as
-# long at 10 × 10, twice at 16 × 16 and ten times at 32 × 32; see docs/studies/speed.md.
-OPTIONS = {
-    "mumps_pivot_order": 0,
-    "bound_relax_factor": 0.0,
-    "nlp_scaling_method": "none",
-    "print_level": 0,
-    "sb": "yes",
-}
+NEAR = {"mu_init": 1e-7, "bound_mult_init_method": "mu-based", "bound_push": PUSH, "bound_frac": PUSH}
+# MUMPS orders by approximate minimum degree (0), the fastest: see docs/studies/speed.md.
+OPTIONS = {"mumps_pivot_order": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none", "print_level": 0}
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Bounds of the conductances. low, high : (cells) flat, in units that make them of order one."""
+
+    low: Array
+    high: Array
+
+    def multipliers(self, conductance: Array, pull: Array, barrier: float) -> Array:
+        """z_high − z_low of every cell, pull : −∂φ/∂g with voltages that follow.
+
+        At an active bound z balances the pull, and is 0 where this points inwards; elsewhere z = barrier/distance.
+        """
+        below, above = conductance - self.low, self.high - conductance
+        on_low, on_high = below <= PUSH * np.maximum(self.low, 1), above <= PUSH * np.maximum(self.high, 1)
+        inside = barrier / np.where(on_high, 1, above) - barrier / np.where(on_low, 1, below)
+        return np.where(on_low, np.minimum(pull, 0), np.where(on_high, np.maximum(pull, 0), inside))
+
+    def settled(self, conductance: Array, multiplier: Array) -> Array:
+        """Conductances, put on a bound where the multiplier exceeds the distance that the barrier leaves to it."""
+        lowered = np.where(-multiplier > conductance - self.low, self.low, conductance)
+        return np.where(multiplier > self.high - conductance, self.high, lowered)
 
 
 @dataclass(frozen=True)
@@ -68,7 +77,7 @@ class Ipopt:
     settings: Settings
 
     def prepare(self) -> None:
-        """Build the program, so that the first solve is not charged for it."""
+        """Build the program before the first solve."""
         _ = self._built
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
@@ -87,9 +96,14 @@ class Ipopt:
         }
         values = data.given.flat | own
         parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
-        x0, limits = self._start(start, scale, split / split_scale), self._limits(data, scale)
+        x0 = self._start(start, scale, split / split_scale)
+        # No network reads a cell that is smaller than `Readout.nearly_shorted`.
+        least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper)
+        limits = Limits(scale / data.upper.ravel(), scale / least.ravel())
+        lbx, ubx = np.full(len(x0), -np.inf), np.full(len(x0), np.inf)
+        lbx[: least.size], ubx[: least.size], lbx[len(x0) - 2 * len(split) :] = limits.low, limits.high, 0.0
         warm = {} if len(split) else self._multipliers(start, scale, x0, parameters, limits)
-        result = solver(x0=x0, p=parameters, lbg=0, ubg=0, **self._bounds(limits, 2 * len(split)), **warm)
+        result = solver(x0=x0, p=parameters, lbg=0, ubg=0, lbx=lbx, ubx=ubx, **warm)
         conductance, multiplier = (np.asarray(result[name]).ravel()[: data.measured.size] for name in ("x", "lam_x"))
         with np.errstate(divide="ignore"):
             cells = scale / limits.settled(conductance, multiplier)
@@ -111,10 +125,9 @@ class Ipopt:
     def _multipliers(
         self, start: Evaluation, scale: float, x0: Array, parameters: Array, limits: Limits
     ) -> dict[str, Array]:
-        """What belongs to the start: λ for which voltages are stationary, z of the bounds from what is left.
+        """λ for which voltages are stationary at the start, z of the bounds; empty where digits do not suffice.
 
-        The barrier is the square of how far the start is from an optimum, which is what Newton's method leaves of it.
-        Nothing where digits do not suffice.
+        The barrier is the square of the projected gradient, which is what a Newton step leaves of it.
         """
         slopes = np.split(self._built.slope(x0, parameters) / scale, len(start.networks))
         frames = zip(start.networks, start.data.ties, slopes, strict=True)
@@ -123,22 +136,11 @@ class Ipopt:
         except np.linalg.LinAlgError:
             return {}
         gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
-        barrier = min(start.projected_gradient(gradient) ** 2, LARGEST_BARRIER)
+        barrier = min(start.projected_gradient(gradient) ** 2, 0.1)  # at most IPOPT's own mu_init
         pull = gradient.ravel() / (conductance * start.cost_scale)
         of_bounds = np.zeros(len(x0))
         of_bounds[: len(conductance)] = limits.multipliers(conductance, pull, barrier)
         return {"lam_x0": of_bounds, "lam_g0": np.concatenate(balance)}
-
-    def _limits(self, data: Data, scale: float) -> Limits:
-        """No network reads a cell that is smaller than `Readout.nearly_shorted`."""
-        least = np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper)
-        return Limits(scale / data.upper.ravel(), scale / least.ravel())
-
-    def _bounds(self, limits: Limits, split: int) -> dict[str, Array]:
-        """Of all unknowns."""
-        free = np.full(int(self._built.solver.size1_in("x0")) - len(limits.low) - split, np.inf)
-        low, high = [limits.low, -free, np.zeros(split)], [limits.high, free, np.full(split, np.inf)]
-        return {"lbx": np.concatenate(low), "ubx": np.concatenate(high)}
 
     @cached_property
     def _built(self) -> "Built":
@@ -157,14 +159,10 @@ class Built:
 @lru_cache(maxsize=32)
 def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Settings) -> Built:
     program = Program.build(cost, readout, formulation)
-    limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations}
+    limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations, "sb": "yes"}
     limits |= {} if settings.time_limit_s is None else {"max_wall_time": settings.time_limit_s}
     several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
     begin = WARM if program.split.is_empty() else NEAR if several_minima else FAR
-    options: dict[str, Any] = {
-        "ipopt": OPTIONS | begin | limits,
-        "hess_lag": program.hessian(),
-        "print_time": False,
-    }
+    options: dict[str, Any] = {"ipopt": OPTIONS | begin | limits, "hess_lag": program.hessian(), "print_time": False}
     solver = casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
     return Built(solver, tuple(program.parameters), Compiled(program.slope()))

@@ -1,8 +1,7 @@
 """A cost in a formulation as a nonlinear program with exact, sparse derivatives.
 
 Unknowns are conductances s/r (s: geometric mean of the measured resistances), potentials in units of s, and parts
-p, q ≥ 0 of every residual x whose loss has no second derivative and says how it is lowered with them (`Loss.lowered`).
-The cost is divided by its size. Everything is of order one.
+p, q ≥ 0 of every residual whose loss is not smooth (`Loss.lowered`). The cost is divided by its size.
 """
 
 from dataclasses import dataclass
@@ -19,9 +18,8 @@ from lampest.solvers.ipopt.formulations import Formulation
 class Program:
     """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
 
-    split : p and q of what enters through duals, then of other residuals that are split, in units of their size.
+    split : p and q of residuals that enter through duals, then of others, in units of their size.
     split_balance : the equations of the former, so that their multipliers are the last.
-
     parameters : name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in
     ohm, `cost_scale`, the size of the cost, and `split_scale`, that of the residuals that are split.
     """
@@ -58,15 +56,10 @@ class Program:
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
         conductance = casadi.SX.sym("conductance", cost.panel.cells, cost.frames)
+        frames = [casadi.reshape(conductance[:, frame], columns, rows).T for frame in range(cost.frames)]
         networks = [
-            formulation.network(
-                readout,
-                casadi.reshape(conductance[:, frame], columns, rows).T,
-                tie[:, frame],
-                scale,
-                f"frame{frame}_",
-            )
-            for frame in range(cost.frames)
+            formulation.network(readout, cells, tie[:, frame], scale, f"frame{frame}_")
+            for frame, cells in enumerate(frames)
         ]
         reading = casadi.horzcat(*(network.reading for network in networks))
         pairs = cost.residuals(Symbols(scale / conductance, reading, given))
@@ -93,8 +86,7 @@ class Program:
     def hessian(self) -> casadi.Function:
         """∇²(σf + λᵀg), upper triangle, (x, x) sparse.
 
-        Kirchhoff's law is bilinear in conductances and potentials: its curvature is one block between the two, taken as
-        the Jacobian of a gradient. Colouring the whole matrix instead took 19 of 22 s at 32 × 32.
+        Kirchhoff's law is bilinear: its second derivatives are one block between conductances and potentials.
         """
         weight = casadi.SX.sym("weight")
         network_multiplier = casadi.SX.sym("network_multiplier", self.balance.shape[0])
@@ -104,15 +96,8 @@ class Program:
         slope = casadi.gradient(casadi.dot(network_multiplier, self.balance), self.potentials)
         block = casadi.jacobian(slope, self.conductance)
         potentials, conductances = block.shape
-        splits = self.split.shape[0]
-        upper = casadi.blockcat(
-            [
-                [casadi.SX(conductances, conductances), block.T, casadi.SX(conductances, splits)],
-                [casadi.SX(potentials, conductances), casadi.SX(potentials, potentials + splits)],
-                [casadi.SX(splits, conductances + potentials + splits)],
-            ]
-        )
-        multiplier = casadi.vertcat(network_multiplier, split_multiplier)
-        arguments = [self.unknown, self.parameter, weight, multiplier]
+        upper = casadi.SX(*full.shape)
+        upper[:conductances, conductances : conductances + potentials] = block.T
+        arguments = [self.unknown, self.parameter, weight, casadi.vertcat(network_multiplier, split_multiplier)]
         names = ["x", "p", "lam_f", "lam_g"]
         return casadi.Function("nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"])
