@@ -23,7 +23,7 @@ from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.runs.config import read_run
-from lampest.solvers.region.blocks import grown, widened
+from lampest.solvers.region.region import grown, widened
 from lampest.solvers.solution import Status
 
 SHAPE = (14, 15)

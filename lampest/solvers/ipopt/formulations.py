@@ -1,9 +1,8 @@
 """How readings follow from cell resistance inside an optimisation problem that keeps node voltages as unknowns."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal
 
 import casadi
 import numpy as np
@@ -15,14 +14,11 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.equation import reads_own
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, eq=False)
 class NetworkSymbols:
-    """Decision variables and equations of one network.
+    """potentials : (n, 1) node voltages for unit currents, the unknowns.
 
-    potentials : (n, 1) node voltages for unit currents.
     balance : (n, 1) Kirchhoff's current law; zero at a solution, bilinear in conductances and potentials.
     reading : (cells, 1) row-major, in the readout's unit.
     """
@@ -93,10 +89,8 @@ class Nodal(Formulation):
 
         of_far, of_driven = casadi.repmat(own, 1, driven), casadi.repmat(casadi.diag(near_potential).T, far, 1)
         entries = [of_driven.T, of_far.T, far_potential.T] if swapped else [of_far, of_driven, far_potential]
-        if readout.homogeneous:
-            reading = scale * readout.reading(*entries)
-        else:
-            reading = readout.reading(*(scale * entry for entry in entries))
+        inner, outer = (1, scale) if readout.homogeneous else (scale, 1)
+        reading = outer * readout.reading(*(inner * entry for entry in entries))
         reads_far, _ = _far_first(reads_own(readout, *conductance.shape), conductance.shape)
         return NetworkSymbols(
             casadi.vertcat(half, mixed, *([own] if reads_far else [])),
@@ -137,7 +131,7 @@ class Nodal(Formulation):
         return np.concatenate([of_driven[rows, columns], of_far.ravel(), -own / leaving[: len(own)]])
 
 
-def _far_first(sides: Sequence[T], shape: tuple[int, ...]) -> Sequence[T]:
+def _far_first(sides: Any, shape: tuple[int, ...]) -> Any:
     """(far, driven) of what (rows, columns) have."""
     return sides if shape[0] >= shape[1] else sides[::-1]
 

@@ -37,7 +37,6 @@ WARM = {
     "warm_start_init_point": "yes",
     "mu_strategy": "adaptive",
 }
-FAR = {"mu_strategy": "adaptive"}  # multipliers of residuals that are split are not known at a start
 # A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
 NEAR = {"mu_init": 1e-7, "bound_mult_init_method": "mu-based", "bound_push": PUSH, "bound_frac": PUSH}
 # MUMPS orders by approximate minimum degree (0), the fastest: see docs/studies/speed.md.
@@ -87,13 +86,8 @@ class Ipopt:
         solver = self._built.solver
         scale, split = data.resistance_scale, start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
-        own: dict[str, Any] = {
-            "ties": data.ties.ravel() * scale,
-            "weights": self.cost.weights,
-            "scale": scale,
-            "cost_scale": start.cost_scale,
-            "split_scale": split_scale,
-        }
+        own: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
+        own |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
         values = data.given.flat | own
         parameters = np.concatenate([np.atleast_1d(values[name]) for name in self._built.parameters])
         x0 = self._start(start, scale, split / split_scale)
@@ -162,7 +156,7 @@ def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Set
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations, "sb": "yes"}
     limits |= {} if settings.time_limit_s is None else {"max_wall_time": settings.time_limit_s}
     several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
-    begin = WARM if program.split.is_empty() else NEAR if several_minima else FAR
+    begin = WARM if program.split.is_empty() else NEAR if several_minima else {"mu_strategy": "adaptive"}
     options: dict[str, Any] = {"ipopt": OPTIONS | begin | limits, "hess_lag": program.hessian(), "print_time": False}
     solver = casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
     return Built(solver, tuple(program.parameters), Compiled(program.slope()))

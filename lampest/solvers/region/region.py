@@ -1,5 +1,10 @@
-"""Only what changed is unknown: blocks of cells are estimated, all others keep their baseline value."""
+"""Only what changed is unknown: blocks of cells are estimated, all others keep their baseline value.
 
+A cell of an M × N panel that changes moves the other readings of its row and column, all by about a 1/N or 1/M of what
+it moves its own. An error of the converter moves no other reading, and may be larger than any cell can cause.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,26 +19,22 @@ from lampest.panel.panel import Array, Panel
 from lampest.solvers.hessian import Hessian, weighted_square
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.region.blocks import covered_by, grown, has_footprint, isolated, widened
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
+from lampest.solvers.solution import OPEN_FRACTION, Outcome, Settings, Solution, Status, approximation
 
-HALO = 2  # cells round a block that a gradient inside it reads
 DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
 MOST_GROWTHS, SWEEPS = 6, 2
 LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
 MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
-SHARPEST = 4
+HALF = 0.5  # of what a load would do: nearer to all of it than to nothing
+UNSURE = 0.2  # of the same, a median's standard deviation: beyond, noise hides which of both it is
 
 
 @dataclass(frozen=True, eq=False)
 class RegionSolver:
-    """baseline : the cost at the solved baseline, given its readings.
-
-    significance : in units of the noise, what a reading must stand out by to count as changed.
-    """
+    """baseline : the cost at its optimum. significance : what a changed reading stands out by, times its noise."""
 
     baseline: Evaluation
     significance: float
@@ -87,10 +88,7 @@ class RegionSolver:
     def _outliers(
         self, network: Network, data: Data, change: Array, noise: Array, asked: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Readings that are no load's: NaN already, or of `asked` and isolated without their cells' footprint.
-
-        The strongest hide weaker ones, which are asked in turn.
-        """
+        """Readings that are no load's: NaN already, or of `asked` and isolated without their cells' footprint."""
         outliers = np.isnan(change)
         for _ in range(MOST_GROWTHS):
             left = np.where(outliers, np.nan, change)
@@ -132,11 +130,13 @@ class RegionSolver:
             starts = [problem.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
             network, taken = problem.minimum(min(starts, key=lambda point: point.objective))
             steps += taken
-        cells = self.baseline.cell_resistance.copy()
-        for block in blocks:
-            cells[0][block] = 1 / network.conductance[block]
-        found = approximation(cost, data, Outcome(cells, np.zeros(len(cost.slope)), Status.APPROXIMATE, steps))
-        return replace(found, at=None, dual=None)
+        cells, dual = network.cell_resistance[None], np.zeros(len(cost.slope))
+        if np.any(network.reading() <= 0):  # changes have lost digits: solved once more
+            return approximation(cost, data, Outcome(cells, dual, Status.APPROXIMATE, steps))
+        at = Evaluation(cost, data, cells, network.reading()[None], (network,))
+        low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        found = (at.kkt_residual(dual), low, open_cell, Status.APPROXIMATE, steps)
+        return Solution(cells, at.reading, at.costs, at.objective, *found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,10 +151,7 @@ class BlockPoint:
 
 @dataclass(frozen=True, eq=False)
 class BlockProblem:
-    """φ as a function of one block's cells u = log r; all other cells of `resting` stay.
-
-    Only readings count that share a line with the block, and penalties that read its cells.
-    """
+    """φ, without what the block cannot move, as a function of its cells' u = log r; all others stay as `resting`."""
 
     cost: Cost
     data: Data
@@ -174,7 +171,7 @@ class BlockProblem:
     @cached_property
     def parts(self) -> list[tuple[Cost, Data, NDArray[np.intp]]]:
         """The misfit on the readings, as a panel of one row, and the penalties round the block; with cell numbers."""
-        around = self.numbers[widened(self.block, HALO, self.numbers.shape)]
+        around = self.numbers[widened(self.block, 2, self.numbers.shape)]  # all that gradients inside it read
         misfit = tuple(term for term in self.cost.terms if term.reads_measurement)
         penalty = tuple(term for term in self.cost.terms if not term.reads_measurement)
         faulty = tuple(np.flatnonzero(np.isin(around, self.cost.faulty)).tolist())
@@ -202,7 +199,7 @@ class BlockProblem:
         """(network, steps) of damped, projected Gauss–Newton steps that lower φ until they are small."""
         damping, (low, high) = 0.0, self.bounds
         for count in range(MOST_STEPS):
-            gradient, matrix = self._model(here, min(count, SHARPEST))
+            gradient, matrix = self._model(here, min(count, 4))
             at_low, at_high = here.position <= low, here.position >= high
             free = (low < high) & ~((at_low & (gradient > 0)) | (at_high & (gradient < 0)))
             size = np.diag(matrix) + 1e-12 * np.abs(np.diag(matrix)).max(initial=1e-300)
@@ -228,20 +225,18 @@ class BlockProblem:
         own, cells = self.numbers[self.block].ravel(), np.exp(here.position)
         gradient, matrix = np.zeros(len(own)), np.zeros((len(own), len(own)))
         for (cost, _, numbers), at in zip(self.parts, here.parts, strict=True):
-            smoothing = Smoothing.start(at)
-            smoothing = replace(smoothing, width=smoothing.width / 10**sharpness)
-            smoothing = replace(smoothing, dual=smoothing.slope(at.rough))
-            direct, through = (side.ravel() for side in at.partials(smoothing.dual))
-            second = Hessian(at, smoothing).terms
+            width = Smoothing.start(at).width / 10**sharpness
+            dual = Smoothing(width, at.rough).slope(at.rough)
+            direct, through = (side.ravel() for side in at.partials(dual))
+            second = Hessian(at, Smoothing(width, dual)).terms
             if cost.terms[0].reads_measurement:
                 jacobian = here.network.sensitivity(own, self.readings)
                 gradient += jacobian.T @ through
                 matrix += weighted_square(jacobian, second.diagonal()[numbers.size :])
             else:
                 place = np.flatnonzero(np.isin(numbers, own))
-                curvature = np.maximum(direct[place] * cells, 0)
-                gradient += direct[place] * cells
-                matrix += second[place][:, place].toarray() * np.outer(cells, cells) + np.diag(curvature)
+                gradient += (slope := direct[place] * cells)
+                matrix += second[place][:, place].toarray() * np.outer(cells, cells) + np.diag(np.maximum(slope, 0))
         return gradient, matrix
 
 
@@ -260,3 +255,75 @@ def _of(data: Data, numbers: NDArray[np.intp]) -> Data:
     """The data of these cells."""
     given = Given(**{name: _at(value, numbers) for name, value in data.given.named()})
     return Data(given, _at(data.lower, numbers), _at(data.upper, numbers), data.readout, data.wiring)
+
+
+def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+    """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
+    covered = covered_by(blocks, cells.shape)
+    for row, column in np.argwhere(cells):
+        covered[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
+    while True:
+        found = tuple(_rectangles(covered))
+        filled = covered_by(found, cells.shape)
+        if np.array_equal(filled, covered):
+            return found
+        covered = filled
+
+
+def _rectangles(cells: NDArray[np.bool_]) -> Iterator[Block]:
+    """The rectangle round each group of cells that touch, corners included."""
+    left = {(int(row), int(column)) for row, column in np.argwhere(cells)}
+    while left:
+        group = [left.pop()]
+        for row, column in group:  # grows while it is walked through
+            near = {(row + down, column + right) for down in (-1, 0, 1) for right in (-1, 0, 1)} & left
+            left -= near
+            group += near
+        (top, first), (bottom, last) = np.min(group, axis=0).tolist(), np.max(group, axis=0).tolist()
+        yield slice(top, bottom + 1), slice(first, last + 1)
+
+
+def covered_by(blocks: tuple[Block, ...], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(rows, columns) which cells some block covers."""
+    covered = np.zeros(shape, dtype=bool)
+    for block in blocks:
+        covered[block] = True
+    return covered
+
+
+def widened(block: Block, by: int, shape: tuple[int, ...]) -> Block:
+    """The block with so many more cells on every side, as far as the panel goes."""
+    sides = zip(block, shape, strict=True)
+    down, across = (slice(max(side.start - by, 0), min(side.stop + by, n)) for side, n in sides)
+    return down, across
+
+
+def isolated(values: Array, share: float) -> NDArray[np.bool_]:
+    """(rows, columns) which values have at most one neighbour, corners included, that exceeds a share of them."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, 1), values.shape)  # (3, 3, rows, columns)
+    exceeds = around > share * values
+    return np.asarray(exceeds.sum(axis=(0, 1)) - exceeds[1, 1] <= 1)
+
+
+def has_footprint(network: Network, data: Data, change: Array, noise: Array, place: tuple[int, int]) -> bool:
+    """Whether an isolated reading that stands out comes of its cell, as far as noise lets that be seen.
+
+    change : of the logarithm of readings, beyond what `network` explains; NaN where unknown. noise : its deviation.
+    """
+    row, column = place
+    block = (slice(row, row + 1), slice(column, column + 1))
+    given = (data.measured[0][block], 1 / data.upper[0][block], np.ones((1, 1), dtype=bool))
+    predicted = np.log(data.readout.fitted_block(network, block, *given).reading() / network.reading())
+    if abs(predicted[place]) < HALF * abs(change[place]):
+        return False
+    common = np.nanmedian(change)
+    for line, own in ((np.s_[row, :], column), (np.s_[:, column], row)):
+        others = np.delete(change[line], own)
+        expected = float(np.median(np.delete(predicted[line], own))) if others.size else 0.0
+        if expected == 0.0:
+            continue
+        error = float(np.median(noise)) * np.sqrt(np.pi / 2 / others.size) / abs(expected)
+        observed = (float(np.nanmedian(others)) - common) / expected
+        if error <= UNSURE and observed < HALF:
+            return False
+    return True
