@@ -53,13 +53,13 @@ def steihaug(
         image = product(search)
         curvature = float(search @ image)
         length = strength / curvature if curvature > 0 else inf
-        further = inner + 2 * length * mixed + length**2 * outer if isfinite(length) else inf
+        further = inner + 2 * length * mixed + length * length * outer if isfinite(length) else inf
         if not further < radius**2:
             negative = not curvature > 0
             length = _to_radius(inner, mixed, outer, radius)
             if negative:
                 length = min(length, _to_longest(step, search))
-            ended = np.sqrt(inner + 2 * length * mixed + length**2 * outer)
+            ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
             return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
         step, inner = step + length * search, further

@@ -71,7 +71,7 @@ class ProjectedNewton:
                     continue
                 if point.certificate.settled or unsettled == MOST_UNSETTLED:
                     return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
-                unsettled += 1
+                unsettled += point.certificate.definiteness is not Definiteness.INDEFINITE
             near = point.residual <= self.settings.tolerance
             moved = (escaped(point) if near else None) or advanced(point)
             if moved is None or not moved.gauss_newton or slow(point, moved):
