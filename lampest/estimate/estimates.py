@@ -24,8 +24,9 @@ from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
 AT_RAILS = {  # what stands for the solver's own sentence where readings are at or beyond a rail
+    Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
-    Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so faintly that they may still move",
+    Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so weakly that they may still move",
     Status.UNREAD: "too few of the frame's readings are values: the others are missing, or at or beyond {}",
 }
 

@@ -72,7 +72,7 @@ def test_a_batch_costs_what_cannot_be_read_and_no_more(batch: Path, lampest: Com
         # The zeros themselves lie beyond the lowest resistance that a cell may have.
         first, *others = (text.decode() for text in group["status"])
         assert first.startswith(
-            ("an optimum, but only within the bounds", "an optimum, but some cells are determined so weakly")
+            ("an optimum, but readings at or beyond", "an optimum, but some cells are determined so weakly")
         )
         assert others == ["optimum verified", TOO_FEW] + ["optimum verified"] * 2
         cells = group["cell_resistance"][()]

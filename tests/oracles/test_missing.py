@@ -100,7 +100,7 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
             with_holes(3, missing)[0], [lampest.Misfit(weighting="noise"), term], formulation="reduced"
         )
         weights.append(found.steps[0].weights[1])
-    assert abs(np.log10(weights[1] / weights[0])) < 1  # it was 1e-15
+    assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
 
 
 def test_a_stand_in_says_how_far_readings_stray_that_it_has_not_seen() -> None:
