@@ -8,11 +8,13 @@ Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 """
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
@@ -156,10 +158,10 @@ class Woodbury(Preconditioner):
         """(D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
         shape = self.diagonal.shape
         inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
-        try:
-            inner = np.linalg.inv(np.linalg.inv(self.lines.mixed) + self.lines.between(inverse))
-        except np.linalg.LinAlgError:  # contrasts beyond double precision: the diagonal alone
-            inner = np.zeros_like(self.lines.mixed)
+        inner = np.zeros_like(self.lines.mixed)  # the diagonal alone, where contrasts are beyond double precision
+        with catch_warnings(), suppress(np.linalg.LinAlgError):
+            simplefilter("ignore", linalg.LinAlgWarning)
+            inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
         chosen, whole, flat = np.flatnonzero(free), np.zeros(free.size), inverse.ravel()
         size = cell_resistance.ravel()[chosen]
 
