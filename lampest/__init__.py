@@ -140,7 +140,8 @@ else:
         if name == "datasets":  # a module, and not yet an attribute of its room
             return import_module(f"{_HOMES[name]}.{name}")
         if name in _HOMES:
-            return getattr(import_module(_HOMES[name]), name)
+            with import_module("lampest.files.errors").extra():
+                return getattr(import_module(_HOMES[name]), name)
         raise AttributeError(f"module 'lampest' has no attribute '{name}'")
 
     def __dir__() -> list[str]:

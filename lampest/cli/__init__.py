@@ -12,7 +12,7 @@ import typer
 
 from lampest.cli import board, estimation, results, start, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ending_signals
 from lampest.files.log import libraries_to_the_log
 from lampest.files.memory import allow_memory
@@ -148,7 +148,7 @@ def main() -> None:
     """Run the command; input errors end with code 2 and one sentence, Ctrl-C and its kin with 130."""
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
     try:
-        with ending_signals(), libraries_to_the_log():
+        with ending_signals(), libraries_to_the_log(), extra():
             app()
     except InputError as error:
         say(f"lampest: {error}", to=sys.stderr)

@@ -42,9 +42,15 @@ def in_words(value: Any) -> str:
 
 
 @contextmanager
-def extra(name: str) -> Iterator[None]:
-    """Imports of an extra's libraries. Raises InputError where one is not installed, with how to install it."""
+def extra(name: str = "") -> Iterator[None]:
+    """Imports of libraries that may be missing. Raises InputError where one is, with how it is installed.
+
+    name : of the extra that brings them; '' for what every installation brings.
+    """
     try:
         yield
-    except ImportError as error:
-        raise InputError(f"{error.name} is not installed; pip install lampest[{name}] brings it") from error
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("lampest"):
+            raise
+        brings = f"lampest[{name}]" if name else error.name.partition(".")[0]
+        raise InputError(f"{error.name} is not installed; pip install '{brings}' brings it") from error

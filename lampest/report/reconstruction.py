@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
+from lampest.files.errors import extra
 from lampest.recording.recording import Recording
 from lampest.runs.columns import Column
 from lampest.runs.filling import named_result
@@ -72,6 +73,7 @@ class Reconstruction(Estimates):
         frame : index into the recording; None: the strongest one. Raises InputError where there is no such plot or
         frame, or nothing to draw.
         """
-        from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
+        with extra():
+            from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
 
         return picture((self.result(),), kind, frame)

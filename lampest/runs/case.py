@@ -290,7 +290,8 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
 
     What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column.
     """
-    from pandas import DataFrame  # takes 0.3 s
+    with extra():
+        from pandas import DataFrame  # takes 0.3 s
 
     held = dict(_held(case, columns))
     sizes = dict(zip(MAPS, case.measured.shape, strict=True))

@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 
 HOUSE = Path(__file__).parents[2]
-COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")
+MAIN = "from lampest.cli import main; main()"
 LONGEST_SENTENCE = 1_000
 HELD = ""
 
@@ -111,8 +111,19 @@ def called(*arguments: str | Path, folder: Path) -> Ended:
     return Ended(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
 
 
-def command(*arguments: str | Path, folder: Path, seconds: float = 120.0, addresses: int | None = None) -> Ended:
-    """The command in a process of its own, ended after so many seconds, with at most so many bytes of addresses."""
+def command(
+    *arguments: str | Path,
+    folder: Path,
+    seconds: float = 120.0,
+    addresses: int | None = None,
+    without: str = "",
+    script: str = MAIN,
+) -> Ended:
+    """The command in a process of its own, ended after so many seconds, with at most so many bytes of addresses.
+
+    without : libraries, apart by commas, that are as if they were not installed. script : what runs instead.
+    """
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
 
     def limits() -> None:
         if addresses is not None:
@@ -122,7 +133,7 @@ def command(*arguments: str | Path, folder: Path, seconds: float = 120.0, addres
     begin = time.monotonic()
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
         process = subprocess.Popen(
-            [*COMMAND, *map(str, arguments)],
+            [sys.executable, "-c", blocked + script, *map(str, arguments)],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=err,

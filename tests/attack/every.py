@@ -1,6 +1,6 @@
 """All attacks. A new one joins the tuple of its module; a new module joins here."""
 
-from attack import damage, lines, memory, names, values, writes
+from attack import damage, libraries, lines, memory, names, values, writes
 from attack.attack import Attack
 
 ATTACKS: tuple[Attack, ...] = (
@@ -10,4 +10,5 @@ ATTACKS: tuple[Attack, ...] = (
     *names.ATTACKS,
     *values.ATTACKS,
     *lines.ATTACKS,
+    *libraries.ATTACKS,
 )

@@ -5,6 +5,7 @@ import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from itertools import count as from_zero
@@ -12,7 +13,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from attack.attack import COMMAND, HELD, HOUSE, Attack
+from attack.attack import HELD, HOUSE, MAIN, Attack
 from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
@@ -91,7 +92,7 @@ def _signals(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
 
 
 def _signalled(rng: np.random.Generator, out: Path) -> str:
-    words = [*COMMAND, "record", "--period", "0.01", "--out", str(out), "--port"]
+    words = [sys.executable, "-c", MAIN, "record", "--period", "0.01", "--out", str(out), "--port"]
     environment = os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"}
     with wild_board(hundred_a_second) as board:
         process = subprocess.Popen(

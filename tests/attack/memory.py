@@ -1,6 +1,7 @@
 """Small files that unfold, and scenes that ask for more than a machine has: one sentence, and little memory."""
 
 import struct
+import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,11 @@ from attack.targets import small_folder
 from fuzz.mutants import good_recordings
 
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
+ROWS_SECONDS = 8  # with eight others on the machine; a command of the shell takes one, all the rows take ten more
+MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+PACKAGE = "http://schemas.openxmlformats.org/package/2006/relationships"
+SHEETS = "application/vnd.openxmlformats-officedocument.spreadsheetml"
 WIDE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
 TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
@@ -70,6 +76,30 @@ def _newlines(rng: np.random.Generator, folder: Path, count: int) -> Iterator[st
     yield _bounded(command("import", "lines.csv", *TABLE, folder=folder, seconds=SECONDS), "lines.csv")
 
 
+def _long_columns(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A column of 400 000 rows in a sheet of 2 MB, which is no table of a panel."""
+    parts = {
+        "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"><Default '
+        'Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/><Override '
+        f'PartName="/xl/workbook.xml" ContentType="{SHEETS}.sheet.main+xml"/><Override '
+        f'PartName="/xl/worksheets/sheet1.xml" ContentType="{SHEETS}.worksheet+xml"/></Types>',
+        "_rels/.rels": f'<Relationships xmlns="{PACKAGE}"><Relationship Id="r1" Type="{OFFICE}/officeDocument" '
+        'Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f'<workbook xmlns="{MAIN}" xmlns:r="{OFFICE}"><sheets><sheet name="A" sheetId="1" '
+        'r:id="r1"/></sheets></workbook>',
+        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{PACKAGE}"><Relationship Id="r1" '
+        f'Type="{OFFICE}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{MAIN}"><dimension ref="A1:A400000"/><sheetData>'
+        + "".join(f'<row r="{row}"><c r="A{row}"><v>{row}</v></c></row>' for row in range(1, 400_001))
+        + "</sheetData></worksheet>",
+    }
+    with zipfile.ZipFile(folder / "long.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+    ended = command("import", "long.xlsx", *TABLE, folder=folder, seconds=SECONDS)
+    yield ended.refused("1 fields") or ended.within(ROWS_SECONDS, MEGABYTES)
+
+
 def _wide_panels(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """1 × 60001 cells, whose lines' impedance has 29 GB, in commands that need it; a look at the file does not."""
     made = small_folder(folder / "work")
@@ -110,6 +140,7 @@ ATTACKS = (
     Attack("memory", "a compressed matrix of 390 MB in a .mat file", _packed_matrix),
     Attack("memory", "a compressed array of 480 MB in an .npz file", _packed_arrays),
     Attack("memory", "200 MB of line ends", _newlines, 0),
+    Attack("memory", "a column of 400 000 rows in an .xlsx file", _long_columns, 0),
     Attack("memory", "panels of 1 × 60001 cells", _wide_panels),
     Attack("memory", "sizes that are none", _told, 0),
 )

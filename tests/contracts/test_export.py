@@ -246,7 +246,7 @@ def test_a_library_that_is_missing_is_named(
     results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install lampest\[export\] brings it$"):
+    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"):
         export_results(results, to, recording="mouth")
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 

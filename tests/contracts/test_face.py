@@ -307,7 +307,7 @@ def test_a_table_has_a_line_for_every_cell_of_every_frame(found: Reconstruction)
 
 def test_what_is_not_installed_is_named(found: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"^xarray is not installed; pip install lampest\[xarray\] brings it$"):
+    with pytest.raises(InputError, match=r"^xarray is not installed; pip install 'lampest\[xarray\]' brings it$"):
         found.to_xarray()
 
 

@@ -519,6 +519,9 @@ def test_excel(tmp_path: Path) -> None:
     rows[6][7] = "abc"
     with pytest.raises(InputError, match=r"m\.xlsx: Data!H7: 'abc' is no number"):
         import_file(book(tmp_path / "m.xlsx", Data=rows), ROWS, COLUMNS)
+    column = [[1.0]] * 1500 + [[1.0, 2.0, 3.0]]  # is not read to its end
+    with pytest.raises(InputError, match=r"1 fields; 3 × 5 cells need"):
+        import_file(book(tmp_path / "m.xlsx", Data=column), ROWS, COLUMNS)
     two = book(tmp_path / "m.xlsx", A=sheet_of(FRAMES), B=sheet_of(2 * FRAMES))
     with pytest.raises(InputError, match="the sheets A, B would all fit; say which with --variable"):
         import_file(two, ROWS, COLUMNS)

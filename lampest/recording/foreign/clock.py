@@ -2,8 +2,8 @@
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
@@ -143,22 +143,18 @@ def _matches(text: str, way: str) -> re.Match[str] | None:
 
 def _of_stamps(texts: Sequence[str], where: Where) -> Clock:
     """By the one order of day and month that fits all texts."""
-    import pandas  # takes 0.3 s
-
-    ways: dict[str, Any] = {}
+    ways: dict[str, list[datetime]] = {}
     for way in STAMPS:
-        written = [_iso(text, way) for text in texts]
-        if all(written):
-            times = pandas.to_datetime(pandas.Series(written), format="ISO8601", utc=True, errors="coerce")
-            if not times.isna().any():
-                ways[way] = times
+        with suppress(ValueError):  # of a text that is no date in this order
+            ways[way] = [datetime.fromisoformat(_iso(text, way)) for text in texts]
     if not ways:
         wrong = next((number for number, text in enumerate(texts) if not is_stamp(text)), 0)
         raise InputError(f"{where(wrong)}: {texts[wrong][:40]!r} is no time")
-    if len(ways) > 1 and not next(iter(ways.values())).equals(list(ways.values())[1]):
+    if len(ways) > 1 and len({tuple(times) for times in ways.values()}) > 1:
         raise InputError(f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day")
     way, times = next(iter(ways.items()))
-    seconds = (times - times.iloc[0]).dt.total_seconds().to_numpy(float)
+    times = [time if time.tzinfo else time.replace(tzinfo=UTC) for time in times]
+    seconds = np.array([(time - times[0]).total_seconds() for time in times])
     start = _iso(texts[0], way)
     zone = "" if re.search(r"(Z|[+-]\d{2}:?\d{2})$", start) else ", no zone in the file"
     return Clock(_growing(seconds, where), start, f"{way}, s from the first, which is {start}{zone}")

@@ -2,7 +2,6 @@
 
 import csv
 import datetime
-import io
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.recording.foreign.arrays import check_archive
 from lampest.recording.foreign.table import Rows
 from lampest.recording.foreign.words import Numerals
@@ -23,6 +22,7 @@ LONGEST_LINE = 1_000_000
 LINE_END = re.compile(r"\r\n|\r|\n")
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
+SAMPLED_ROWS = 1000  # of a sheet, that decide whether it may be a table
 COMMENT = re.compile(r"\s*(?:#(?!N/A|NA|DIV/0!|NUM!|VALUE!|REF!)|%|//)", re.IGNORECASE)  # not where Excel has no number
 TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
@@ -157,54 +157,44 @@ def _numbers_by(lines: Sequence[str], sign: str) -> tuple[int, bool]:
 
 
 def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """(lines, fields) stripped texts, and how many fields each line has."""
-    import pandas  # takes 0.3 s
+    """(lines, fields) stripped texts, and how many fields each line has.
 
-    if not lines:
-        return np.zeros((0, 0), dtype=object), np.zeros(0, dtype=np.intp)
-    blanks = delimiter == " "
-    texts = [" ".join(line.text.split()) if blanks else line.text for line in lines]
-    counts = [re.sub('"[^"]*"', "", text).count(delimiter) + 1 for text in texts]
-    _check_size(path, lines, counts)
+    Raises InputError with the line where quotation marks do not pair, or more fields stand than are imported.
+    """
+    split, total, width = list[list[str]](), 0, 0
+    for line in lines:
+        split.append(_split(path, line, delimiter))
+        total, width = total + len(split[-1]), max(width, len(split[-1]))
+        if total > MOST_FIELDS or len(lines) * width > 2 * MOST_FIELDS:
+            raise InputError(f"{path}:{line.number}: more than {MOST_FIELDS} values are not imported")
+    return _as_table(split, width)
+
+
+def _split(path: Path, line: _Line, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.text.split()
+    if '"' not in line.text:
+        return [text.strip() for text in line.text.split(delimiter)]
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pandas.errors.ParserWarning)  # of fields that it drops
-            frame = pandas.read_csv(
-                io.StringIO("\n".join(texts)),
-                sep=delimiter,
-                header=None,
-                names=range(max(counts)),
-                dtype=object,
-                na_filter=False,
-                skipinitialspace=True,
-                skip_blank_lines=False,
-                index_col=False,
-                quoting=csv.QUOTE_NONE if blanks else csv.QUOTE_MINIMAL,
-            )
-    except (ValueError, pandas.errors.ParserWarning):
-        frame = pandas.DataFrame()
-    if len(frame) != len(lines):  # a quotation mark within a field has swallowed line ends
-        odd = next((line for line in lines if line.text.count('"') % 2), None)
-        odd = odd or next((line for line in lines if '"' in line.text), lines[0])
-        raise InputError(f"{path}:{odd.number}: a quotation mark that is not closed, or within a field")
-    fields = frame.to_numpy(object)
-    stripped = np.array([text.strip() for text in fields.ravel()], dtype=object)
-    return stripped.reshape(fields.shape), np.array(counts, dtype=np.intp)
+        (fields,) = csv.reader([line.text], delimiter=delimiter, skipinitialspace=True, strict=True)
+    except csv.Error as error:
+        raise InputError(f"{path}:{line.number}: a quotation mark that is not closed, or within a field") from error
+    return [text.strip() for text in fields]
 
 
-def _check_size(path: Path, lines: Sequence[_Line], counts: Sequence[int]) -> None:
-    """Raise InputError where the lines hold more fields than are imported, all as long as the longest one."""
-    within = np.cumsum(counts) <= MOST_FIELDS
-    if not np.all(within) or len(counts) * max(counts) > 2 * MOST_FIELDS:
-        number = lines[int(np.argmin(within))].number
-        raise InputError(f"{path}:{number}: more than {MOST_FIELDS} values are not imported")
+def _as_table(lines: Sequence[Sequence[str]], width: int) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """(lines, width) texts, '' where a line ends earlier; how many each has."""
+    fields = np.full((len(lines), width), "", dtype=object)
+    for number, texts in enumerate(lines):
+        fields[number, : len(texts)] = texts
+    return fields, np.array([len(texts) for texts in lines], dtype=np.intp)
 
 
-def sheets_of(path: Path, wanted: str | None) -> dict[str, Rows]:
+def sheets_of(path: Path, wanted: str | None, least: int) -> dict[str, Rows]:
     """Name → lines of every sheet that holds anything, or of the wanted one, in the file's order.
 
-    Read row by row: pandas' reader fills a sheet up to its last corner, of which a few bytes may claim 10¹⁰ cells.
-    Raises InputError where the file is no readable .xlsx, or has no such sheet.
+    Read row by row, because a few bytes may claim 10¹⁰ cells. least : fields that a line of any table must have.
+    Raises InputError where the file is no readable .xlsx, has no such sheet, or a sheet is too large.
     """
     check_archive(path, ".xlsx")
     with _workbook(path) as book:
@@ -212,13 +202,14 @@ def sheets_of(path: Path, wanted: str | None) -> dict[str, Rows]:
         if wanted is not None and wanted not in names:
             raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(names) or 'none'}")
         chosen = [sheet for sheet in book.worksheets if wanted in (None, sheet.title)]
-        sheets = {str(sheet.title): _rows(path, sheet) for sheet in chosen}
+        sheets = {str(sheet.title): _rows(path, sheet, least) for sheet in chosen}
     return {name: rows for name, rows in sheets.items() if len(rows.counts)}
 
 
 @contextmanager
 def _workbook(path: Path) -> Iterator[Any]:
-    import openpyxl  # takes 0.2 s
+    with extra():
+        import openpyxl  # takes 0.2 s
 
     try:
         with path.open("rb") as stream, warnings.catch_warnings():
@@ -232,28 +223,27 @@ def _workbook(path: Path) -> Iterator[Any]:
         raise InputError(f"{path}: no readable .xlsx file ({said})") from error
 
 
-def _rows(path: Path, sheet: Any) -> Rows:
+def _rows(path: Path, sheet: Any, least: int) -> Rows:
     """The rows that hold anything; what comes after the last value of a row counts for nothing."""
     sheet.reset_dimensions()  # what a file says of its size may be wrong
     lines: list[list[str]] = []
     numbers: list[int] = []
-    cells = 0
+    cells = width = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         texts = [_text_of_cell(value) for value in row]
         while texts and not texts[-1]:
             texts.pop()
         if texts:
-            cells += len(texts)
+            cells, width = cells + len(texts), max(width, len(texts))
             lines.append(texts)
             numbers.append(number)
         if cells > MOST_FIELDS or number > MOST_FIELDS:
             raise InputError(f"{path}: sheet {sheet.title}: more than {MOST_FIELDS} values are not imported")
-    width = max(map(len, lines), default=0)
+        if len(lines) == SAMPLED_ROWS and width < least:
+            break  # no table: what follows is not waited for
     if len(lines) * width > 2 * MOST_FIELDS:
         raise InputError(f"{path}: sheet {sheet.title}: {len(lines)} × {width} values are not imported")
-    fields = np.full((len(lines), width), "", dtype=object)
-    for line, texts in enumerate(lines):
-        fields[line, : len(texts)] = texts
+    fields, counts = _as_table(lines, width)
 
     def place(line: int, field: int | None) -> str:
         return f"{path}: {sheet.title}!{'' if field is None else _letters(field)}{numbers[line]}"
@@ -261,7 +251,7 @@ def _rows(path: Path, sheet: Any) -> Rows:
     return Rows(
         f"{path}: sheet {sheet.title}",
         fields,
-        np.array([len(texts) for texts in lines], dtype=np.intp),
+        counts,
         np.array([texts[0].startswith(("#", "%")) and len(texts) == 1 for texts in lines], dtype=bool),
         np.diff(np.array([0, *numbers])) > 1,
         ("",) * len(lines),

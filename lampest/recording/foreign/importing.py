@@ -75,7 +75,7 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: s
     """The one sheet that fits; where none does, what is wrong with the first."""
     fitting: dict[str, Frames] = {}
     wrong: list[InputError] = []
-    for name, rows in sheets_of(path, wanted).items():
+    for name, rows in sheets_of(path, wanted, min(2, shape[1])).items():
         try:
             fitting[name] = frames_of(table_of_rows(rows, layout), shape)
         except InputError as error:

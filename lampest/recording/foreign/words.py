@@ -188,19 +188,22 @@ class Numerals:
 
         NaN where there is no number.
         """
-        import pandas  # takes 0.3 s
-
         texts = fields.ravel()
-        # With commas, points may set thousands apart: those are left to `_read`.
-        plain = ["" if len(text) > LONGEST or (self.comma and "." in text) else text for text in texts]
-        if self.comma:
-            plain = [text.replace(",", ".") for text in plain]
-        values = pandas.to_numeric(pandas.Series(plain, dtype=object), errors="coerce").to_numpy(float).copy()
+        values = np.fromiter(map(self._plain, texts), dtype=float, count=len(texts))
         missing, words = np.zeros(len(texts), dtype=bool), np.zeros(len(texts), dtype=bool)
         for number in np.flatnonzero(np.isnan(values) | np.isneginf(values)):
             values[number], missing[number] = self._read(texts[number].lower())
             words[number] = np.isnan(values[number]) and not missing[number]
         return values.reshape(fields.shape), missing.reshape(fields.shape), words.reshape(fields.shape)
+
+    def _plain(self, text: str) -> float:
+        """The number of a text without signs that set thousands apart; NaN for any other: `_read` has those."""
+        if len(text) > LONGEST or "_" in text or not text.isascii() or (self.comma and "." in text):
+            return np.nan
+        try:
+            return float(text.replace(",", ".") if self.comma else text)
+        except ValueError:
+            return np.nan
 
     def _read(self, word: str) -> tuple[float, bool]:
         """The number of one text, NaN for none; whether it stands for a missing one."""

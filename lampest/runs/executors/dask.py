@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ENDING
 from lampest.runs.executors.executor import (
     DIED,
@@ -205,10 +205,5 @@ def readable(path: Path, key: str) -> str:
 
 def library(name: str) -> Any:
     """A module of the extra, imported where it is used. Raises InputError where it is missing."""
-    try:
+    with extra("cluster"):
         return import_module(name)
-    except ImportError as error:
-        raise InputError(
-            f"executor: dask needs {name}, which is not installed; it comes with the extra: pip install "
-            "'lampest[cluster]'"
-        ) from error

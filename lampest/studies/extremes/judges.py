@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.files.errors import InputError
+from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.two_point.exact import exact_two_point_resistance
 
@@ -35,10 +35,8 @@ def fifty_digits(cells: Array) -> Array:
 
     Lines that nothing connects have R = inf. Raises InputError where mpmath is not installed.
     """
-    try:
+    with extra("extremes"):
         import mpmath
-    except ModuleNotFoundError as error:
-        raise InputError("the atlas needs mpmath: pip install 'lampest[extremes]'") from error
     rows, columns = cells.shape
     one, other = np.nonzero(np.isfinite(cells))
     graph = coo_array((np.ones(len(one)), (one, rows + other)), shape=(rows + columns,) * 2)
