@@ -49,7 +49,7 @@ DOORS = {
     ),
     "mpmath": ("studies.extremes",),
     "xarray": ("runs.case", "report.export.arrays"),
-    "pandas": ("runs.case", "recording.foreign", "report.export.tables"),
+    "pandas": ("runs.case", "report.export.tables"),
     "pyarrow": ("report.export.tables",),
     "pylsl": ("report.live.publish.lsl",),
     "pythonosc": ("report.live.publish.osc",),
