@@ -4,24 +4,24 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, progress, say, written
+from lampest.cli.screen import Assign, Folder, progress, say
 from lampest.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from lampest.studies.study import Reported
+    from lampest.studies.study import Reported, Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
 STUDIES = {
     "bench": (
         "lampest.studies.bench.report",
-        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's, published ones.
+        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's.
 
-        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv, mats.csv,
+        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
         bench.md and bench.h5 with every sample. What the file's limits or its budget leave out is named.
         """,
     ),
@@ -49,10 +49,7 @@ def study_command(word: str) -> Callable[..., None]:
     module, about = STUDIES[word]
 
     def command(config: Config = None, out: Folder = None, assign: Assign = None) -> None:
-        study = import_module(module).STUDY
-        with progress(study.counts) as on_step:
-            reported = study.run(config, out, tuple(assign or ()), on_step)
-        print_reported(reported)
+        _run(import_module(module).STUDY, config, out, assign)
 
     command.__name__, command.__doc__ = word, about
     return command
@@ -60,19 +57,20 @@ def study_command(word: str) -> Callable[..., None]:
 
 def starts(
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
-    out: Annotated[Path | None, written("--out", "Folder for starts.csv; else there is none.")] = None,
+    out: Folder = None,
     random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
     seed: Annotated[int, typer.Option("--seed", help="Of the random starts: the same seed, the same starts.")] = 0,
     assign: Assign = None,
 ) -> None:
-    """Say how often every case of a run reaches the best objective known from random starts."""
-    from lampest.recording.datasets import folder
-    from lampest.runs.config import read_run
-    from lampest.studies.starts import run_starts
+    """Say how often every case of a run reaches the best objective known from random starts; writes starts.csv."""
+    from lampest.studies.starts import starts_study
 
-    run = read_run(config or folder() / "configs" / "table1.yaml", tuple(assign or ()))
-    with progress("cases") as on_case:
-        reported = run_starts(run, random, seed, out, on_case)
+    _run(starts_study(random, seed), config, out, assign)
+
+
+def _run(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
+    with progress(study.counts) as on_step:
+        reported = study.run(config, out, tuple(assign or ()), on_step)
     print_reported(reported)
 
 

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -303,8 +302,9 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
 }
 
 
-def _remarks(rows: Sequence[study.Row], found: Sequence[Audited]) -> list[str]:
+def audit_remarks(found: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
+    rows = audit_rows(found)
     broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "LIES")]
     kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
     lines = [
@@ -320,17 +320,21 @@ def _remarks(rows: Sequence[study.Row], found: Sequence[Audited]) -> list[str]:
     return lines + [f"{count} × {failure}" for failure, count in failures.items()]
 
 
-def report_audit(found: Sequence[Audited], settings: AuditFile, folder: Path) -> study.Reported:
-    """Write audit.csv, a row for every effect and estimator, and audit.h5 with every recording."""
-    rows = audit_rows(found)
+def _write_recordings(entry: Any, found: Sequence[Audited]) -> None:
     axis = ("case", "recording with an estimator, in order")
-    files = (
-        study.write_rows(folder / "audit.csv", FIGURES, rows),
-        study.write_sequence(folder / "audit.h5", "audit/1", "recordings", "cells_held", axis, found, COLUMNS),
-    )
-    return study.Reported([("", study.screen_table(rows, SCREEN))], files, _remarks(rows, found))
+    study.write_sequence(entry, "recordings", "cells_held", axis, found, COLUMNS)
 
 
 STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
-    "recordings", "audit.yaml", study.read_settings(AuditFile), run_audit, report_audit
+    "audit",
+    "recordings",
+    "audit.yaml",
+    study.read_settings(AuditFile),
+    run_audit,
+    FIGURES,
+    audit_rows,
+    lambda found: [("", study.screen_table(audit_rows(found), SCREEN))],
+    "audit/1",
+    _write_recordings,
+    remarks=audit_remarks,
 )

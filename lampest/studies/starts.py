@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -12,10 +11,10 @@ from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.runs.config import Case, Run
+from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.studies.study import OnStep, Reported, screen_table, write_rows
+from lampest.studies.study import OnStep, Study, screen_table
 
 SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
 FARTHEST = 60.0  # random starts reach up to so many times the reading
@@ -95,11 +94,23 @@ SCREEN: dict[str, Callable[[Tally], str]] = {
 }
 
 
-def run_starts(run: Run, random: int, seed: int, out: Path | None, on_step: OnStep) -> Reported:
-    """Every case of a run; writes starts.csv where a folder is named. on_step is called with how many are done."""
-    found = []
-    for number, case in enumerate(run.cases, 1):
-        found.append(tally(case, random, seed))
-        on_step(number, len(run.cases))
-    files = [] if out is None else [write_rows(out / "starts.csv", Tally.__dataclass_fields__, found)]
-    return Reported([("", screen_table(found, SCREEN))], files)
+def starts_study(random: int, seed: int) -> Study[Run, list[Tally]]:
+    """The study with so many random starts for every frame."""
+
+    def measure(run: Run, on_step: OnStep) -> list[Tally]:
+        found = []
+        for number, case in enumerate(run.cases, 1):
+            found.append(tally(case, random, seed))
+            on_step(number, len(run.cases))
+        return found
+
+    return Study(
+        "starts",
+        "cases",
+        "table1.yaml",
+        read_run,
+        measure,
+        Tally.__dataclass_fields__,
+        lambda found: found,
+        lambda found: [("", screen_table(found, SCREEN))],
+    )

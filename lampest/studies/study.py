@@ -1,10 +1,9 @@
-"""What every study is: settings from YAML → measurements → rows as CSV, samples as HDF5, a figure, tables."""
+"""What every study is: settings from YAML → measurements → rows as CSV, samples as HDF5, figures, tables."""
 
 import csv
 import importlib.util
 import io
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -12,7 +11,7 @@ from math import isnan
 from operator import attrgetter
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -22,9 +21,12 @@ from lampest.files.errors import InputError
 from lampest.files.whole import write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Table
+from lampest.report.plots.style import save
 from lampest.runs.executors import Executor, local
 
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Settings = TypeVar("Settings")
 Found = TypeVar("Found")
 Kind = TypeVar("Kind")
@@ -47,18 +49,30 @@ class Reported:
 
 @dataclass(frozen=True)
 class Study(Generic[Settings, Found]):
-    """A study in three steps.
+    """A study as a declaration; files, tables and pictures follow from it.
 
-    counts : what the progress bar counts. config : the shipped file that is taken where none is named.
+    name : of its files. counts : what the progress bar counts. config : the shipped file, where none is named.
     read : (file, overriding entries) → settings; raises InputError with line and column.
-    measure : (settings, on_step) → what was found. report : (what was found, settings, folder) → files and tables.
+    measure : (settings, on_step) → what was found. All others take what was found:
+    columns, rows : of the CSV file. tables : with their titles. form, samples : format of the HDF5 file, and what
+    writes into its /entry; none without. figures : by name of the file. texts : of further files, by their names.
+    remarks, left_out : sentences.
     """
 
+    name: str
     counts: str
     config: str
     read: Callable[[Path, tuple[str, ...]], Settings]
     measure: Callable[[Settings, OnStep], Found]
-    report: Callable[[Found, Settings, Path], Reported]
+    columns: Iterable[str]
+    rows: Callable[[Found], Sequence[Any]]
+    tables: Callable[[Found], Sequence[tuple[str, Table]]]
+    form: str = ""
+    samples: Callable[[Any, Found], None] = lambda entry, found: None
+    figures: "Callable[[Found], Mapping[str, Figure]]" = lambda found: {}
+    texts: Callable[[Found], Mapping[str, str]] = lambda found: {}
+    remarks: Callable[[Found], Sequence[str]] = lambda found: ()
+    left_out: Callable[[Found], Sequence[str]] = lambda found: ()
 
     def run(self, config: Path | None, out: Path | None, assigned: tuple[str, ...], on_step: OnStep) -> Reported:
         """Read, measure and write into a folder, results/<config> by default.
@@ -66,8 +80,28 @@ class Study(Generic[Settings, Found]):
         Raises InputError where the file is at fault or the folder cannot be written.
         """
         file = config or shipped_folder() / "configs" / self.config
-        settings = self.read(file, assigned)
-        return self.report(self.measure(settings, on_step), settings, out or Path("results") / file.stem)
+        folder = out or Path("results") / file.stem
+        found = self.measure(self.read(file, assigned), on_step)
+        return Reported(self.tables(found), self._write(found, folder), self.remarks(found), self.left_out(found))
+
+    def _write(self, found: Found, folder: Path) -> list[Path]:
+        texts = {f"{self.name}.csv": csv_of(self.columns, self.rows(found))} | dict(self.texts(found))
+        for name, text in texts.items():
+            write_whole(folder / name, text)
+        files = [folder / name for name in texts]
+        if self.form:
+            files.append(folder / f"{self.name}.h5")
+            with hdf5.new_file(files[-1]) as file:
+                hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
+                entry = file.create_group("entry")
+                hdf5.set_attributes(entry, NX_class="NXentry")
+                libraries = ("lampest", "casadi", "numpy", "scipy", "h5py")
+                hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in libraries})
+                self.samples(entry, found)
+        for name, figure in self.figures(found).items():
+            files.append(folder / f"{name}.png")
+            save(figure, files[-1])
+        return files
 
 
 def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
@@ -140,14 +174,10 @@ def text_of(value: float | None, form: str = ".3g") -> str:
     return "" if value is None or np.isnan(value) else f"{value:{form}}"
 
 
-def write_rows(path: Path, names: Iterable[str], rows: Sequence[Any]) -> Path:
-    """Rows as CSV, a column for each name; six digits, empty where there is no number.
-
-    Raises InputError where the place cannot be written.
-    """
+def csv_of(names: Iterable[str], rows: Sequence[Any]) -> str:
+    """Rows as CSV, a column for each name; six digits, empty where there is no number."""
     names = list(names)
-    write_whole(path, comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)]))
-    return path
+    return comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)])
 
 
 def comma_separated(rows: Sequence[Sequence[Any]]) -> str:
@@ -162,17 +192,6 @@ def csv_value(value: Any) -> Any:
     if value is None or (isinstance(value, float) and isnan(value)):
         return ""
     return f"{value:.6g}" if isinstance(value, float) else value
-
-
-@contextmanager
-def samples_file(path: Path, form: str, **attributes: Any) -> Iterator[Any]:
-    """/entry of a new file of the format `form`, with the versions of the libraries; whole or not at all."""
-    with hdf5.new_file(path) as file:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=form)
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry", **attributes)
-        hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
-        yield entry
 
 
 def write_columns(
@@ -193,19 +212,11 @@ def write_columns(
 
 
 def write_sequence(
-    path: Path,
-    form: str,
-    name: str,
-    signal: str,
-    axis: tuple[str, str],
-    rows: Sequence[Any],
-    columns: Sequence[Column],
-    **attributes: Any,
-) -> Path:
-    """/entry/<name> of a new file: a dataset for every column, with an entry for each row; axis : name and meaning."""
-    with samples_file(path, form, default=name, **attributes) as entry:
-        group = entry.create_group(name)
-        hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=[axis[0]])
-        hdf5.write_scale(group, axis[0], np.arange(len(rows)), "1", axis[1])
-        write_columns(group, rows, columns, (axis[0],))
-    return path
+    entry: Any, name: str, signal: str, axis: tuple[str, str], rows: Sequence[Any], columns: Sequence[Column]
+) -> None:
+    """/entry/<name>: a dataset for every column, with a value for each row; axis : name and meaning."""
+    hdf5.set_attributes(entry, default=name)
+    group = entry.create_group(name)
+    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=[axis[0]])
+    hdf5.write_scale(group, axis[0], np.arange(len(rows)), "1", axis[1])
+    write_columns(group, rows, columns, (axis[0],))

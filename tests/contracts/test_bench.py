@@ -12,12 +12,12 @@ Command = Callable[..., SimpleNamespace]
 
 @pytest.mark.slow
 def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Command) -> None:
-    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nmats: {sides: [4], draws: 1}\n"
+    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\n"
     text += "limits: {nodal: 0, scipy_difference: 0, scipy_lbfgsb: 0}\n"
     text += "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n"
     ended = lampest("study", "bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
     assert (ended.code, ended.err) == (0, "")
-    for words in ("3 × 3", "trf exact", "krylov", "verified", "bench.csv", "mats.csv", "bench.md", "bench.h5"):
+    for words in ("3 × 3", "trf exact", "verified", "bench.csv", "growth.csv", "bench.md", "bench.h5"):
         assert words in ended.out
     assert max(map(len, ended.out.splitlines())) <= 100 + len(str(disk.folder))
     with (disk.folder / "out" / "bench.csv").open() as file:
@@ -37,7 +37,6 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         for dataset in group.values():
             assert dataset.attrs["units"] and dataset.attrs["long_name"]
         assert group["status"][0] == b"optimum verified"
-        assert len(file["entry/mats/solver"]) == len(file["entry/mats/seconds"]) == 2 * 6
 
 
 @pytest.mark.parametrize(
@@ -49,7 +48,6 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         ("sizes: [3]\nframes: 0", "frames must lie between 1 and 1000"),
         ("sizes: [3]\nrecordings: 0", "recordings must lie between 1 and 1000"),
         ("sizes: [3]\nbudget_s: 0", "budget_s must lie between"),
-        ("sizes: [3]\nmats: {draws: 0}", "draws must lie between 1 and 1000"),
         ("sizes: [3, [3, 30]]\nlimits: {reduced: 20}", "limits leave no solver for 3 × 30"),
         ("sizes: [3]\nlimits: {noddal: 3}", "bench.yaml:3:10: limits.noddal: no such key"),
         ("sizes: [3]\nestimators: {A: {terms: {}}}", "a method needs at least one term"),

@@ -16,12 +16,9 @@ from lampest.recording.recording import Recording
 from lampest.runs.terms import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.mats import solved_mats
-from lampest.studies.bench.problems import frame_data, resting_cells
-from lampest.studies.bench.report import bench_remarks, page
-from lampest.studies.bench.rows import bench_rows, growth
-from lampest.studies.bench.run import Bench, BenchPart, Timing, run_bench
-from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits, Mats
+from lampest.studies.bench.report import bench_remarks, bench_rows, growth, page
+from lampest.studies.bench.run import Bench, BenchPart, Timing, frame_data, resting_cells, run_bench
+from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits
 from lampest.studies.methods import SquaredMethod
 from lampest.studies.study import read_settings
 from tests.oracles.published_solvers import Trf, _Point
@@ -29,6 +26,7 @@ from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
 read_bench = read_settings(BenchFile)
+ANY = BenchFile(1, (3,))
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -123,7 +121,7 @@ def test_growth_is_the_slope_of_the_logarithms() -> None:
 
     timings = [timing(side, wall(side, 3.3)) for side in sides]
     timings += [timing(side, wall(side, 1.3), "LSR-CR") for side in sides[:3]]
-    found = {(one.method, one.frames): one for one in growth(Bench(tuple(timings), {}))}
+    found = {(one.method, one.frames): one for one in growth(Bench(ANY, tuple(timings), {}))}
     assert found["LSM", "first"].exponent == pytest.approx(2.0)
     assert found["LSM", "first"].standard_error == pytest.approx(0, abs=1e-6)
     logarithms = [log(wall(side, 3.3)[1, 0]) for side in sides[1:]]
@@ -142,7 +140,7 @@ def test_growth_is_the_slope_of_the_logarithms() -> None:
 def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
     wall = np.ones((2, 1))
     timings = [timing(8, wall), timing(8, wall[:1], "LSR-CR"), timing(16, wall), timing(32, wall, "LSR-CR")]
-    found = [(row.rows, row.method, row.frames) for row in bench_rows(Bench(tuple(timings), {}))]
+    found = [(row.rows, row.method, row.frames) for row in bench_rows(Bench(ANY, tuple(timings), {}))]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
 
@@ -163,7 +161,7 @@ def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
     named = {(one.shape, one.what) for one in found.left_out}
     assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
     assert ((3, 3), "memory of reduced") in named
-    remarks = bench_remarks(found, bench)
+    remarks = bench_remarks(found)
     assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
     assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
 
@@ -186,17 +184,15 @@ def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
 
 def test_progress_is_told_before_each_part() -> None:
     told: list[tuple[int, int, str]] = []
-    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=alone(), mats=Mats((3,), 1, (0,)))
+    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=alone())
     run_bench(bench, lambda *about: told.append(about))
-    assert told[:2] == [(0, 10, "random mats"), (0, 10, "3 × 3 LSM, recording 1")]
-    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 11
+    assert told[0] == (0, 10, "3 × 3 LSM, recording 1")
+    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 10
 
 
 def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
-    text = page(tiny, BenchFile(1, (3, (2, 4))))
+    text = page(tiny)
     assert [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")] == [
-        "## overview",
-        "## times",
         "## solvers",
         "## methods",
         "## remarks",
@@ -207,13 +203,12 @@ def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
 
 def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
     both = replace(tiny, timings=tuple(timing(side, np.ones((2, 1))) for side in (32, 64)))
-    both = replace(both, mats=tuple(solved_mats(Mats((3,), 1, (0,)), 1, Settings())))
-    tables = sections(page(both, BenchFile(1, (32, 64))))
+    tables = sections(page(both))
     assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in tables.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(tables)
-    text = "before\n<!-- bench: mats -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
-    assert with_tables(text, {"mats": "| new |\n"}) == text.replace("old", "\n| new |\n")
+    text = "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
+    assert with_tables(text, {"growth": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)

@@ -8,10 +8,8 @@ import pytest
 
 from lampest.files.errors import InputError
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.mats import LEAST_S, MOST_S, MatAnswer, MatSolve, solved_mats
-from lampest.studies.bench.settings import Mats
 from lampest.studies.study import published_code
-from tests.oracles.published_solvers import PUBLISHED
+from tests.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
 
 SIDES = (6, 16)
 FINE = {"fixed_point": 1e-5, "krylov_fine": 1e-8, "least_squares": 1e-6}
@@ -69,6 +67,12 @@ def test_ours_and_theirs_stand_side_by_side_on_the_same_mats(solves: list[MatSol
     np.testing.assert_allclose(noisy, noisy[0], rtol=0.3)
 
 
+def test_table_has_a_line_for_every_solver(solves: list[MatSolve]) -> None:
+    lines = table(solves).splitlines()
+    assert len(lines) == 2 + len(SIDES) * 2 * 6
+    assert lines[2].startswith("| 6 × 6 | 0 % | reduced |")
+
+
 def test_newton_krylov_knows_no_bounds(solves: list[MatSolve]) -> None:
     noisy = [one for one in solves if one.side == 16 and one.noise_percent == 1]
     assert any(one.negative for one in noisy if one.solver == "krylov_fine")
@@ -77,7 +81,7 @@ def test_newton_krylov_knows_no_bounds(solves: list[MatSolve]) -> None:
 
 def test_a_fixed_point_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     fixed_point: Callable[[np.ndarray], MatAnswer] = PUBLISHED["fixed_point"]
-    monkeypatch.setattr("tests.oracles.published_solvers.MOST_STEPS", 3)
+    monkeypatch.setattr("tests.studies.mats.MOST_STEPS", 3)
     answer = fixed_point(two_point(np.full((4, 4), LEAST_S)))
     assert (answer.converged, answer.iterations) == (False, 3)
 
@@ -88,16 +92,3 @@ def test_where_the_solvers_of_others_are_not_there_is_one_sentence(
     monkeypatch.setattr("lampest.studies.study.shipped_folder", lambda: tmp_path)
     with pytest.raises(InputError, match="the solvers of others, to compare with, are not there"):
         published_code("elsewhere")
-
-
-@pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        ({"sides": (1,)}, "a mat's side must lie between 2 and 64"),
-        ({"noise_percent": (11.0,)}, "noise_percent must lie between 0 and 10"),
-        ({"draws": 0}, "draws must lie between 1 and 1000"),
-    ],
-)
-def test_mats_have_limits(numbers: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Mats(**numbers)  # type: ignore[arg-type]

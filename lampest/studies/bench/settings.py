@@ -54,27 +54,6 @@ def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
 
 
 @dataclass(frozen=True)
-class Mats:
-    """Cells whose conductances are uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard normal.
-
-    sides : of square mats. draws : mats of each side and noise. noise_percent : 0 as in the published test.
-    Source: J. A. Medrano-Sánchez et al., IEEE Sensors J., 2019, doi 10.1109/JSEN.2019.2918592, and his programs.
-
-    Raises ValueError where a number is out of range.
-    """
-
-    __pydantic_config__: ClassVar[Any] = FORBID
-    sides: tuple[int, ...] = (16,)
-    draws: int = 5
-    noise_percent: tuple[float, ...] = (0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        check_range("a mat's side", self.sides, 2, 64)
-        check_range("noise_percent", self.noise_percent, 0, 10)
-        check_range("draws", self.draws, 1, 1000)
-
-
-@dataclass(frozen=True)
 class BenchLimits:
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
@@ -109,7 +88,6 @@ class BenchFile:
     solver : tolerance and iterations, the same for all.
     limits : the largest side for each solver.
     memory : sides of panels on which the peak memory of a fresh process is measured.
-    mats : random mats without bounds or penalties, for published solvers that know neither; absent: none.
 
     Raises ValueError where a number is out of range.
     """
@@ -129,7 +107,6 @@ class BenchFile:
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
-    mats: Mats | None = None
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:

@@ -1,7 +1,6 @@
 """The atlas of extremes as heat maps: the share of verified optima, with what is missing counted in the cells."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from lampest.report.plots.style import RAISED, SMALL_POINT, TEXT_POINT, new_figure, save
+from lampest.report.plots.style import RAISED, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.studies.extremes.run import Solve
 from lampest.studies.extremes.scenes import CASES, GRID
 from lampest.studies.study import grouped
@@ -20,12 +19,6 @@ from lampest.studies.study import grouped
 COLOURS = colormaps["YlGnBu"].resampled(256)
 ALARM = "#D55E00"
 CELL_INCH = 0.165  # the side of a square
-
-
-def plot_extremes(found: Sequence[Solve], path: str | Path) -> Path:
-    """Draw the figure into a .png or .pdf file; returns its path. Raises InputError where it cannot be written."""
-    save(extremes_figure(found), path)
-    return Path(path)
 
 
 def extremes_figure(found: Sequence[Solve]) -> Figure:

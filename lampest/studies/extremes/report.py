@@ -3,15 +3,15 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lampest.files import hdf5
 from lampest.report.compare import Table
 from lampest.solvers.solution import VERIFIED
 from lampest.studies import study
-from lampest.studies.extremes.figure import plot_extremes
+from lampest.studies.extremes.figure import extremes_figure
 from lampest.studies.extremes.run import COLUMNS, REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, AtlasFile
 
@@ -138,18 +138,25 @@ def _kind(status: str) -> str:
     return status.split(":")[0] + ": the input" if status.startswith(REFUSED) else status
 
 
-def report_atlas(found: Sequence[Solve], settings: AtlasFile, folder: Path) -> study.Reported:
-    """Write extremes.csv, a row for every cell of the atlas, extremes.h5 with every solve, and the figure."""
-    path, axis = folder / "extremes.h5", ("solve", "solve, in the order of the atlas")
+def _write_solves(entry: Any, found: Sequence[Solve]) -> None:
+    """/entry/solves: every solve, in the order of the atlas."""
+    axis = ("solve", "solve, in the order of the atlas")
     plain = [replace(one, sample=replace(one.sample, case=one.sample.case.translate(PLAIN))) for one in found]
-    files = (
-        study.write_rows(folder / "extremes.csv", FIGURES, atlas_rows(found)),
-        study.write_sequence(path, "extremes/1", "solves", "verified", axis, plain, COLUMNS, verified_below=VERIFIED),
-        plot_extremes(found, folder / "extremes.png"),
-    )
-    return study.Reported([("", atlas_table(found))], files, atlas_remarks(found))
+    hdf5.set_attributes(entry, verified_below=VERIFIED)
+    study.write_sequence(entry, "solves", "verified", axis, plain, COLUMNS)
 
 
 STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
-    "scenes", "extremes.yaml", study.read_settings(AtlasFile), run_atlas, report_atlas
+    "extremes",
+    "scenes",
+    "extremes.yaml",
+    study.read_settings(AtlasFile),
+    run_atlas,
+    FIGURES,
+    atlas_rows,
+    lambda found: [("", atlas_table(found))],
+    "extremes/1",
+    _write_solves,
+    lambda found: {"extremes": extremes_figure(found)},
+    remarks=atlas_remarks,
 )

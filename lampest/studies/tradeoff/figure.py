@@ -1,7 +1,7 @@
 """The trade between speed and accuracy: time per frame against cell error and against the objective's gap."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
-from lampest.studies.study import Row
-from lampest.studies.tradeoff.rows import front
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
+from lampest.studies.study import Row, grouped
 
 FLOOR = 1e-12  # where smaller gaps are drawn
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -22,47 +21,45 @@ Placed = list[tuple[str, tuple[float, float]]]
 Box = tuple[float, float, float, float]
 
 
-def plot_tradeoff(whole: Sequence[Row], single: Sequence[Row], path: Path) -> Path:
-    """Draw the figure into a .png or .pdf file. Raises InputError where it cannot be written."""
-    save(tradeoff_figure(whole, single), path)
-    return path
-
-
-def tradeoff_figure(whole: Sequence[Row], single: Sequence[Row]) -> Figure:
+def tradeoff_figure(rows: Sequence[Row]) -> Figure:
     """A row of panels for every size: time against the changed cells' error, and against the gap.
 
-    whole : the first method's rows, single : those of all methods; all recordings of a size together. The labelled
-    points are the first method's rungs, the line through some of them is their Pareto front, and small signs are the
-    other methods' rungs. Gaps below 1e-12 are drawn there, on a line that says so.
+    rows : of all methods, all recordings of a size together. The labelled points are the first method's rungs, the line
+    through some of them is their Pareto front, and small signs are the other methods' rungs. Gaps below 1e-12 are
+    drawn there, on a line that says so.
     """
-    shapes = list(dict.fromkeys((row.rows, row.columns) for row in whole))
-    methods = list(dict.fromkeys(row.method for row in single))
-    figure = new_figure(2.2 * len(shapes) + 0.6)
-    grid = figure.subplots(len(shapes), 2, squeeze=False, sharex="row")
-    labelled = []
-    for number, (shape, pair) in enumerate(zip(shapes, grid, strict=True)):
-        rows = [row for row in whole if (row.rows, row.columns) == shape]
-        own = [row for row in single if (row.rows, row.columns) == shape]
-        for side, axes in enumerate(pair):
-            placed = _draw(axes, rows, own, methods, gap=bool(side))
-            labelled.append((axes, placed))
-            letter = chr(ord("a") + 2 * number + side)
-            axes.set_title(f"({letter}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
-        if number == len(shapes) - 1:
-            for axes in pair:
-                axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
-    if whole:
-        handles, labels = grid[0, 1].get_legend_handles_labels()
-        shown = dict(zip(labels, handles, strict=True))
-        look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(shown)}
-        figure.legend(shown.values(), shown.keys(), loc="outside lower center", **look)
+    sizes = grouped(rows, lambda row: (row.rows, row.columns))
+    methods = list(dict.fromkeys(row.method for row in rows))
+    figure = new_figure(2.2 * len(sizes) + 0.6)
+    grid = figure.subplots(len(sizes), 2, squeeze=False, sharex="row")
+    letters, labelled = iter(ascii_lowercase), []
+    for (shape, own), pair in zip(sizes.items(), grid, strict=True):
+        for axes, gap in zip(pair, (False, True), strict=True):
+            labelled.append((axes, _draw(axes, own, methods, gap)))
+            axes.set_title(f"({next(letters)}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
+    for axes in grid[-1]:
+        axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
+    handles, labels = grid[0, 1].get_legend_handles_labels()
+    shown = dict(zip(labels, handles, strict=True))
+    look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(shown)}
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", **look)
     figure.draw_without_rendering()
     for axes, placed in labelled:
         _label(axes, figure.dpi / 72, placed)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Sequence[str], gap: bool) -> Placed:
+def front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the points that no other beats in both coordinates, smaller being better, by the first one."""
+    best, kept = float("inf"), []
+    for index in sorted(range(len(points)), key=lambda index: points[index]):
+        if points[index][1] < best:
+            best = points[index][1]
+            kept.append(index)
+    return kept
+
+
+def _draw(axes: Axes, rows: Sequence[Row], methods: Sequence[str], gap: bool) -> Placed:
     """Everything but the names; returns the rungs' names and where they stand."""
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -71,11 +68,11 @@ def _draw(axes: Axes, rows: Sequence[Row], single: Sequence[Row], methods: Seque
     axes.set_axisbelow(True)
     axes.set_ylabel("objective gap" if gap else "median error of changed cells [%]", fontsize=TEXT_POINT)
     for number, method in enumerate(methods[1:]):
-        points = [point for row in single if row.method == method if (point := _place(row, gap)) is not None]
+        points = [point for row in rows if row.method == method if (point := _place(row, gap)) is not None]
         if points:
             look: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "ms": 2.8, "mew": 0, "alpha": 0.75}
             axes.plot(*zip(*points, strict=True), MARKERS[number % len(MARKERS)], label=method, ls="", **look)
-    placed = [(row, point) for row in rows if (point := _place(row, gap)) is not None]
+    placed = [(row, point) for row in rows if row.method == methods[0] and (point := _place(row, gap)) is not None]
     if not placed:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
         return []

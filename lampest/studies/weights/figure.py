@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, save
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
 from lampest.studies.weights.choices import Tuned
 from lampest.studies.weights.subject import squared
 
@@ -28,17 +27,9 @@ LOOKS: dict[str, dict[str, Any]] = {
 PENALTY = "#56738C"  # the colour of its axis
 
 
-def plot_weights(tuned: Sequence[Tuned], folder: Path) -> list[Path]:
-    """Draw every case into tune_<recording>_<estimator>.png in a folder; returns the files.
-
-    Raises InputError where they cannot be written.
-    """
-    files = []
-    for one in tuned:
-        name = re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}.png")
-        save(weights_figure(one), folder / name)
-        files.append(folder / name)
-    return files
+def file_name(one: Tuned) -> str:
+    """<recording>_<estimator> as part of a file's name."""
+    return re.sub(r"[^\w.@=,+-]", "_", f"{one.subject.recording}_{one.subject.name}")
 
 
 def weights_figure(one: Tuned) -> Figure:

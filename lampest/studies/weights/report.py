@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from lampest.files import hdf5
@@ -11,7 +10,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, read_run
 from lampest.studies import study
 from lampest.studies.weights.choices import Tuned, tune
-from lampest.studies.weights.figure import plot_weights
+from lampest.studies.weights.figure import file_name, weights_figure
 from lampest.studies.weights.subject import WeightSubject, squared, why_not
 
 
@@ -80,14 +79,12 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
 }
 
 
-def _write_curves(path: Path, found: TunedCases) -> Path:
+def _write_curves(entry: Any, found: TunedCases) -> None:
     """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    with study.samples_file(path, "tune/1") as entry:
-        for one in found.tuned:
-            recording = entry.require_group(one.subject.recording)
-            hdf5.set_attributes(recording, NX_class="NXsubentry")
-            _write_one(recording.create_group(one.subject.name), one)
-    return path
+    for one in found.tuned:
+        recording = entry.require_group(one.subject.recording)
+        hdf5.set_attributes(recording, NX_class="NXsubentry")
+        _write_one(recording.create_group(one.subject.name), one)
 
 
 def _write_one(group: Any, one: Tuned) -> None:
@@ -121,12 +118,22 @@ def _write_one(group: Any, one: Tuned) -> None:
     study.write_columns(choices, one.choices, numbers, (), float)
 
 
-def report_weights(found: TunedCases, run: Run, folder: Path) -> study.Reported:
-    """Write tune.csv, every choice, tune.h5, the curves, and a figure of each case."""
-    rows = study.rows_of([(one.subject, choice) for one in found.tuned for choice in one.choices], FIGURES)
-    samples = _write_curves(folder / "tune.h5", found)
-    files = (study.write_rows(folder / "tune.csv", FIGURES, rows), samples, *plot_weights(found.tuned, folder))
-    return study.Reported([("", study.screen_table(rows, SCREEN))], files, left_out=found.left_out)
+def weight_rows(found: TunedCases) -> list[study.Row]:
+    """A row for every case and rule."""
+    return study.rows_of([(one.subject, choice) for one in found.tuned for choice in one.choices], FIGURES)
 
 
-STUDY: study.Study[Run, TunedCases] = study.Study("cases", "tune.yaml", read_run, run_weights, report_weights)
+STUDY: study.Study[Run, TunedCases] = study.Study(
+    "tune",
+    "cases",
+    "tune.yaml",
+    read_run,
+    run_weights,
+    FIGURES,
+    weight_rows,
+    lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
+    "tune/1",
+    _write_curves,
+    lambda found: {f"tune_{file_name(one)}": weights_figure(one) for one in found.tuned},
+    left_out=lambda found: found.left_out,
+)

@@ -1,0 +1,248 @@
+"""Random mats of as many readings as cells, solved without bounds or penalties by our solver and by published ones.
+
+Run it with: python -m tests.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of the page.
+
+Conductances g with G(g) = G_m, as many readings as cells. G = 1/R are the conductances that are read between every row
+and every column. Equations and settings are those of J. A. Medrano-Sánchez et al., IEEE Sensors J., 2019, doi
+10.1109/JSEN.2019.2918592, and of the programs that C. Medrano published with them. They tolerate 6 µS in every G, of
+cells between 20 µS and 20 mS; `krylov_fine` and `fixed_point` go to 10⁻¹² S instead, so that accuracy and time can be
+seen apart.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from typing import Any
+
+import numpy as np
+from scipy.optimize import NoConvergence, least_squares, newton_krylov
+
+from lampest.cost.given import Background
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Bounds, Estimator
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.solvers.solution import Settings
+from lampest.studies.bench.report import markdown, short
+from lampest.studies.bench.run import other_solver, timed
+from lampest.studies.study import grouped, screen_table
+from lampest.studies.timing import clocked, inverse_time, undisturbed
+
+LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
+OURS = ("reduced", "scipy_exact")
+BETA, MOST_STEPS, SMALLEST_S = 0.1, 1000, 1e-18  # the published test's step, iterations, what replaces g < 0, siemens
+FINE_S = 1e-12  # the published test's tolerance of the fixed point
+COARSE_S = 6e-6  # what newton_krylov tolerates where it is told nothing
+STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
+
+
+@dataclass(frozen=True)
+class Mats:
+    """sides : of square mats, conductances uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard normal.
+
+    draws : mats of each side and noise.
+    """
+
+    sides: tuple[int, ...] = (16,)
+    draws: int = 2
+    noise_percent: tuple[float, ...] = (0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MatAnswer:
+    """conductance : (rows, columns) siemens. evaluations : how often a network was solved. converged : so it says."""
+
+    conductance: Array
+    iterations: int
+    evaluations: int
+    converged: bool
+
+
+class CountedNetwork:
+    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm; counts how often it is asked."""
+
+    def __init__(self, measured: Array) -> None:
+        self.wanted = 1 / measured
+        self._tie = grounding(measured)
+        self._calls = count()
+
+    def __call__(self, conductance: Array) -> Array:
+        """(rows, columns) siemens."""
+        next(self._calls)
+        return 1 / FloatingNetwork.solve(conductance, self._tie).reading()
+
+    def misfit(self, conductance: Array) -> Array:
+        """G(g) − G_m."""
+        return self(conductance.reshape(self.wanted.shape)) - self.wanted
+
+    def evaluations(self) -> int:
+        """So often until now."""
+        return next(self._calls)
+
+
+def fixed_point(measured: Array) -> MatAnswer:
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1, until |G(g) − G_m| < 10⁻¹² S or 1,000 times."""
+    network = CountedNetwork(measured)
+    conductance = network.wanted
+    for step in range(MOST_STEPS):
+        misfit = network.misfit(conductance)
+        if np.abs(misfit).max() < FINE_S:
+            return MatAnswer(conductance, step, network.evaluations(), True)
+        moved = conductance - BETA * misfit
+        conductance = np.where(moved < 0, SMALLEST_S, moved)
+    return MatAnswer(conductance, MOST_STEPS, network.evaluations(), False)
+
+
+def newton_krylov_coarse(measured: Array) -> MatAnswer:
+    """G(g) = G_m from g = G_m by scipy's Newton–Krylov, to 6 µS as published."""
+    return _krylov(measured, COARSE_S)
+
+
+def newton_krylov_fine(measured: Array) -> MatAnswer:
+    """The same, to 10⁻¹² S."""
+    return _krylov(measured, FINE_S)
+
+
+def _krylov(measured: Array, tolerance: float) -> MatAnswer:
+    network, steps = CountedNetwork(measured), count()
+    try:
+        found = newton_krylov(
+            network.misfit, network.wanted, f_tol=tolerance, maxiter=MOST_STEPS, callback=lambda *_: next(steps)
+        )
+        converged = True
+    except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
+        converged, found = False, error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
+    return MatAnswer(np.reshape(found, measured.shape), next(steps), network.evaluations(), converged)
+
+
+def bounded_least_squares(measured: Array) -> MatAnswer:
+    """min Σ (G(g) − G_m)² over g ≥ 0 from g = G_m by scipy's trf with finite differences."""
+    network = CountedNetwork(measured)
+    found = least_squares(
+        lambda position: network.misfit(position).ravel(),
+        network.wanted.ravel(),
+        bounds=(0.0, np.inf),
+        xtol=STEP_TOLERANCE,
+    )
+    return MatAnswer(found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0)
+
+
+PUBLISHED: dict[str, Callable[[Array], MatAnswer]] = {
+    "fixed_point": fixed_point,
+    "krylov": newton_krylov_coarse,
+    "krylov_fine": newton_krylov_fine,
+    "least_squares": bounded_least_squares,
+}
+
+
+@dataclass(frozen=True)
+class MatSolve:
+    """One solver on one mat.
+
+    seconds : of the solve, undisturbed. inverse_s : of one dense inverse of the mat's lines. evaluations : networks
+    solved; None where nobody counts. converged : by the solver's own word, ours by the check outside it.
+    reading_error, cell_error, worst_cell_error : largest of the readings, median and largest of the conductances, in
+    percent; infinite where there is no answer. negative : cells with a conductance below zero.
+    """
+
+    side: int
+    noise_percent: float
+    draw: int
+    solver: str
+    seconds: float
+    inverse_s: float
+    iterations: int
+    evaluations: int | None
+    converged: bool
+    reading_error: float
+    cell_error: float
+    worst_cell_error: float
+    negative: int
+
+
+def solved_mats(mats: Mats, seed: int, settings: Settings) -> Iterator[MatSolve]:
+    """Every mat by every solver in turn."""
+    for side in mats.sides:
+        for noise in mats.noise_percent:
+            for draw in range(mats.draws):
+                generator = np.random.default_rng((seed, side, draw))
+                conductance = generator.uniform(LEAST_S, MOST_S, (side, side))
+                measured = network_readings(conductance) * (1 + noise / 100 * generator.standard_normal((side, side)))
+                for solve in _solves(conductance, measured, settings):
+                    yield MatSolve(side, noise, draw, *solve)
+
+
+def network_readings(conductance: Array) -> Array:
+    """R (rows, columns) ohm of conductances of any sign."""
+    return FloatingNetwork.solve(conductance, grounding(1 / np.abs(conductance))).reading()
+
+
+def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple[Any, ...]]:
+    inverse_s = inverse_time(np.linalg.inv(np.eye(sum(measured.shape) - 1) + 0.1))
+    for name in (*OURS, *PUBLISHED):
+        if name in OURS:
+            answer, wall, cpu = _ours(name, measured, settings)
+        else:
+            answer, wall, cpu = clocked(partial(PUBLISHED[name], measured))
+        seconds = wall if undisturbed(np.array(wall), np.array(cpu)) else cpu
+        counted = None if name in OURS else answer.evaluations
+        yield name, seconds, inverse_s, answer.iterations, counted, answer.converged, *_errors(answer, truth, measured)
+
+
+def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float, float]:
+    """Plain least squares without bounds, begun as always."""
+    estimator = Estimator((Misfit(),), "reduced", settings, Bounds("none", "none"))
+    scene = Scene(Panel(*measured.shape))
+    data = estimator.data(Readings.of(scene, measured).alone(), Background(scene))
+    reduced = name == "reduced"
+    solver = estimator.problem(scene, 1, 1.0) if reduced else other_solver(name, estimator.cost(scene, 1), settings)
+    solver.prepare()
+    solve = timed(name, solver, data, None)
+    solution = solve.solution
+    return MatAnswer(1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved), solve.wall, solve.cpu
+
+
+def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, float, float, int]:
+    if not np.all(np.isfinite(answer.conductance)):
+        return np.inf, np.inf, np.inf, 0
+    reading = 100 * np.abs(network_readings(answer.conductance) / measured - 1)
+    cells = 100 * np.abs(answer.conductance / truth - 1)
+    return float(reading.max()), float(np.median(cells)), float(cells.max()), int(np.sum(answer.conductance < 0))
+
+
+COLUMNS: dict[str, Callable[[list[MatSolve]], str]] = {
+    "mat": lambda own: f"{own[0].side} × {own[0].side}",
+    "noise": lambda own: f"{own[0].noise_percent:g} %",
+    "solver": lambda own: own[0].solver,
+    "ms": lambda own: short(np.median([1e3 * one.seconds for one in own])),
+    "networks": lambda own: "" if own[0].evaluations is None else short(np.median([one.evaluations for one in own])),
+    "misfit %": lambda own: _percent(max(one.reading_error for one in own)),
+    "cell %": lambda own: _percent(np.median([one.cell_error for one in own])),
+    "worst %": lambda own: _percent(max(one.worst_cell_error for one in own)),
+    "g < 0": lambda own: str(sum(one.negative for one in own)),
+    "ended": lambda own: f"{sum(one.converged for one in own)}/{len(own)}",
+}
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else "none"
+
+
+def table(solves: Sequence[MatSolve]) -> str:
+    """By side, noise and solver: each on all mats."""
+    groups = grouped(solves, lambda one: (one.side, one.noise_percent, one.solver))
+    return markdown(screen_table(groups.values(), COLUMNS))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sides", type=int, nargs="+", default=[16])
+    parser.add_argument("--draws", type=int, default=2)
+    parser.add_argument("--noise", type=float, nargs="+", default=[0, 1], help="percent")
+    chosen = parser.parse_args()
+    mats = Mats(tuple(chosen.sides), chosen.draws, tuple(chosen.noise))
+    print(table(list(solved_mats(mats, 1, Settings(max_iterations=300)))), end="")
