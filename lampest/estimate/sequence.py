@@ -155,9 +155,7 @@ class Parts:
         period = float(np.median(np.diff(first))) if len(first) > 1 else float("inf")
         return cls(stored, lead, whole, noise, first_stream(whole, noise.readings, estimator, noise, period))
 
-    def estimates(
-        self, done: Callable[[int], CarriedOver | None], on_frame: Callable[[], None]
-    ) -> Iterator[tuple[int, Estimates, CarriedOver]]:
+    def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[tuple[int, Estimates, CarriedOver]]:
         """(number, what became of its frames, what the next one needs) of every part of which none is `done`.
 
         done : number → what its last frame left, where its estimates are kept.
@@ -173,7 +171,7 @@ class Parts:
             if part is None:
                 continue
             recording, readings, inside = self._taken(frames, part)
-            stream, steps = stream.sequence(self.noise.readings[:0], readings, on_frame)
+            stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
             yield number, _estimates(stream, recording, inside, readings, steps, self.asked), CarriedOver.of(stream)
             begun = replace(stream, prepared=self.stream.prepared)
             stream = CarriedOver.of(stream).onto(begun)

@@ -1,8 +1,7 @@
 """CasADi functions of flat arrays, called without the cost of CasADi's own conversions."""
 
-import ctypes
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +11,6 @@ from lampest.panel.panel import Array
 
 if TYPE_CHECKING:
     import casadi
-
-# `void casadi::_function_buffer_eval(void*)`, as the compilers of Linux, macOS and MinGW name it.
-EVALUATES = "_ZN6casadi21_function_buffer_evalEPv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +54,3 @@ class Compiled:
         """(row of every nonzero, number of the first nonzero of every column and of all)."""
         sparsity = self.function.sparsity_out(0)
         return np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32)
-
-
-@cache
-def evaluation_address() -> int:
-    """Of what evaluates one of CasADi's function buffers; 0 where this build of CasADi hides it."""
-    from casadi import _casadi  # type: ignore[attr-defined]
-
-    function = getattr(ctypes.CDLL(_casadi.__file__), EVALUATES, None)
-    return 0 if function is None else int(ctypes.cast(function, ctypes.c_void_p).value or 0)

@@ -16,19 +16,19 @@ from lampest.runs.frame_noise import arrays_of
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
 
-def case_result(case: Case, estimates: Estimates, columns: Sequence[Column] = ()) -> CaseResult:
+def case_result(case: Case, estimates: Estimates) -> CaseResult:
     """What the results file keeps of a run's case: every column that its estimates can fill.
 
-    columns : besides those of lampest and of installed packages. Raises InputError where a column's values are of
-    another shape than its axes, or impossible.
+    Raises InputError where a column's values are of another shape than its axes, or impossible.
     """
-    return _filled(estimates, columns, case.recording, case.name, case.resolved, case.case_id)
+    return _filled(estimates, (), case.recording, case.name, case.resolved, case.case_id)
 
 
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
     """The same of estimates that no run's file asked for.
 
-    name : of the estimator; None: its terms, `misfit + gradient`. Raises InputError as `case_result`.
+    name : of the estimator; None: its terms, `misfit + gradient`. columns : besides those of lampest and of installed
+    packages. Raises InputError as `case_result`.
     """
     recording, estimator = estimates.recording, estimates.estimator
     name = " + ".join(map(term_kind, estimator.terms)) if name is None else name

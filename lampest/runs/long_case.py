@@ -72,15 +72,13 @@ class PartFiles:
             self.folder.rmdir()
 
 
-def solve_long(
-    case: Case, stored: StoredRecording, file: Path, on_frame: Callable[[], None] = lambda: None
-) -> StoredCase:
+def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
     large_arrays_apart()
     files = PartFiles.beside(case, file)
     parts = Parts.of(stored, case.estimator, _asked(stored))
     solved: list[int] = []  # what stands behind a part that is solved now followed from another one
-    for number, estimates, carried in parts.estimates(lambda at: None if solved else files.done(at), on_frame):
+    for number, estimates, carried in parts.estimates(lambda at: None if solved else files.done(at)):
         solved.append(number)
         write_carried(files.carried(number), carried)
         write_results(files.results(number), [case_result(case, estimates)])

@@ -18,8 +18,7 @@ from lampest.files.errors import InputError
 from lampest.runs.case import REQUIRED, TYPED, CaseResult
 from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAMES, MAPS, Column, all_columns, of_steps
 from lampest.runs.columns.column import positive
-from lampest.runs.config import read_run
-from lampest.runs.filling import case_result
+from lampest.runs.filling import named_result
 from lampest.runs.results import read_results, write_results
 
 DATA = Path(__file__).parents[2] / "data"
@@ -99,8 +98,7 @@ def test_a_column_of_a_script_goes_in_and_comes_out(
     disk: SimpleNamespace, tmp_path: Path, reconstruction: Estimates
 ) -> None:
     further = (LEAST, CONTRAST)
-    case = read_run(disk.folder / "run.yaml").cases[0]
-    result = case_result(case, reconstruction, further)
+    result = named_result(reconstruction, "LSM", further)
     np.testing.assert_array_equal(result.extra["least_resistance"], reconstruction.cell_resistance.min(axis=(1, 2)))
     write_results(tmp_path / "r.h5", [result], columns=further)
     with h5py.File(tmp_path / "r.h5") as file:

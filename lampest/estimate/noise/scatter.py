@@ -29,7 +29,7 @@ class Scatter:
     """In units of the told σ.
 
     own : standard deviation of each reading alone; own_freedom : degrees behind it. gain : of the factor of a frame, as
-    a fraction, 0 where none is seen; gain_freedom : the repeats behind it.
+    a fraction, 0 where none is seen.
     together : (channels of a line, n) a root of the covariance of what all lines of a frame share. apart : the same of
     what each line has anew.
     """
@@ -37,7 +37,6 @@ class Scatter:
     own: float
     own_freedom: int
     gain: float
-    gain_freedom: int
     together: Array
     apart: Array
 
@@ -80,7 +79,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     lines, channels = deviation.shape[1:]
     if not np.any(np.nan_to_num(deviation)):  # codes that all agree, or no noise at all
         nothing = np.zeros((channels, 0))
-        return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, repeats, nothing, nothing)
+        return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, nothing, nothing)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
     rest = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
@@ -94,7 +93,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     everything = line + float((together**2).sum()) / channels * lines
     gain = _excess(slope, everything / size, repeats)
     degrees = repeats * (lines - 1) * (channels - apart.shape[1]) * share
-    return Scatter(float(np.sqrt(noise)), max(int(degrees), 1), gain, repeats, together, apart)
+    return Scatter(float(np.sqrt(noise)), max(int(degrees), 1), gain, together, apart)
 
 
 def patterns(rows: Array, freedom: float) -> tuple[float, Array]:

@@ -12,7 +12,6 @@ from math import isfinite
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
@@ -218,17 +217,6 @@ class Wiring:
         for group in self.joined:
             first[list(group)] = min(group)
         return np.asarray(first[:, None] == np.unique(first), dtype=float)
-
-    def side_by_side(self, shape: tuple[int, ...]) -> NDArray[np.intp] | None:
-        """(rows·columns) the number of the pair of nodes that every cell joins; None where each has a pair of its own.
-
-        Cells with one number are parallel, wire aside.
-        """
-        if not self.joined:
-            return None
-        node = self.nodes(sum(shape)).argmax(axis=1)
-        pairs = node[: shape[0], None] * sum(shape) + node[shape[0] :]
-        return np.asarray(np.unique(pairs, return_inverse=True)[1].ravel(), dtype=np.intp)
 
     def factor(self, cell_resistance: Array) -> Ladder:
         """K for cells (rows, columns) ohm, ready to be solved."""

@@ -23,7 +23,7 @@ from lampest.report.plots.curves import (
     paired_figure,
     profile_figure,
 )
-from lampest.report.plots.maps import Scale, Tile, maps_figure, positive_scale, share_scale, signed_scale
+from lampest.report.plots.maps import Scale, Tile, maps_figure, positive_scale, resolution_scale, signed_scale
 from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.style import data_uri, short_title
 from lampest.runs.case import CaseResult
@@ -138,7 +138,7 @@ def _certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     resolutions = _tiles(cases, place, lambda case: case.resolution)
     return [
         *_maps(cases, deviations, lambda maps: positive_scale(maps, label), "the standard deviation", UNCERTAIN),
-        *_maps(cases, resolutions, lambda maps: share_scale("resolution"), "the resolution", RESOLVED),
+        *_maps(cases, resolutions, lambda maps: resolution_scale(), "the resolution", RESOLVED),
         Illustration(data_uri(profile_figure(cases, place, row)), f"Relative change along row {row}", caption),
     ]
 

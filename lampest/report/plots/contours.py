@@ -19,7 +19,7 @@ from lampest.report.plots.maps import (
     Tile,
     banded_scale,
     positive_scale,
-    share_scale,
+    resolution_scale,
     signed_scale,
 )
 from lampest.report.plots.plot import Plot, frame_title, shown_index
@@ -168,7 +168,7 @@ def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Arr
     resolutions = [resolution[index] for *_, resolution in known if resolution is not None]
     rows = [
         (positive_scale(deviations, "standard deviation [%]"), deviations),
-        (share_scale("resolution"), resolutions),
+        (resolution_scale(), resolutions),
     ]
     if cases[0].truth is not None:
         truth, pairs = cases[0].truth[index], zip(known, deviations, strict=True)

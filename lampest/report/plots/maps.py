@@ -64,9 +64,9 @@ def signed_scale(values: Sequence[Array], label: str, least: float, most: float 
     return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _beyond(values, limit))
 
 
-def share_scale(label: str) -> Scale:
-    """From 0 to 1."""
-    return Scale(Normalize(0, 1), colormaps["YlGnBu"], label)
+def resolution_scale() -> Scale:
+    """Of resolutions, from 0 to 1."""
+    return Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution")
 
 
 def banded_scale(values: Sequence[Array], label: str) -> Scale:
