@@ -94,15 +94,13 @@ def test_every_array_of_a_case_is_a_column() -> None:
     assert len({column.path for column in COLUMNS}) == len(COLUMNS)
 
 
-def test_a_column_of_a_script_goes_in_and_comes_out(
-    disk: SimpleNamespace, tmp_path: Path, reconstruction: Estimates
-) -> None:
+def test_a_column_of_a_script_goes_in_and_comes_out(tmp_path: Path, reconstruction: Estimates) -> None:
     further = (LEAST, CONTRAST)
     result = named_result(reconstruction, "LSM", further)
     np.testing.assert_array_equal(result.extra["least_resistance"], reconstruction.cell_resistance.min(axis=(1, 2)))
     write_results(tmp_path / "r.h5", [result], columns=further)
     with h5py.File(tmp_path / "r.h5") as file:
-        dataset = file["entry/small/LSM/contrast"]
+        dataset = file["entry/cup_air_10kpa/LSM/contrast"]
         assert dataset.attrs["units"] == b"1" and dataset.dims[1].keys() == ["row"]
     (found,) = read_results(tmp_path / "r.h5", further).cases
     for name in ("least_resistance", "contrast"):
