@@ -271,28 +271,31 @@ class Estimates:
 
     @property
     def pressure(self) -> Array | None:
-        """Pressure of the load on every cell, (frames, rows, columns) kPa; suction is negative."""
-        return None if self._load is None else self._load.pressure
+        """Pressure of the load on every cell, (frames, rows, columns) kPa; suction is negative.
+
+        None without error bars, and where the scene names no response of its film.
+        """
+        return None if self._pressed is None else self._pressed.pressure
 
     @property
     def pressure_errors(self) -> Array | None:
         """Standard deviation of the pressure, (frames, rows, columns) kPa."""
-        return None if self._load is None else self._load.errors
+        return None if self._pressed is None else self._pressed.errors
 
     @property
     def pressure_lower(self) -> Array | None:
         """Lower end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
-        return None if self._load is None else self._load.lower
+        return None if self._pressed is None else self._pressed.lower
 
     @property
     def pressure_upper(self) -> Array | None:
         """Upper end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
-        return None if self._load is None else self._load.upper
+        return None if self._pressed is None else self._pressed.upper
 
     @property
     def saturated(self) -> NDArray[np.bool_] | None:
         """(frames, rows, columns) where the response does not tell the pressure."""
-        return None if self._load is None else self._load.saturated.astype(bool)
+        return None if self._pressed is None else self._pressed.saturated.astype(bool)
 
     @property
     def tared(self) -> tuple[str, ...] | None:
@@ -343,6 +346,10 @@ class Estimates:
         if self.baseline_bars is None or not (self.asked or any(step.bars for step in self.steps)):
             return None
         return ErrorBars.of(self.cell_resistance, self.baseline_resistance, self.steps)
+
+    @property
+    def _pressed(self) -> Pressure | None:
+        return None if self.recording.scene.response is None else self._load
 
     @cached_property
     def _load(self) -> Pressure | None:

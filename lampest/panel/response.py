@@ -1,8 +1,8 @@
-"""A film's answer to pressure where a scene tells its own: ln(r/r0) over kPa, strictly falling, and each cell's gain.
+"""A film's response to pressure: ln(r/r0) over kPa, strictly falling, and each cell's gain.
 
-    ln(r/r0) = κ·ln f(p)     f of the film, 1 at 0 kPa; κ of the cell, 1 where nothing is told
+    ln(r/r0) = κ·ln f(p)     f of the film, 1 at 0 kPa; κ of the cell, 1 where the scene names none
 
-The published curve, which stands where a scene tells none, is in `lampest.loads.response`.
+A scene that names no response has no pressures.
 """
 
 from abc import ABC, abstractmethod
@@ -22,6 +22,18 @@ Table = tuple[tuple[float, ...], ...]
 PARTS = (
     16  # lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly
 )
+
+
+# The points of figure 1-e: kPa and r/r0; straight between them, and decay rates of ln(r/r0) per kPa beside them.
+LINEAR_PRESSURE = np.array([0.0, 2.5, 28.0])
+LINEAR_RATIO = np.array([1.0, 0.52, 0.112])
+SUCTION_RATE = np.log(7.54) / -10.0
+SATURATING_RATE = np.log(0.06 / 0.112) / 12.0
+SATURATED_RATE = np.log(0.02 / 0.06) / 195.0
+
+# kPa between which a resistance determines the pressure. Below, nothing is published. Above, 1 % of the resistance is
+# 1.8 kPa and no longer 0.2, and what the scatter of cells leaves open is more than the pressure itself.
+TOLD_KPA = (-10.0, 40.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +207,54 @@ class PowerResponse(Response):
         return self.from_kpa, self.to_kpa
 
 
-AnyResponse = Annotated[TableResponse | PowerResponse, ByKind()]
+@dataclass(frozen=True, kw_only=True)
+class PublishedResponse(Response):
+    """The paper's curve of flat cells, r/r0 against p in kPa (suction is negative), inverted exactly:
+
+        p ≤ 0         exp(−0.202·p)                     through 7.54 at −10
+        0 … 2.5       1 − 0.192·p
+        2.5 … 28      0.52 − 0.016·(p − 2.5)
+        28 … 40       falls exponentially from 0.112 to 0.06
+        40 …          falls exponentially through 0.02 at 235
+
+    Beyond −10 and 235 kPa nothing is published; the last pieces are continued. Bent cells answer less: at 40 kPa by −69
+    to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and figure 1-e.
+
+    Example: {kind: published}
+    """
+
+    kind: Literal["published"] = "published"
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """ln f(p)."""
+        pressure = np.asarray(pressure, dtype=float)
+        linear = np.interp(pressure, LINEAR_PRESSURE, LINEAR_RATIO)
+        logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
+        logarithm = logarithm + SATURATING_RATE * np.clip(pressure - 28.0, 0.0, 12.0)
+        logarithm = logarithm + SATURATED_RATE * np.maximum(pressure - 40.0, 0.0)
+        return np.asarray(np.log(linear * np.exp(logarithm)))
+
+    def pressure(self, logarithm: ArrayLike) -> Array:
+        """p of ln f(p)."""
+        logarithm = np.asarray(logarithm, dtype=float)
+        start = np.log(LINEAR_RATIO[-1])
+        linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -LINEAR_RATIO, LINEAR_PRESSURE)
+        suction = np.maximum(logarithm, 0.0) / SUCTION_RATE
+        below = np.minimum(logarithm - start, 0.0)
+        saturating = np.maximum(below, 12.0 * SATURATING_RATE)
+        return np.asarray(linear + suction + saturating / SATURATING_RATE + (below - saturating) / SATURATED_RATE)
+
+    def curve_sd(self, pressure: ArrayLike) -> Array:
+        """None is published; the scatter of single cells covers it."""
+        return np.zeros(np.shape(pressure))
+
+    @property
+    def told_kpa(self) -> tuple[float, float]:
+        """TOLD_KPA."""
+        return TOLD_KPA
+
+
+AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKind()]
 
 
 def _straight_on(x: ArrayLike, at: Array, values: Array) -> Array:

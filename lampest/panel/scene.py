@@ -292,7 +292,8 @@ class Scene:
         see `lampest.panel.memory`. None: nothing.
     contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
     film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
-    response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: the published curve.
+    response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
+        pressures.
     subject, experiment : who was measured and for what; None: not told. No estimate depends on them.
 
     Raises ValueError where a number is out of range.

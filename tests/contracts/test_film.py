@@ -18,6 +18,7 @@ scene:
   readout: {kind: two_point, adc_bits: 12}
   series_resistance_ohm: 140
   film: {hysteresis: 0.2, creep_per_decade: auto, cell_spread: 0.1}
+  response: {kind: published}
 film: {hysteresis: 0.2, creep_per_decade: 0.06}
 baseline_frames: 4
 frames: 60

@@ -150,6 +150,40 @@ def test_blocks_that_are_cut(tmp_path: Path) -> None:
         imported(tmp_path / "m.log", longer, scene=LOADED)
 
 
+def debugged(separator: str, debug: str) -> str:
+    """Ten frames with a line of a sketch's own within the third and the seventh."""
+    frames = [lines(CODES[number % len(CODES)]) for number in range(10)]
+    for number in (2, 6):
+        frames[number].insert(1, debug)
+    return "\n".join(
+        separator.format(n=number, ms=100 * number) + "\n".join(frame) for number, frame in enumerate(frames)
+    )
+
+
+@pytest.mark.parametrize(
+    "debug", ["DEBUG: free heap 23456 bytes", "wifi: rssi -61", "# note", "42 overruns 7 8 9 1 2 3"]
+)
+@pytest.mark.parametrize("separator", ["Frame {n} t={ms} ms\n", "t = {ms} ms\n", "\n", ""])
+def test_a_line_of_the_sketch_shifts_no_frame(tmp_path: Path, separator: str, debug: str) -> None:
+    recording, notes = imported(tmp_path / "m.log", debugged(separator, debug), scene=LOADED)
+    np.testing.assert_allclose(recording.recorded, VOLT_OF_CODES[np.arange(10) % len(CODES)])
+    if "ms" in separator:
+        np.testing.assert_allclose(recording.time, 0.1 * np.arange(10))
+    if "DEBUG" in debug and "Frame" in separator:
+        assert said(notes, "skipped between rows: line 11, line 28"), notes
+
+
+def test_a_lost_row_leaves_one_frame_missing_and_the_others_in_place(tmp_path: Path) -> None:
+    text = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1").splitlines()
+    del text[text.index("Frame 4 t=400 ms") + 2]
+    recording, notes = imported(tmp_path / "m.log", "\n".join(text), scene=LOADED)
+    np.testing.assert_allclose(
+        np.delete(recording.recorded, 4, 0), VOLT_OF_CODES[np.delete(np.arange(10), 4) % len(CODES)]
+    )
+    assert np.isnan(recording.recorded[4]).all() and recording.time == pytest.approx(0.1 * np.arange(10))
+    assert said(notes, "has 2 of 3 lines and is missing")
+
+
 # Headers.
 
 

@@ -24,13 +24,15 @@ from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.model_check.check import model_check
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
+from lampest.loads.force import Force
+from lampest.loads.pressure import PressureTrack, water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
+from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -39,7 +41,7 @@ from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
 from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
 from lampest.report.live.handover import Newest
-from lampest.report.live.load import total_force, verdict_of
+from lampest.report.live.load import read_load, verdict_of
 from lampest.report.live.message import POINTS, Message, Picture, View, view_text
 from lampest.report.live.run import METHODS, Replay, chosen, from_recording, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
@@ -260,7 +262,7 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
     failed, after = found[1], found[2]
     assert failed.status == "too few of the frame's readings are values: the others are missing, or bounds"
     assert np.isnan(failed.measured_change[1:]).all() and np.isfinite(failed.measured_change[0]).all()
-    assert np.isnan(failed.relative_change).all() and np.isnan(failed.total) and not failed.open_cell.any()
+    assert np.isnan(failed.relative_change).all() and np.isnan(failed.force.newton) and not failed.open_cell.any()
     assert after.status == "optimum verified" and np.isfinite(after.relative_change).all()
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
@@ -276,14 +278,14 @@ def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
         assert picture.status == "no baseline: the iteration limit was reached before an optimum" or (
             picture.status == "the iteration limit was reached before an optimum"
         )
-        assert np.isnan(picture.relative_change).all() and np.isnan(picture.total)
+        assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
 
 
 def test_an_unloaded_panel_below_the_series_resistance_is_said_in_every_frame(lamprey: Recording) -> None:
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0)
     for picture in pictures(LSM, dataclasses.replace(lamprey, scene=scene)):
         assert picture.status == "too few of the frame's readings are values: the others are missing, or bounds"
-        assert np.isnan(picture.relative_change).all() and np.isnan(picture.total)
+        assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
 
 
 @pytest.mark.parametrize("frames", [None, 1])
@@ -304,49 +306,48 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
 
 
 def test_total_pressure_is_a_force() -> None:
-    """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; suction of as much on half of them leaves nothing."""
-    scene = Scene(Panel(10, 10))
-    assert total_force(scene, pressed(np.full((10, 10), 10.0))).newton == pytest.approx(100.0)
+    """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; where as much sucks on half of them, 50 N press."""
+    scene = Scene(Panel(10, 10), response=PublishedResponse())
+    assert force_of(scene, np.full((10, 10), 10.0)).newton == pytest.approx(100.0)
     half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
-    assert total_force(scene, pressed(half)).newton == pytest.approx(0.0, abs=1e-9)
+    assert force_of(scene, half).newton == pytest.approx(50.0)
 
 
-def test_a_force_is_as_uncertain_as_its_cells_together() -> None:
-    """100 cells of 10 ± 0.5 kPa and 1 cm² are 100 ± 0.5 N; one that the response does not tell is in neither."""
-    scene, kpa = Scene(Panel(10, 10)), np.full((10, 10), 10.0)
-    force = total_force(scene, pressed(kpa), pressed(kpa, 0.5))
-    assert force == pytest.approx((100.0, 0.5))
-    saturated = np.zeros((10, 10), dtype=np.uint8)
-    saturated[2:, :] = 1
-    kept = total_force(
-        scene, dataclasses.replace(pressed(kpa), saturated=saturated), pressed(kpa, np.where(saturated, 99.0, 0.5))
-    )
-    assert kept == pytest.approx((20.0, 0.05 * np.sqrt(20)))
-    assert np.isnan(total_force(scene, pressed(kpa)).deviation), "without error bars it is not known"
+def test_a_force_with_saturated_cells_is_a_lower_bound() -> None:
+    """A cell beyond what the response determines, 40 kPa, counts with that and is counted."""
+    kpa = np.zeros((10, 10))
+    kpa[2, 2:6], kpa[3, 3] = 10.0, 95.0
+    force = force_of(Scene(Panel(10, 10), response=PublishedResponse()), kpa)
+    assert force.newton == pytest.approx(4.0 + 4.0) and force.saturated == 1
 
 
-def pressed(kpa: Array, errors: Any = 0.0) -> Pressure:
-    """So much on every cell."""
-    return Pressure(kpa, kpa, kpa, np.broadcast_to(errors, kpa.shape), np.zeros(kpa.shape, dtype=np.uint8))
+def test_a_scene_without_a_response_has_no_force() -> None:
+    pressed, force = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
+    assert pressed is None and np.isnan(force.newton)
 
 
-def test_total_pressure_is_that_of_the_scene() -> None:
+def force_of(scene: Scene, kpa: Array) -> Force:
+    """Of cells under such pressures, without error bars."""
+    water = water_pressure(scene.panel, scene.water)
+    ratio = ratio_from_pressure(water + kpa) / ratio_from_pressure(water)
+    return read_load(PressureTrack.begin(scene), ratio, None, 0.0)[1]
+
+
+def test_a_force_is_that_of_the_scene() -> None:
     """Water that stood there before counts as nothing, nor does what a broken cell seems to say."""
-    wet = Scene(Panel(10, 10), water=Water(500.0))
-    depth = water_pressure(wet.panel, wet.water)
-    ratio = ratio_from_pressure(depth + 10.0) / ratio_from_pressure(depth)
-    dry = PressureTrack.begin(wet).pressure(ratio, ratio, ratio, 0.0)
-    assert total_force(wet, dry).newton == pytest.approx(100.0)
-    broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)))
-    pressure = np.where(broken.faults.blind(broken.panel), -9.0, 10.0)  # type: ignore[union-attr]
-    assert total_force(broken, pressed(pressure)).newton == pytest.approx(89.0)
+    response, ten = PublishedResponse(), np.full((10, 10), 10.0)
+    assert force_of(Scene(Panel(10, 10), water=Water(500.0), response=response), ten).newton == pytest.approx(100.0)
+    broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)), response=response)
+    assert force_of(broken, ten).newton == pytest.approx(89.0)
 
 
 def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out() -> None:
     pressure = np.zeros((2, 3))
     pressure[0, 1], pressure[0, 2], pressure[1, 0] = 10.0, 30.0, -5.0
     nothing, saturated = np.zeros((2, 3)), (pressure == 30.0).astype(np.uint8)
-    picture = Picture(1, 0.0, 0.0, nothing, nothing, nothing > 0, 1.0, "fine", 0.0, 0, nothing, pressure, saturated)
+    picture = Picture(
+        1, 0.0, 0.0, nothing, nothing, nothing > 0, Force(1.0, 0.1), "fine", 0.0, 0, nothing, pressure, saturated
+    )
 
     def told(verdict: str) -> dict[str, Any]:
         view = View("here", "LSM", "receiving", Panel(2, 3), picture=dataclasses.replace(picture, verdict=verdict))
@@ -386,7 +387,7 @@ def test_history_ends_somewhere() -> None:
     view = View("here", "LSM", "receiving", Panel(1, 1))
     for number in range(1, POINTS + 50):
         view = with_picture(
-            view, Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, 1.0, "fine", 0.0, 0)
+            view, Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, Force(1.0, 0.1), "fine", 0.0, 0)
         )
     assert len(view.history) == POINTS and view.history[-1].number == POINTS + 49
     content = json.loads(view_text(view, 0.0, known=POINTS + 46))
@@ -592,7 +593,7 @@ ROD = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
 
 def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
     """30 frames of nothing, 20 of a rod, 50 of nothing; 6 × 6 cells."""
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film)
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     course = Course(start_s=30, release_at_s=50)
     unmodelled = Unmodelled(drift_per_minute=drift)
     return simulate(Simulation(1, 3, scene, frames=100, loads=(ROD,), course=course, film=film, unmodelled=unmodelled))
@@ -601,7 +602,7 @@ def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
     film = Film(0.2, 0.08)
     told, silent = drifting(film, 0.0), dataclasses.replace(drifting(film, 0.0), scene=drifting(None, 0.0).scene)
-    left = [pictures(LSM, recording)[-40].total for recording in (told, silent)]
+    left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
     assert abs(left[0]) < 0.1 * abs(left[1])
 
 

@@ -78,7 +78,7 @@ def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     assert lines[0]["force [N]"] == "" and float(lines[1]["force [N]"]) == pytest.approx(6.4)
     assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
     (row,) = pressed_table(found).cells
-    assert row[:4] == ("mouth", "LSM", "6", "6") and "6.400 ± 0.049" in row and row[-1] == "2"
+    assert row[:4] == ("mouth", "LSM", "6", "6") and "≥\N{NO-BREAK SPACE}6.400 ± 0.049" in row and row[-1] == "2"
 
 
 def walked(x: np.ndarray, error: float = 0.3) -> Detection:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +39,21 @@ class Rows:
     notes: tuple[str, ...]
 
 
+class Passed(NamedTuple):
+    """A line that holds no readings: its text, and 'line 3'; both empty for a blank one."""
+
+    text: str
+    called: str
+
+
 @dataclass(frozen=True, eq=False)
 class ForeignTable:
     """The lines of a file that hold readings.
 
     fields, numbers, missing, words : (lines, width) texts, their numbers (NaN for none), whether a reading is said to
     be missing, and whether a text is none of both. counts : (lines) fields that each has. names : (width) of the
-    columns, or None. apart : (lines) whether something else stands before the line, and titles : what. stamps, place,
-    called, notes : see `Rows`.
+    columns, or None. before : (lines) what stands between the line and the one before. stamps, place, called, notes :
+    see `Rows`.
     """
 
     source: str
@@ -56,8 +63,7 @@ class ForeignTable:
     words: NDArray[np.bool_]
     counts: NDArray[np.intp]
     names: tuple[str, ...] | None
-    apart: NDArray[np.bool_]
-    titles: tuple[str, ...]
+    before: tuple[tuple[Passed, ...], ...]
     stamps: tuple[str, ...]
     numerals: Numerals
     place: Callable[[int, int | None], str]
@@ -72,17 +78,17 @@ class ForeignTable:
     def only(self, lines: NDArray[np.bool_], names: tuple[str, ...] | None = None) -> "ForeignTable":
         """The table with some of its lines; the others are what stands before the next one."""
         kept = [int(line) for line in np.flatnonzero(lines)]
-        titles = []
-        for before, line in zip([-1, *kept], kept, strict=False):
-            between = [" ".join(self.fields[other]).strip() for other in range(before + 1, line)]
-            titles.append(" ".join(filter(None, (*between, self.titles[line]))))
-        passed = np.diff([-1, *kept]) > 1
+        passed = []
+        for last, line in zip([-1, *kept], kept, strict=False):
+            others: list[Passed] = []
+            for other in range(last + 1, line):
+                others += [*self.before[other], Passed(" ".join(self.fields[other]).strip(), self.called(other))]
+            passed.append((*others, *self.before[line]))
         return replace(
             self,
             **{name: getattr(self, name)[kept] for name in (*OF_FIELDS, "counts")},
             names=names or self.names,
-            apart=self.apart[kept] | passed,
-            titles=tuple(titles),
+            before=tuple(passed),
             stamps=tuple(self.stamps[line] for line in kept),
             place=lambda line, field: self.place(kept[line], field),
             called=lambda line: self.called(kept[line]),
@@ -151,8 +157,7 @@ def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
         words[:, :width],
         np.minimum(rows.counts, width),
         None,
-        rows.blank,
-        ("",) * len(rows.fields),
+        tuple((Passed("", ""),) if blank else () for blank in rows.blank),
         rows.stamps,
         numerals,
         rows.place,

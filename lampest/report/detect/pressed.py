@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
+from lampest.loads.force import KPA_MM2, determined, pressing_cells
 from lampest.panel.panel import Array
 from lampest.report.compare import Table
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
 
 FILE = "pressed.csv"
-CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
-KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
 WITHIN = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
 HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
 
@@ -28,7 +27,8 @@ class PressedCells:
 
     recording, estimator : names. frame, time : (frames) index into the recording, and s.
     values, errors : (frames, 5) in the order of HEADERS, and standard deviations.
-    saturated : (frames) how many of the pressed cells have a pressure that the response leaves open.
+    saturated : (frames) how many of the pressed cells have a pressure that the response leaves open. With one, peak and
+    force are lower bounds: such a cell counts with no more than the response determines.
     """
 
     recording: str
@@ -51,8 +51,9 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
     """
     if case.pressure is None or case.pressure_errors is None or case.relative_change_errors is None:
         return None
-    touched = _touched(case.pressure, case.relative_change, case.relative_change_errors)
-    frames = zip(case.pressure, case.pressure_errors, touched, strict=True)
+    ratio, deviation = 1 + case.relative_change / 100, case.relative_change_errors / 100
+    touched = pressing_cells(case.scene, ratio, deviation, case.pressure)
+    frames = zip(*determined(case.scene, case.pressure, case.pressure_errors), touched, strict=True)
     both = [_frame(*maps, case.scene.panel.pitch_mm) for maps in frames]
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
@@ -63,12 +64,6 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
 def pressed(results: Results) -> tuple[PressedCells, ...]:
     """Of every case that holds pressures with their errors."""
     return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
-
-
-def _touched(pressure: Array, change: Array, errors: Array) -> NDArray[np.bool_]:
-    """Where cells have a pressure and conduct more than at rest, clearly; any shape, changes in percent."""
-    fallen = -np.nan_to_num(change) > CLEAR * np.nan_to_num(errors, nan=np.inf, posinf=np.inf)
-    return np.asarray(fallen & (np.nan_to_num(pressure) > 0))
 
 
 def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], pitch: float) -> tuple[Array, Array]:
@@ -99,14 +94,18 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
         force = one.values[:, -1]
         if np.isfinite(force).any():
             at = int(np.nanargmax(force))
-            numbers = [_told(*pair) for pair in zip(one.values[at], one.errors[at], strict=True)]
+            numbers = [figure(*pair) for pair in zip(one.values[at], one.errors[at], strict=True)]
             saturated = str(one.saturated[at] or "")
+            if saturated:
+                numbers[-2:] = [f"≥\N{NO-BREAK SPACE}{number}" for number in numbers[-2:]]
             rows.append((one.recording, one.estimator, str(one.frame[at]), f"{one.time[at]:g}", *numbers, saturated))
     return Table(("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows))
 
 
-def _told(value: float, error: float) -> str:
-    """With as many digits as the error's first two."""
+def figure(value: float, error: float) -> str:
+    """With as many digits as the error's first two; alone where it has none."""
+    if error == 0:
+        return f"{value:.3g}"
     digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 and np.isfinite(error) else 1
     return f"{value:.{min(digits, 3)}f} ± {error:.{min(digits, 3)}f}".replace("-", "−")
 

@@ -19,7 +19,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.report.live.handover import Beside, Errand, Newest
-from lampest.report.live.message import POINTS, Picture, Point, View
+from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View
 from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
@@ -222,7 +222,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     """Solve one frame; where that cannot be, the picture holds NaN and says why."""
     state, scene = replace(state, look=None), state.stream.scene
     nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
-    picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, float("nan"), "", 0.0, skipped)
+    picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, UNKNOWN, "", 0.0, skipped)
     try:
         readings = scan.readings(scene)
     except InputError as error:
@@ -232,11 +232,11 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
-    """The view with a new picture, its total added to the history; zeroed : why zero was taken anew after it, or ''."""
-    point = Point(picture.number, picture.time, picture.total)
+    """The view with a new picture, its force added to the history; zeroed : why zero was taken anew after it, or ''."""
+    point = Point(picture.number, picture.time, picture.force.newton)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped, history = view.skipped + picture.skipped, (*view.history, point)[-POINTS:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
-    if np.isnan(picture.total_deviation):
+    if np.isnan(picture.force.deviation):
         return view
-    return replace(view, deviation=picture.total_deviation, deviation_of=picture.number)
+    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number)

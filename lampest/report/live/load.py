@@ -1,16 +1,13 @@
 """What loads a panel in one frame: pressures, total force, and whether something presses or sucks."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.loads.force import Force, pressing_cells, total_force
 from lampest.loads.pressure import Pressure, PressureTrack
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
-from lampest.report.detect.pressed import KPA_MM2
 from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING
 
 # Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
@@ -20,39 +17,21 @@ NOTICED_PERCENT = 1.0  # where the noise is unknown: far above that of any reado
 SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
 
 
-class Force(NamedTuple):
-    """F and its standard deviation, newton; NaN where it is not known."""
+def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
+    """Pressures of a frame's cells, and their total force; none where the scene names no response.
 
-    newton: float
-    deviation: float
-
-
-def total_force(scene: Scene, pressed: Pressure, barred: Pressure | None = None) -> Force:
-    """F = Σ p·pitch² and √Σ σ_p²·pitch² over the cells that are neither broken nor saturated; suction is negative.
-
-    Errors of cells are taken to be independent, as `lampest detect` takes them. pressed : (rows, columns), without the
-    estimate's own errors: what they leave of a cell's pressure does not decide whether it counts. barred : with them;
-    None: the deviation is not known.
+    The estimate's own errors do not decide which cells are saturated. ratio : r/r_baseline (rows, columns).
+    bars : of the estimate, or None. time : s.
     """
-    counted = pressed.saturated == 0
-    if scene.faults is not None:
-        counted &= ~(scene.faults.open_cells(scene.panel) | scene.faults.shorted_cells(scene.panel))
-    area = scene.panel.pitch_mm**2 * KPA_MM2
-    deviation = np.nan if barred is None else area * np.sqrt(np.sum(barred.errors[counted] ** 2))
-    return Force(float(area * np.sum(pressed.pressure[counted])), float(deviation))
-
-
-def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure, Force]:
-    """Pressures of a frame's cells, and their total force.
-
-    ratio : r/r_baseline (rows, columns). bars : of the estimate, or None. time : s.
-    """
-    pressed, barred = load.pressure(ratio, ratio, ratio, time), None
+    if load.scene.response is None:
+        return None, Force(np.nan, np.nan)
+    found, errors, deviation = load.pressure(ratio, ratio, ratio, time), None, None
     if bars is not None and bars.change is not None:
         with np.errstate(over="ignore"):
             ends = ratio * np.exp(-bars.change.below), ratio * np.exp(bars.change.above)
-            barred = load.pressure(ratio, *ends, time)
-    return pressed, total_force(load.scene, pressed, barred)
+            errors, deviation = load.pressure(ratio, *ends, time).errors, ratio * bars.change.deviation
+    pressed = pressing_cells(load.scene, ratio, deviation, found.pressure)
+    return found, total_force(load.scene, found.pressure, pressed, found.saturated != 0, errors)
 
 
 def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:

@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.loads.force import Force
 from lampest.panel.panel import Array, Panel
 
 FORMAT = "lampest stream 1"
 MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
+UNKNOWN = Force(float("nan"), float("nan"))
 POINTS = 1800  # frames of the page's history, one minute at 30 frames a second
 NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS = (
     "nothing",
@@ -36,7 +38,7 @@ class Channel(NamedTuple):
 
 
 class Point(NamedTuple):
-    """One frame in the history: its number, its time in s, and the total pressure in newton, NaN where it failed."""
+    """One frame in the history: its number, its time in s, and the total force in newton, NaN where it is not known."""
 
     number: int
     time: float
@@ -49,13 +51,12 @@ class Picture:
 
     number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
     measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
-    open_cell : (rows, columns) where a cell cannot be told from an open one. total : newton over the cells
-    that are not saturated, NaN where it failed.
+    open_cell : (rows, columns) where a cell cannot be told from an open one. force : total force, unknown
+    where the frame failed or the scene names no response; its deviation may come later.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
-    cell_resistance, pressure : (rows, columns) ohm and kPa; None where the frame failed. saturated : (rows, columns)
-    where the response leaves the pressure open. verdict : one of VERDICTS. total_deviation : newton, standard
-    deviation of the total; NaN where it is not known, or comes later. leaps : outliers among the readings, each
-    replaced by what the frames before say.
+    cell_resistance, pressure : (rows, columns) ohm and kPa; None where they are not known. saturated : (rows, columns)
+    where the response leaves the pressure open. verdict : one of VERDICTS. leaps : outliers among the
+    readings, each replaced by what the frames before say.
     """
 
     number: int
@@ -64,7 +65,7 @@ class Picture:
     measured_change: Array
     relative_change: Array
     open_cell: NDArray[np.bool_]
-    total: float
+    force: Force
     status: str
     seconds: float
     skipped: int
@@ -72,7 +73,6 @@ class Picture:
     pressure: Array | None = None
     saturated: NDArray[np.uint8] | None = None
     verdict: str = UNSOLVED
-    total_deviation: float = float("nan")
     leaps: int = 0
 
 
@@ -135,7 +135,9 @@ class Message:
     def row(self) -> Array:
         """The frame as one row of numbers, in the order of `channels`."""
         picture = self.picture
-        head = np.array([picture.number, picture.total, VERDICTS.index(picture.verdict), self.solved], dtype=float)
+        head = np.array(
+            [picture.number, picture.force.newton, VERDICTS.index(picture.verdict), self.solved], dtype=float
+        )
         return np.concatenate([head, *(values.ravel() for values in self.maps.values()), [self.view.deviation]])
 
     def channels(self) -> list[Channel]:
@@ -159,7 +161,7 @@ class Message:
             "time": picture.time,
             "panel": _panel(self.panel),
             **{name: _numbers(maps[name], digits) for name, digits in (("cells", 2), ("change", 3), ("pressure", 4))},
-            "force": _number(picture.total, 4),
+            "force": _number(picture.force.newton, 4),
             "force_sd": _number(view.deviation, 4),
             "force_sd_of": view.deviation_of or None,
             "verdict": picture.verdict,

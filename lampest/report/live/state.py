@@ -9,12 +9,13 @@ from lampest.estimate.noise.outliers import FramesBefore
 from lampest.estimate.step import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
+from lampest.loads.force import Force
 from lampest.loads.pressure import PressureTrack
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.report.live.load import Force, read_load, verdict_of
+from lampest.report.live.load import read_load, verdict_of
 from lampest.report.live.message import Picture
 from lampest.solvers.multistart import SAME
 
@@ -182,16 +183,18 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
     ratio = here.ratio(step)
     if ratio is not None:
         pressed, force = read_load(here.load, ratio, step.bars, picture.time)
+        verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
+        if step.bars is None and pressed is not None and "pressing" not in verdict:
+            force = Force(0.0, np.nan)
         picture = replace(
             picture,
             relative_change=100 * (ratio - 1),
             open_cell=solution.open_cell[-1],
-            total=force.newton,
-            total_deviation=force.deviation,
+            force=force,
             cell_resistance=solution.cell_resistance[-1],
-            pressure=pressed.pressure,
-            saturated=pressed.saturated,
-            verdict=verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)),
+            pressure=None if pressed is None else pressed.pressure,
+            saturated=None if pressed is None else pressed.saturated,
+            verdict=verdict,
         )
     elif solution.solved:
         assert stream.baseline is not None

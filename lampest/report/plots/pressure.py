@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.loads.response import PUBLISHED, ratio_from_pressure
+from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, PRESSING, MapPainter, Scale, Tile, stepped_scale
@@ -54,15 +54,10 @@ class PressurePlot(Plot):
         least, most = WIDTH_TICKS_KPA[0], WIDTH_TICKS_KPA[-1]
         half = np.clip((upper - lower) / 2, least / 2, 2 * most)  # none and infinite: beyond the scale, not missing
         _map(middle, case, Tile("(b) uncertainty", half, "", marked, "saturated"), _widths())
-        _response(
-            right,
-            1 + case.relative_change[index] / 100,
-            pressure,
-            lower,
-            upper,
-            marked,
-            case.scene.response or PUBLISHED,
-        )
+        ratio, response = 1 + case.relative_change[index] / 100, case.scene.response
+        if response is not None:  # results of an older version may have pressures without
+            _curve(right, response)
+        _cells(right, ratio, pressure, lower, upper, marked)
         right.set_title("(c) cells and response", fontsize=TEXT_POINT)
         handles, labels = right.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=SMALL_POINT, frameon=False)
@@ -97,23 +92,19 @@ def _map(axes: Axes, case: CaseResult, tile: Tile, scale: Scale) -> None:
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
 
 
-def _response(
-    axes: Axes,
-    ratio: Array,
-    pressure: Array,
-    lower: Array,
-    upper: Array,
-    marked: Marks,
-    response: Response,
-) -> None:
-    """Resistance against pressure with 95 % intervals; water and temperature move cells off the curve."""
+def _curve(axes: Axes, response: Response) -> None:
+    """Resistance against pressure, as the scene says; water and temperature move cells off the curve."""
     least, most = SHOWN_KPA
     curve, known = np.linspace(least, most, 1000), response.told_kpa
-    axes.plot(100 * ratio_from_pressure(curve, response), curve, color="0.6", lw=1, label="response in air", zorder=1)
-    for beyond in ((least, max(known[0], least)), (min(known[1], most), most)):
-        axes.axhspan(
-            *beyond, color="0.93", lw=0, zorder=0, label="where resistance says little" if beyond[0] < 0 else None
-        )
+    axes.plot(100 * ratio_from_pressure(curve, response), curve, color="0.6", lw=1, label="response", zorder=1)
+    for low, high in ((least, max(known[0], least)), (min(known[1], most), most)):
+        label = "where resistance determines little" if low < 0 else None
+        axes.axhspan(low, high, color="0.93", lw=0, zorder=0, label=label)
+
+
+def _cells(axes: Axes, ratio: Array, pressure: Array, lower: Array, upper: Array, marked: Marks) -> None:
+    """Resistance against pressure of every cell, with 95 % intervals."""
+    least, most = SHOWN_KPA
     for chosen, sign, colour, label in ((~marked, "o", BLUE, "cell, 95 %"), (marked, "x", "black", "saturated")):
         at, inside = 100 * ratio[chosen], np.clip(pressure[chosen], least, most)
         reach = np.abs(np.clip([lower[chosen], upper[chosen]], least, most) - inside)

@@ -49,7 +49,7 @@ class OscPublish(Publish):
             ("time", "d", [picture.time]),
             ("size", "i", message.panel.shape),
             *((name, "f", values.ravel().tolist()) for name, values in message.maps.items()),
-            ("force", "f", [picture.total]),
+            ("force", "f", [picture.force.newton]),
             ("force_sd", "f", [message.view.deviation]),
             ("verdict", "s", [picture.verdict]),
             ("solved", "T" if message.solved else "F", [message.solved]),
