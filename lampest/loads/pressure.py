@@ -147,7 +147,7 @@ class PressureTrack:
         """Half the 95 % interval of the change, below and above it."""
         scene, answer = self.scene, self._change(ratio)
         if self.film is not None:
-            answer = self.film.at_once(answer, time)
+            answer = -self.film.at_once(answer, time)
         warmth = scene.temperature
         warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
         bent = 0.0 if scene.film is None else scene.film.answer_sd

@@ -18,6 +18,7 @@ from lampest.loads.shapes import Rod
 from lampest.panel.film import OPEN_CREEP, Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import TableResponse
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
@@ -139,3 +140,20 @@ def test_results_say_what_the_film_was_taken_for(tmp_path: Path) -> None:
     assert case.film_sentence.startswith("creep ") and "from the recording" in case.film_sentence
     with existing_file(path) as file:
         assert read_attribute(file, f"/entry/{case.recording}/LSM", "film") == case.film_sentence
+
+
+@pytest.mark.parametrize("film", [Film(), Film(creep_per_decade=1e-4)])
+def test_a_film_without_memory_leaves_bars_as_wide_as_none(film: Film) -> None:
+    """A calibrated curve is known where it was loaded: its bars do not depend on whether the scene names a film."""
+    curve = TableResponse(
+        pressure_kpa=(-10, 0, 5, 40), resistance_ohm=(5000, 1000, 400, 100), sd=(0.9, 0.4, 0.02, 0.02)
+    )
+    gains = tuple((0.9, 1.1, 1.0, 1.2) for _ in range(4))
+    known = tuple((0.01,) * 4 for _ in range(4))
+    scene = Scene(Panel(4, 4), response=replace(curve, gain=gains, gain_sd=known))
+    ratio = np.full((1, 4, 4), 0.4)
+    plain, with_film = (
+        pressure_of(ratio, 0.99 * ratio, 1.01 * ratio, replace(scene, film=one)) for one in (None, film)
+    )
+    np.testing.assert_allclose(with_film.upper - with_film.lower, plain.upper - plain.lower, rtol=0.01)
+    np.testing.assert_allclose(with_film.errors, plain.errors, rtol=0.01)
