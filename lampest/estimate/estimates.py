@@ -40,6 +40,7 @@ class ErrorBars:
     cell_resistance_errors, cell_resistance_lower, cell_resistance_upper : (frames, rows, columns) ohm.
     relative_change_errors : (frames, rows, columns) percent. ratio_lower, ratio_upper : of r/r0, the same shape.
     resolution, data_share : (frames, rows, columns) diagonal and row sums of the averaging kernel; 0 without bars.
+    sigma_own, sigma_common : (frames, rows, columns) of log r, its own error and what cells share of it.
     """
 
     cell_resistance_errors: Array
@@ -50,6 +51,8 @@ class ErrorBars:
     ratio_upper: Array
     resolution: Array
     data_share: Array
+    sigma_own: Array
+    sigma_common: Array
 
     @classmethod
     def of(cls, cells: Array, baseline: Array, steps: tuple[Step, ...]) -> "ErrorBars":
@@ -75,6 +78,8 @@ class ErrorBars:
                 ratio * np.exp(frames(lambda bars: None if bars.change is None else bars.change.above)),
                 frames(lambda bars: bars.frame.resolution, 0.0),
                 frames(lambda bars: bars.frame.data_share, 0.0),
+                frames(lambda bars: bars.frame.own),
+                frames(lambda bars: bars.frame.common),
             )
 
 
@@ -257,6 +262,16 @@ class Estimates:
     def data_share(self) -> Array | None:
         """Row sums of the averaging kernel, (frames, rows, columns): share of an estimate that comes from the data."""
         return None if self._bars is None else self._bars.data_share
+
+    @property
+    def sigma_own(self) -> Array | None:
+        """Standard deviation of log r, (frames, rows, columns): of each cell's own error, independent of the others'."""
+        return None if self._bars is None else self._bars.sigma_own
+
+    @property
+    def sigma_common(self) -> Array | None:
+        """Standard deviation of log r, (frames, rows, columns): of what moves all cells, or those of a line, together."""
+        return None if self._bars is None else self._bars.sigma_common
 
     @property
     def error_bar_time(self) -> Array | None:

@@ -29,9 +29,10 @@ USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, gl
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """What is known of hidden errors. sizes : of each. root : (n, n) of the covariance of z, as columns are ordered.
+    """What is known of hidden errors. sizes : of each. root : (n, n) lower triangular, of the covariance of z, as columns
+    are ordered; None: of the sizes alone.
 
-    None: of the sizes alone. sure : whether each reading's own error is told, or there beyond chance.
+    sure : whether each reading's own error is told, or there beyond chance.
     """
 
     sizes: Systematic
@@ -112,8 +113,9 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
 class Shared:
     """systematic : how large such errors are, or None. scene : what they are errors of.
 
-    contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, m) of what
-    is possible of the hidden errors, in units of their sizes; None: of each on its own as much as its size.
+    contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, n) of what
+    is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as much as its
+    size.
     """
 
     systematic: Systematic | None
@@ -147,14 +149,18 @@ class Shared:
         return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene)
 
     def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
-        """U (frames · cells, n) in the readings' unit.
+        """U (frames · cells, n) in the readings' unit; see `own`.
 
         cells, measured : (frames, rows, columns). networks : one a frame.
         """
-        parts = [] if self.systematic is None else self._of_readings(cells, measured, self.systematic)
-        if self.contact_root is not None:
-            parts.append(contact_responses(networks) @ self.contact_root)
+        parts = [] if self.contact_root is None else [contact_responses(networks) @ self.contact_root]
+        if self.systematic is not None:
+            parts += self._of_readings(cells, measured, self.systematic)
         return np.concatenate(parts, axis=1)
+
+    def own(self, cells: int) -> int:
+        """How many of the last columns move single readings, independently of all others."""
+        return cells if self.systematic is not None and self.systematic.reading_error else 0
 
     def own_error(self, measured: Array) -> Array:
         """Standard deviation of what each reading is off by on its own, in their unit, (frames, rows, columns)."""

@@ -23,6 +23,10 @@ class Errors(Protocol):
         """Of log r."""
 
     @property
+    def shared_variance(self) -> Array:
+        """The part of it that one chance moves together in all cells of a frame."""
+
+    @property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel."""
 
@@ -40,7 +44,8 @@ class Certainty:
 
     deviation : standard deviation; infinite for an open cell. below, above : how far the 95 % interval reaches down and
     up; infinite upwards for an open cell. resolution, data_share : diagonal and row sums of the averaging kernel, 0
-    where a bound decides.
+    where a bound decides. common : the part of the deviation that cells share, among all or along a line; the rest is
+    each cell's own.
     """
 
     deviation: Array
@@ -48,6 +53,12 @@ class Certainty:
     above: Array
     resolution: Array
     data_share: Array
+    common: Array
+
+    @property
+    def own(self) -> Array:
+        """√(deviation² − common²): each cell's own part."""
+        return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
 
     @classmethod
     def of(cls, errors: Errors) -> "Certainty":
@@ -58,8 +69,8 @@ class Certainty:
         model = errors.model
         at, free = model.at, model.free
         size = at.cell_resistance.size
-        deviation, below, above, resolution, data_share = np.zeros((5, size))
-        deviation[free] = np.sqrt(errors.variance)
+        deviation, below, above, resolution, data_share, common = np.zeros((6, size))
+        deviation[free], common[free] = np.sqrt(errors.variance), np.sqrt(errors.shared_variance)
         below[free] = above[free] = TWO_SIDED * deviation[free]
         resolution[free], data_share[free] = errors.resolution, errors.data_share
         noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()
@@ -77,14 +88,17 @@ class Certainty:
         deviation[model.at_upper] = np.inf
         below[free] = np.minimum(below[free], position[free] - lower[free] + noise[free])
         shape = at.cell_resistance.shape
-        return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share)))
+        return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share, common)))
 
-    def widened(self, variance: Array) -> "Certainty":
-        """With an independent error of that variance on top, (frames, rows, columns)."""
+    def widened(self, answer: Array, own: int) -> "Certainty":
+        """With what independent errors of variance 1 do to log r on top, (frames · cells, n); the last `own` not common."""
+        squares = (answer**2).reshape(*self.deviation.shape, -1)
+        variance, common = squares.sum(axis=-1), squares[..., : squares.shape[-1] - own].sum(axis=-1)
         reach = TWO_SIDED**2 * variance
         return replace(
             self,
             deviation=np.sqrt(self.deviation**2 + variance),
+            common=np.sqrt(self.common**2 + common),
             below=np.sqrt(self.below**2 + reach),
             above=np.sqrt(self.above**2 + reach),
         )

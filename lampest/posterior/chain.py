@@ -99,6 +99,10 @@ class Chain:
             return self._follow
         return np.asarray(self._follow @ np.linalg.cholesky(self.border_covariance))
 
+    def shared_variance(self, frame: int) -> Array:
+        """(cells) what the border makes up of one frame's diagonal of H⁻¹."""
+        return np.asarray(np.sum(self._root[frame] ** 2, axis=1))
+
     @cached_property
     def variance(self) -> Array:
         """The frames' diagonal of H⁻¹, (frames, cells)."""

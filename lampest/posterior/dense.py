@@ -165,11 +165,16 @@ class DenseErrors:
         """K V (free, n)."""
         return np.zeros((len(self.inverse), 0)) if self.drawn is None else np.asarray(self._gain @ self.drawn)
 
+    @property
+    def shared_variance(self) -> Array:
+        """The diagonal of K V Vᵀ Kᵀ."""
+        return np.asarray(np.sum(self._moved**2, axis=1))
+
     @cached_property
     def variance(self) -> Array:
         """The diagonal of S over the free cells."""
         variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
-        variance += np.sum(self._held**2, axis=1) + np.sum(self._moved**2, axis=1)
+        variance += np.sum(self._held**2, axis=1) + self.shared_variance
         variance += self.model.scale**2 * self.inverse**2 @ self.model.ignorance
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):

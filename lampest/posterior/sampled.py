@@ -149,6 +149,14 @@ class SampledErrors:
         return samples, pulled
 
     @property
+    def shared_variance(self) -> Array:
+        """What V moves, as `DenseErrors.shared_variance`; no more than all."""
+        if self.drawn is None:
+            return np.zeros(len(self.model.free))
+        nothing = np.zeros((self.model.at.cell_resistance[0].size, self.drawn.shape[1]))
+        return np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance)
+
+    @property
     def variance(self) -> Array:
         """The diagonal of S over the free cells."""
         return np.asarray(np.mean(self._drawn[0] ** 2, axis=0))

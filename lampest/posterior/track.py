@@ -143,7 +143,7 @@ class Track:
             own = own.reaching(active.cells, active.below, active.above)
         else:
             answer[model.free] = errors.answer(rows, last, baseline)
-        return answer, own.widened(np.sum(answer**2, axis=1).reshape(cells.shape))
+        return answer, own.widened(answer, self.shared.own(cells[0].size))
 
 
 def errors_of(

@@ -192,6 +192,8 @@ def _results_lines(results: Results) -> list[str]:
                 f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}{_starts(case)}  "
                 f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
             )
+            if case.error_words:
+                lines.append(f"  {'':{width}}  {case.error_words} (standard deviations, medians)")
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
     if results.cases:

@@ -129,6 +129,8 @@ class CaseResult:
     relative_change_errors: Array | None = None
     relative_change_lower: Array | None = None
     relative_change_upper: Array | None = None
+    sigma_own: Array | None = None
+    sigma_common: Array | None = None
     resolution: Array | None = None
     data_share: Array | None = None
     baseline_resistance_errors: Array | None = None
@@ -164,6 +166,15 @@ class CaseResult:
         if self.starts is None or not optima.any():
             return None
         return int(optima.sum()), int(self.starts[optima].min()), int(self.starts[optima].max())
+
+    @property
+    def error_words(self) -> str:
+        """'each cell +- 0.4 %, all together +- 3 %': medians of both parts of the standard deviation; '' without them."""
+        if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
+            return ""
+        known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
+        own, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
+        return f"each cell +- {own:.2g} %, all together +- {common:.2g} %"
 
     @property
     def valued(self) -> NDArray[np.bool_]:

@@ -263,3 +263,20 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     at_rails = np.concatenate(held)
     assert len(at_rails) > 20
     assert at_rails.mean() > 0.9
+
+
+def test_own_and_common_parts_make_up_the_bar() -> None:
+    """Where nothing that readings share is off, each cell's own part alone is as large as the errors are."""
+    rng, cells = np.random.default_rng(8), np.stack([panel_cells(seed=3)] * 2)
+    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.03, channel_spread_ohm=1.0))
+    exact, inside = two_point_resistance(cells), []
+    for _ in range(20):
+        recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
+        found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
+        own, common, whole = found.sigma_own, found.sigma_common, found.cell_resistance_errors
+        assert own is not None and common is not None and whole is not None
+        free = np.isfinite(whole) & (own > 0)
+        np.testing.assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
+        assert np.median(common) > 3 * np.median(own)
+        inside.append((np.abs(np.log(found.cell_resistance / cells[-1])) < 1.96 * own)[free])
+    assert 0.92 < np.mean(np.concatenate(inside)) < 0.98

@@ -234,7 +234,8 @@ def possible(moves: Moves, size: float, still: Chosen) -> Array:
     mean = weight.T @ moves.change[still]
     second = np.eye(columns.shape[1]) - part.T @ weight + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    # Lower triangular: the columns behind the common errors' are what each reading's own leaves beside them.
+    return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
 def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:

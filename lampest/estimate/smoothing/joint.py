@@ -244,10 +244,14 @@ class TiedModel(LinearModel):
 
 @dataclass(frozen=True, eq=False)
 class TiedErrors:
-    """One frame's errors. covariance : (cells, cells) of log r. rows : √ω ∂x/∂u of its data. tie : (cells), Σ λ."""
+    """One frame's errors. covariance : (cells, cells) of log r; shared : (cells), what all cells share of its diagonal.
+
+    rows : √ω ∂x/∂u of its data. tie : (cells), Σ λ.
+    """
 
     model: TiedModel
     covariance: Array
+    shared: Array
     rows: Array
     tie: Array
 
@@ -255,6 +259,11 @@ class TiedErrors:
     def variance(self) -> Array:
         """Of log r of the free cells."""
         return np.asarray(np.diag(self.covariance)[self.model.free])
+
+    @property
+    def shared_variance(self) -> Array:
+        """What channels, reference and the steps that all cells have in common make up of it."""
+        return self.shared[self.model.free]
 
     @property
     def resolution(self) -> Array:
@@ -284,9 +293,9 @@ def error_bars(
     beyond, noise : what all readings share, and those of a frame, of which Φ knows nothing; or None.
     """
     frames, chain = range(resting - 1, len(joint.position)), joint.chain.doubting(BELIEVED, joint.certainty)
-    answer = joint.answer(np.concatenate([_of_all(joint, beyond), _of_frames(joint, resting, noise)], axis=2))
-    squares = np.sum(answer**2, axis=2).reshape(-1, *joint.at[0].cell_resistance.shape)
-    found = (Certainty.of(_errors(joint, chain, frame)).widened(squares[frame]).of_frame(0) for frame in frames)
+    answer = joint.answer(np.concatenate([_of_frames(joint, resting, noise), _of_all(joint, beyond)], axis=2))
+    own = 0 if beyond is None else beyond.own(joint.position.shape[1])
+    found = (Certainty.of(_errors(joint, chain, frame)).widened(answer[frame], own).of_frame(0) for frame in frames)
     baseline, *certainty = (one.by_conductance() for one in found)
     together = chain.since(resting - 1)[1:] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     changes = [
@@ -316,4 +325,10 @@ def _of_frames(joint: Joint, resting: int, noise: FrameNoise | None) -> Array:
 def _errors(joint: Joint, chain: Chain, frame: int) -> TiedErrors:
     tied = np.pad(joint.stiffness, ((1, 1), (0, 0)))
     model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame])
-    return TiedErrors(model, chain.covariance(frame), joint.sensitivities[frame], tied[frame] + tied[frame + 1])
+    return TiedErrors(
+        model,
+        chain.covariance(frame),
+        chain.shared_variance(frame),
+        joint.sensitivities[frame],
+        tied[frame] + tied[frame + 1],
+    )

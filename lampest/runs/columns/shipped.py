@@ -176,6 +176,14 @@ CERTAINTY = (
             _map(f"{name}_upper", units, "95 % interval, upper end", known_if_solved),
         )
     ),
+    _map("sigma_own", "1", "standard deviation of ln r: each cell's own error", not_negative, known_if_solved),
+    _map(
+        "sigma_common",
+        "1",
+        "standard deviation of ln r: what all cells share, or those of a line",
+        not_negative,
+        known_if_solved,
+    ),
     _map("resolution", "1", "diagonal of the averaging kernel", known_if_solved),
     _map("data_share", "1", "share of the estimate that comes from the data", known_if_solved),
     _frames("error_bar_time", "s", "wall time of the error bars"),
