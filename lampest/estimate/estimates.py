@@ -265,12 +265,12 @@ class Estimates:
 
     @property
     def sigma_own(self) -> Array | None:
-        """Standard deviation of log r, (frames, rows, columns): of each cell's own error, independent of the others'."""
+        """Standard deviation of log r, (frames, rows, columns): of each cell's own error."""
         return None if self._bars is None else self._bars.sigma_own
 
     @property
     def sigma_common(self) -> Array | None:
-        """Standard deviation of log r, (frames, rows, columns): of what moves all cells, or those of a line, together."""
+        """Standard deviation of log r, (frames, rows, columns): of what all cells share, or those of a line."""
         return None if self._bars is None else self._bars.sigma_common
 
     @property

@@ -29,8 +29,8 @@ USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, gl
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """What is known of hidden errors. sizes : of each. root : (n, n) lower triangular, of the covariance of z, as columns
-    are ordered; None: of the sizes alone.
+    """What is known of hidden errors. sizes : of each. root : (n, n) lower triangular, of the covariance of z in the
+    order of columns; None: of the sizes alone.
 
     sure : whether each reading's own error is told, or there beyond chance.
     """
@@ -153,7 +153,9 @@ class Shared:
 
         cells, measured : (frames, rows, columns). networks : one a frame.
         """
-        parts = [] if self.contact_root is None else [contact_responses(networks) @ self.contact_root]
+        parts: list[Array] = []
+        if self.contact_root is not None:
+            parts.append(contact_responses(networks) @ self.contact_root)
         if self.systematic is not None:
             parts += self._of_readings(cells, measured, self.systematic)
         return np.concatenate(parts, axis=1)

@@ -91,7 +91,7 @@ class Certainty:
         return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share, common)))
 
     def widened(self, answer: Array, own: int) -> "Certainty":
-        """With what independent errors of variance 1 do to log r on top, (frames · cells, n); the last `own` not common."""
+        """With what independent errors of variance 1 do on top, (frames · cells, n); the last `own` not common."""
         squares = (answer**2).reshape(*self.deviation.shape, -1)
         variance, common = squares.sum(axis=-1), squares[..., : squares.shape[-1] - own].sum(axis=-1)
         reach = TWO_SIDED**2 * variance

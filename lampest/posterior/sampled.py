@@ -154,7 +154,7 @@ class SampledErrors:
         if self.drawn is None:
             return np.zeros(len(self.model.free))
         nothing = np.zeros((self.model.at.cell_resistance[0].size, self.drawn.shape[1]))
-        return np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance)
+        return np.asarray(np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance))
 
     @property
     def variance(self) -> Array:

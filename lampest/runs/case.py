@@ -169,7 +169,7 @@ class CaseResult:
 
     @property
     def error_words(self) -> str:
-        """'each cell +- 0.4 %, all together +- 3 %': medians of both parts of the standard deviation; '' without them."""
+        """'each cell +- 0.4 %, all together +- 3 %': medians of both standard deviations; '' without them."""
         if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
             return ""
         known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
