@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
     from lampest.loads.tare import Tare as Tare
+    from lampest.panel.faults import Faults as Faults
     from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
@@ -77,14 +78,13 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.wiring import Lines as Lines
     from lampest.panel.response import PowerResponse as PowerResponse
     from lampest.panel.response import TableResponse as TableResponse
-    from lampest.panel.scene import Experiment as Experiment
-    from lampest.panel.scene import Faults as Faults
-    from lampest.panel.scene import MeasuredSubject as MeasuredSubject
     from lampest.panel.scene import Scene as Scene
     from lampest.panel.scene import SeriesPerLine as SeriesPerLine
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
+    from lampest.panel.subject import Experiment as Experiment
+    from lampest.panel.subject import MeasuredSubject as MeasuredSubject
     from lampest.recording import datasets as datasets
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene

@@ -91,9 +91,10 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
     and worst_column, the lines that hold most of it, and their shares.
     """
     squares = ((model - measured) / sigma) ** 2
+    squares[np.isinf(sigma) & np.isfinite(model).any(axis=(1, 2), keepdims=True)] = 0.0
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
-    followed = np.full(len(model), np.nan) if resolution is None else resolution.sum(axis=(1, 2))
+    followed = np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
     found = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
     for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
@@ -195,6 +196,8 @@ class Estimates:
 
     def _status(self, step: Step, recorded: Array) -> str:
         readout, sentence = self.recording.scene.readout, AT_RAILS.get(step.solution.status)
+        if self.recording.scene.panel.modules is not None:
+            return step.status
         rails = readout.rails_reached(recorded) if readout is not None and sentence is not None else ""
         return sentence.format(rails) if rails and sentence is not None else step.status
 

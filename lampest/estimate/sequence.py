@@ -1,7 +1,7 @@
 """A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.modules import ModulesStream, begin_stream
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.state import CarriedOver
 from lampest.estimate.step import Step
@@ -80,12 +81,22 @@ def first_stream(
 
     period : s between frames; None: the recording's.
     """
+    layout = recording.scene.panel.modules
+    if layout is not None:
+        noises = (None,) * layout.count if noise is None else noise.of_modules
+        streams = [
+            first_stream(module, readings.of_module(layout, number), estimator, told, period)
+            if number not in recording.scene.dead_modules
+            else None
+            for number, (module, told) in enumerate(zip(recording.modules, noises, strict=True))
+        ]
+        return ModulesStream.of(recording.scene, streams)
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         frame = deciding_frame(recording, readings, resting)
         if frame is not None:
             estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
-    return Stream.begin(estimator, scene, frame_period(recording) if period is None else period, resting, noise)
+    return begin_stream(estimator, scene, frame_period(recording) if period is None else period, resting, noise)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:
@@ -173,7 +184,7 @@ class Parts:
             recording, readings, inside = self._taken(frames, part)
             stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
             yield number, _estimates(stream, recording, inside, readings, steps, self.asked), CarriedOver.of(stream)
-            begun = replace(stream, prepared=self.stream.prepared)
+            begun = stream.restarted(self.stream)
             stream = CarriedOver.of(stream).onto(begun)
 
     def _taken(self, frames: range, part: Recording) -> tuple[Recording, Readings, NDArray[np.intp]]:
@@ -196,7 +207,7 @@ class Parts:
             begun, _ = begun.push(readings[frame])
             if begun.rested:
                 break
-        return replace(begun, prepared=self.stream.prepared)
+        return begun.restarted(self.stream)
 
 
 def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:

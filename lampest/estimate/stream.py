@@ -93,6 +93,10 @@ class Stream(SequenceState):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
         return self if self.estimator.joint_start else self.estimator.method.begin(self)
 
+    def restarted(self, first: "Stream") -> "Stream":
+        """The stream with nothing kept for speed alone but what it began with."""
+        return replace(self, prepared=first.prepared)
+
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 

@@ -32,8 +32,7 @@ def pressing_cells(scene: Scene, ratio: Array, deviation: Array | None, pressure
     fallen = 1 - np.nan_to_num(ratio, nan=1.0)
     least = np.zeros(1) if deviation is None else CLEAR * np.nan_to_num(deviation, nan=np.inf, posinf=np.inf)
     pressed = (fallen > least) & (np.nan_to_num(pressure) > 0)
-    if scene.faults is not None:
-        pressed &= ~(scene.faults.open_cells(scene.panel) | scene.faults.shorted_cells(scene.panel))
+    pressed &= ~scene.broken
     return np.asarray(pressed)
 
 

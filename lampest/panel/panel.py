@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import LARGEST, SMALLEST
 from lampest.files.memory import check_memory
+from lampest.panel.modules import Modules
 
 Array = NDArray[np.floating[Any]]
 LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
@@ -22,16 +23,24 @@ class Panel:
     ----------
     rows, columns : number of lines on either side, at least 1.
     pitch_mm : distance between neighbouring cells in millimetre; positions and pictures use it, equations do not.
+    modules : the panels that this one is an image of, which say rows, columns and pitch; None: a panel of one network.
 
     Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    rows: int
-    columns: int
+    rows: int = 0
+    columns: int = 0
     pitch_mm: float = 10.0
+    modules: Modules | None = None
 
     def __post_init__(self) -> None:
+        if self.modules is not None:
+            (rows, columns), pitch = self.modules.shape, self.modules.each.pitch_mm
+            if (self.rows or rows, self.columns or columns) != (rows, columns):
+                raise ValueError(f"the modules make {rows} × {columns} cells, not {self.rows} × {self.columns}")
+            for name, value in (("rows", rows), ("columns", columns), ("pitch_mm", pitch)):
+                object.__setattr__(self, name, value)
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
         if not LEAST_PITCH_MM <= self.pitch_mm <= MOST_PITCH_MM:
@@ -61,8 +70,26 @@ class Panel:
             )
 
     def centres_mm(self) -> tuple[Array, Array]:
-        """x_k = k·pitch and y_j = j·pitch: the columns' and the rows' positions in millimetre."""
-        return np.arange(self.columns) * self.pitch_mm, np.arange(self.rows) * self.pitch_mm
+        """x_k = k·pitch and y_j = j·pitch, and the seams before them: positions of columns and rows in millimetre."""
+        x, y = np.arange(self.columns), np.arange(self.rows)
+        if self.modules is None:
+            return x * self.pitch_mm, y * self.pitch_mm
+        each, seam = self.modules.each, self.modules.seam_mm
+        return x * self.pitch_mm + x // each.columns * seam, y * self.pitch_mm + y // each.rows * seam
+
+    @property
+    def extent_mm(self) -> tuple[float, float]:
+        """Width and height, millimetre: half a pitch beyond the outermost cells."""
+        x, y = self.centres_mm()
+        return float(x[-1]) + self.pitch_mm, float(y[-1]) + self.pitch_mm
+
+    @property
+    def networks(self) -> tuple["Panel", ...]:
+        """The panels that are networks of their own: itself, or its modules."""
+        if self.modules is None:
+            return (self,)
+        each = self.modules.each
+        return (Panel(each.rows, each.columns, each.pitch_mm),) * self.modules.count
 
     def row_gradient(self) -> Array:
         """D with (D x)_j = (x_{j+1} − x_{j−1})/2 inside and one-sided at the ends, (rows, rows), per unit cell."""

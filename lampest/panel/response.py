@@ -6,10 +6,10 @@ A scene that names no response has no pressures.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,6 +68,11 @@ class Response(ABC):
             table = getattr(self, name)
             if table is not None and (len(table), len(table[0])) != shape:
                 raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
+
+    def of_cells(self, cells: tuple[slice, slice]) -> Self:
+        """The same of some cells of the panel."""
+        told = {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
+        return replace(self, **{name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in told.items()})
 
     @property
     def gains(self) -> Array:

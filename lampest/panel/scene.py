@@ -1,6 +1,7 @@
 """What a measurement contains. An effect that a scene does not name does not exist in the model."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -10,91 +11,17 @@ from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
 from lampest.files.tagged import members_of
+from lampest.panel.faults import Faults as Faults
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import MOST_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse
+from lampest.panel.subject import Experiment, MeasuredSubject
 
 DEEPEST_MM = 1.1e7
 MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # the rest in ohm
-
-
-@dataclass(frozen=True)
-class Faults:
-    """What is known to be broken, by (row, column) or line; it leaves the model.
-
-    Parameters
-    ----------
-    open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
-    dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
-    joined_rows, joined_columns : groups of lines that touch each other at their terminals: they are one node, either is
-        read alike, and of their cells on one crossing only the sum of conductances is ever seen.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    open: tuple[tuple[int, int], ...] = ()
-    shorted: tuple[tuple[int, int], ...] = ()
-    dead_rows: tuple[int, ...] = ()
-    dead_columns: tuple[int, ...] = ()
-    joined_rows: tuple[tuple[int, ...], ...] = ()
-    joined_columns: tuple[tuple[int, ...], ...] = ()
-
-    def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell carries nothing."""
-        cells = np.zeros(panel.shape, dtype=bool)
-        for row, column in self.open:
-            cells[row, column] = True
-        cells[list(self.dead_rows)] = True
-        cells[:, list(self.dead_columns)] = True
-        return cells
-
-    def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell joins its lines."""
-        cells = np.zeros(panel.shape, dtype=bool)
-        for row, column in self.shorted:
-            cells[row, column] = True
-        return cells
-
-    def numbers(self, panel: Panel) -> tuple[int, ...]:
-        """The numbers of all cells that are open or shorted."""
-        return tuple(int(cell) for cell in np.flatnonzero(self.open_cells(panel) | self.shorted_cells(panel)))
-
-    def blind(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a reading says nothing."""
-        readings = self.shorted_cells(panel)
-        readings[list(self.dead_rows)] = True
-        readings[:, list(self.dead_columns)] = True
-        return readings
-
-    def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
-        """Groups of lines that are one node, by the numbers of lines, rows first."""
-        columns = tuple(tuple(panel.rows + line for line in group) for group in self.joined_columns)
-        return self.joined_rows + columns
-
-    def check(self, panel: Panel) -> None:
-        """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
-        for row, column in (*self.open, *self.shorted):
-            if not (0 <= row < panel.rows and 0 <= column < panel.columns):
-                raise ValueError(f"faults: there is no cell [{row}, {column}]")
-        sides = (
-            (self.dead_rows, self.joined_rows, panel.rows, "row"),
-            (self.dead_columns, self.joined_columns, panel.columns, "column"),
-        )
-        for dead, joined, count, name in sides:
-            touching = [line for group in joined for line in group]
-            if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
-                raise ValueError(f"faults: joined_{name}s lists groups of two or more, each {name} once")
-            if set(touching) & set(dead):
-                raise ValueError(f"faults: a {name} cannot be dead and joined to another")
-            for line in (*dead, *touching):
-                if not 0 <= line < count:
-                    raise ValueError(f"faults: there is no {name} {line}")
-        if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
-            raise ValueError("faults: a cell cannot be open and shorted")
-        if np.all(self.blind(panel)) or np.all(self.open_cells(panel)):
-            raise ValueError("faults: nothing is left of the panel")
 
 
 @dataclass(frozen=True)
@@ -222,54 +149,18 @@ class SeriesPerLine:
 
 
 @dataclass(frozen=True)
-class MeasuredSubject:
-    """Who touched the panel.
+class OwnOfModule:
+    """What one module has of its own, in place of what the scene says of all; None: as the scene says.
 
-    Parameters
-    ----------
-    id : its name in the laboratory. species : its Latin name. length_mm : of the body. mass_g : of the body.
-    note : what else there is to say.
-
-    Empty or None: not told. Raises ValueError where a number is not positive.
+    at : (row, column) of the module. readout : of the scene's kind. faults : by the module's own rows and columns, in
+    addition to the scene's.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    id: str = ""
-    species: str = ""
-    length_mm: float | None = None
-    mass_g: float | None = None
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        for name in ("length_mm", "mass_g"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise ValueError(f"{name} must be positive and finite")
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What it was measured for.
-
-    Parameters
-    ----------
-    title : in a few words. experimenter : who did it. institution : where. water_temperature_celsius : of the water
-        around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
-
-    Empty or None: not told. Raises ValueError where the water is no water.
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    title: str = ""
-    experimenter: str = ""
-    institution: str = ""
-    water_temperature_celsius: float | None = None
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        celsius = self.water_temperature_celsius
-        if celsius is not None and not -5 <= celsius <= 100:
-            raise ValueError("water_temperature_celsius must lie between -5 and 100")
+    at: tuple[int, int]
+    readout: AnyReadout | None = None
+    series_resistance_ohm: float | SeriesPerLine | None = None
+    faults: Faults | None = None
 
 
 @dataclass(frozen=True)
@@ -295,6 +186,7 @@ class Scene:
     response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
         pressures.
     subject, experiment : who was measured and for what; None: not told. No estimate depends on them.
+    modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
     Raises ValueError where a number is out of range.
     """
@@ -314,21 +206,95 @@ class Scene:
     response: AnyResponse | None = None
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
+    modules: tuple[OwnOfModule, ...] | None = None
 
     def __post_init__(self) -> None:
+        if self.faults is not None:
+            self.faults.check(self.panel)
+        if self.response is not None:
+            self.response.check(self.panel.shape)
+        self._check_modules()
+        if self.panel.modules is not None:
+            return
         if isinstance(self.series_resistance_ohm, SeriesPerLine):
             self.series_resistance_ohm.ohm(self.panel)
         else:
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.converter_memory is not None and not 0 <= self.converter_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        if self.faults is not None:
-            self.faults.check(self.panel)
-        if self.response is not None:
-            self.response.check(self.panel.shape)
         if self.contacts is not None:
             self.contacts.mean(self.panel.shape), self.contacts.deviation(self.panel.shape)
         self.circuit.check(self)
+
+    def _check_modules(self) -> None:
+        """Raise ValueError where a module has something of its own that it cannot have, or does not fit its scene."""
+        layout, places = self.panel.modules, [own.at for own in self.modules or ()]
+        for own in self.modules or ():
+            if layout is None or not (0 <= own.at[0] < layout.rows and 0 <= own.at[1] < layout.columns):
+                raise ValueError(f"modules: there is no module {list(own.at)}")
+            if places.count(own.at) > 1:
+                raise ValueError(f"modules: module {list(own.at)} is named twice")
+            if own.readout is not None and type(own.readout) is not type(self.readout):
+                raise ValueError(f"modules: module {list(own.at)} has a readout of another kind than the scene")
+        for _ in () if layout is None else self.of_modules:  # each checks itself
+            pass
+
+    @cached_property
+    def of_modules(self) -> tuple["Scene", ...]:
+        """The scene of every module, by its number; modules that do not differ share theirs. Itself without modules."""
+        layout, known = self.panel.modules, dict[Scene, Scene]()
+        if layout is None:
+            return (self,)
+        owns = {own.at: own for own in self.modules or ()}
+        scenes = []
+        for number, panel in enumerate(self.panel.networks):
+            own = owns.get(layout.place(number)) or OwnOfModule((0, 0))
+            series, cells = own.series_resistance_ohm, layout.cells(number)
+            scene = replace(
+                self,
+                panel=panel,
+                modules=None,
+                readout=own.readout or self.readout,
+                series_resistance_ohm=self.series_resistance_ohm if series is None else series,
+                faults=(self.faults or Faults()).of_module(layout, number, own.faults),
+                water=self.water and Water(self.water.top_row_depth_mm + self.panel.centres_mm()[1][cells[0].start]),
+                response=self.response and self.response.of_cells(cells),
+            )
+            scenes.append(known.setdefault(scene, scene))
+        return tuple(scenes)
+
+    @cached_property
+    def alike(self) -> tuple[tuple["Scene", tuple[int, ...]], ...]:
+        """(scene, numbers of the modules that have it), each scene once."""
+        numbers: dict[int, list[int]] = {}
+        for number, scene in enumerate(self.of_modules):
+            numbers.setdefault(id(scene), []).append(number)
+        return tuple((self.of_modules[own[0]], tuple(own)) for own in numbers.values())
+
+    @property
+    def dead_modules(self) -> tuple[int, ...]:
+        """The numbers of modules that are not read."""
+        layout = self.panel.modules
+        dead = () if layout is None or self.faults is None else self.faults.dead_modules
+        return tuple(sorted({row * layout.columns + column for row, column in dead})) if layout is not None else ()
+
+    @cached_property
+    def blind(self) -> NDArray[np.bool_]:
+        """(rows, columns) where faults leave no reading."""
+        return self._of_faults(Faults.blind)
+
+    @cached_property
+    def broken(self) -> NDArray[np.bool_]:
+        """(rows, columns) where faults leave no cell to be estimated."""
+        return self._of_faults(lambda faults, panel: faults.open_cells(panel) | faults.shorted_cells(panel))
+
+    def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        layout = self.panel.modules
+        if layout is None:
+            return np.zeros(self.panel.shape, dtype=bool) if self.faults is None else mask(self.faults, self.panel)
+        parts = np.stack([scene._of_faults(mask) for scene in self.of_modules])
+        parts[list(self.dead_modules)] = True
+        return layout.joined(parts)
 
     @property
     def circuit(self) -> Readout:

@@ -1,5 +1,6 @@
 """What recorded values say to an estimator: numbers, bounds, or nothing. All values, of a file or not, come in here."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.memory import without_memory
+from lampest.panel.modules import Modules
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene
 
@@ -122,6 +124,8 @@ class Readings:
         Raises InputError where shapes disagree, or a σ is zero or negative.
         """
         check_sigma(scene, recorded, sigma)
+        if scene.panel.modules is not None:
+            return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
         if sigma is None and (plain := cls._plain(scene, recorded)) is not None:
             return plain
         within, side = _within_rails(scene, recorded)
@@ -133,7 +137,7 @@ class Readings:
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
         if scene.faults is not None:
-            seen[..., scene.faults.blind(scene.panel)] = 0.0
+            seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
             least = np.zeros_like(network) if noise is None else NEAR_ZERO * _least_noise(scene, noise)
             small = (network <= least) & (side != AT_LEAST)
@@ -143,6 +147,32 @@ class Readings:
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         return cls(_standing_in(network, side, seen), None if noise is None else _filled(noise, seen), side, seen)
+
+    @classmethod
+    def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
+        """The same of a panel of modules, of which each is a network with its own scene; a dead one says nothing."""
+        values = layout.split(recorded).copy()
+        values[..., list(scene.dead_modules), :, :] = np.nan
+        noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
+        parts: dict[int, Readings] = {}
+        for own, numbers in scene.alike:
+            some = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+            parts |= {number: some[..., place, :, :] for place, number in enumerate(numbers)}
+        return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
+
+    def of_module(self, layout: Modules, number: int) -> "Readings":
+        """Those of one module of the image."""
+        return self[(..., *layout.cells(number))]
+
+    @classmethod
+    def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":
+        """The readings of the whole image from those of its modules, in the order of their numbers."""
+
+        def whole(name: str) -> Array:
+            return layout.joined(np.stack([getattr(part, name) for part in parts], axis=-3))
+
+        sigma = None if any(part.sigma is None for part in parts) else whole("sigma")
+        return cls(whole("value"), sigma, whole("side"), whole("seen"))
 
     @classmethod
     def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
@@ -185,7 +215,7 @@ class Readings:
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
         """Whether a reading is missing, though the scene's faults do not make it blind."""
         missing: NDArray[np.bool_] = self.seen == 0
-        return missing if scene.faults is None else missing & ~scene.faults.blind(scene.panel)
+        return missing & ~scene.blind
 
     @property
     def shown(self) -> Array:
@@ -201,9 +231,7 @@ class Readings:
         """
         if not self.partial:
             return np.ones(self.value.shape[:-2], dtype=bool)
-        asked = np.ones(scene.panel.shape, dtype=bool)
-        if scene.faults is not None:
-            asked = ~scene.faults.blind(scene.panel)
+        asked = ~scene.blind
         lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
         least = min(-(-int(asked.sum()) // 2), lines - 1)
         return np.asarray((self.plain & asked).sum(axis=(-2, -1)) >= least)

@@ -1,6 +1,7 @@
 """A recording: frames of two-point resistance, the scene they were taken in, and, for simulated ones, the truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -215,6 +216,22 @@ class Recording:
         hdf5.write_dataset(group, "y", y, "mm", "position of the row", ("row",))
         hdf5.write_dataset(group, "x", x, "mm", "position of the column", ("column",))
         return group
+
+    @cached_property
+    def modules(self) -> tuple["Recording", ...]:
+        """Each module's frames as a recording of its own; itself, where the panel has none."""
+        layout = self.scene.panel.modules
+        if layout is None:
+            return (self,)
+
+        def inside(values: Any, number: int) -> Any:
+            return None if values is None else values[(..., *layout.cells(number))]
+
+        maps = ("recorded", "sigma", "truth_cell_resistance", "truth_pressure", "raw_sums")
+        return tuple(
+            replace(self, scene=scene, **{name: inside(getattr(self, name), number) for name in maps})
+            for number, scene in enumerate(self.scene.of_modules)
+        )
 
     def readings(self) -> Readings:
         """What the frames say to an estimator."""

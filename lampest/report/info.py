@@ -228,9 +228,7 @@ def _holes(recording: Recording) -> list[str]:
 
 def _holes_of_case(case: CaseResult) -> str:
     """Of the measured frames. Results that do not say which readings are bounds have none."""
-    missing, faults = np.isnan(case.measured), case.scene.faults
-    if faults is not None:
-        missing &= ~faults.blind(case.scene.panel)
+    missing = np.isnan(case.measured) & ~case.scene.blind
     bounds = np.zeros(missing.shape, bool) if case.reading_side is None else case.reading_side != 0
     return holes_sentence(missing, bounds)
 

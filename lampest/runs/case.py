@@ -230,9 +230,29 @@ class CaseResult:
         for column, held in filled.items():
             if column.name in PHYSICAL and np.any(out := beyond_any_panel(held)):
                 raise InputError(f"{self._path(column)} holds {np.asarray(held)[out][0]:.6g}, which no panel has")
-            for fault in (check(held, self.solved) for check in column.checks):
+            tested = self._by_module(held) if column.axes == MAPS else held
+            solved = self._solved_modules if column.axes == MAPS else self.solved
+            for fault in (check(tested, solved) for check in column.checks):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
+
+    def _by_module(self, maps: Any) -> Any:
+        """(frames, rows, columns) as (frames · modules, rows, columns) of each; itself without modules."""
+        layout = self.scene.panel.modules
+        return (
+            maps
+            if layout is None
+            else layout.split(np.asarray(maps)).reshape(-1, layout.each.rows, layout.each.columns)
+        )
+
+    @property
+    def _solved_modules(self) -> NDArray[np.bool_]:
+        """(frames · modules) whether each has an estimate, as its first cell says; none in a frame that failed."""
+        layout = self.scene.panel.modules
+        if layout is None:
+            return self.solved
+        known = np.isfinite(self._by_module(self.cell_resistance)[:, 0, 0])
+        return np.asarray(known & np.repeat(self.solved, layout.count))
 
     def _path(self, column: Column) -> str:
         group = SHARED if column.shared else self.estimator

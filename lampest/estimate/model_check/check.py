@@ -11,14 +11,16 @@ from lampest.estimate.model_check.comparison import Better, Explanation, better_
 from lampest.estimate.model_check.rivals import Question, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.noise.outliers import without_outliers
 from lampest.estimate.noise.scatter import LEAST_FACTOR
+from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
-from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.readings import Readings, changes, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
+MOST_MODULES = 3  # of which the circuit is checked
 MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved
 
 
@@ -49,7 +51,32 @@ def recording_check(recording: Recording) -> ModelCheck:
     """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     measured = np.flatnonzero(recording.role == MEASURED)
+    if recording.scene.panel.modules is not None:
+        return _of_modules(recording, recording.scene.panel.modules, measured)
     return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured, recording.number)
+
+
+def _of_modules(recording: Recording, layout: Modules, measured: NDArray[np.intp]) -> ModelCheck:
+    """Of the modules whose readings move most, MOST_MODULES of them: one circuit after the other takes its time."""
+    dead = recording.scene.dead_modules
+    moved = []
+    for number, module in enumerate(recording.modules):
+        readings = module.readings()
+        resting = readings[
+            np.flatnonzero(recording.role == UNLOADED) if np.any(recording.role == UNLOADED) else [0]
+        ].mean()
+        change = changes(readings.plain_values[measured], resting.value)
+        moved.append(-1.0 if number in dead else float(change.max(initial=0.0)))
+    chosen = sorted(np.argsort(moved)[::-1][: min(MOST_MODULES, layout.count - len(dead))].tolist())
+    found = [(number, recording_check.__wrapped__(recording.modules[number])) for number in chosen]
+    explains = [check.explains for _, check in found]
+    verdict = False if False in explains else True if True in explains else None
+    said = [(number, check) for number, check in found if check.explains is verdict]
+    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in said)
+    if len(chosen) < layout.count:
+        sentence += f"; {len(chosen)} of {layout.count} modules were checked, those that move most"
+    noise = max(check.noise for _, check in found)
+    return ModelCheck(verdict, sentence, next((check.better for _, check in said if check.better), ""), noise)
 
 
 def model_check(

@@ -1,5 +1,6 @@
 """What a recording's own frames say of its noise, beside what the scene says, and readings that allow for it."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -12,6 +13,7 @@ from lampest.estimate.noise.motion import scan_share, swept
 from lampest.estimate.noise.outliers import LEAST_FRAMES, without_outliers
 from lampest.estimate.noise.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.noise.still_cells import errors_left_possible
+from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -24,6 +26,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
+MOST_NAMED = 3  # modules of which a sentence says what their frames show
 CROWDED = 0.05  # of the unloaded readings: where more are outliers, neighbours in time are, too, and replace them badly
 
 
@@ -39,6 +42,7 @@ class NoiseSeen:
     outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
     these, of all. hidden : what still cells leave possible of errors that all frames share, or None.
     sentence : what speaks against the specified noise; ''. readings : as they are to be taken, of all frames.
+    of_modules : of a panel of modules, what each one's own frames show; None of a dead one.
     """
 
     outliers: NDArray[np.bool_]
@@ -54,6 +58,7 @@ class NoiseSeen:
     apart: float = 0.0
     hidden: Possible | None = None
     share: float = 0.0
+    of_modules: tuple["NoiseSeen | None", ...] = ()
 
     @property
     def reading_error(self) -> float:
@@ -79,6 +84,8 @@ class NoiseSeen:
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
 def noise_seen(recording: Recording) -> NoiseSeen:
     """Of a recording: its frames' noise, and what its still cells show. Raises InputError as `Readings.of`."""
+    if recording.scene.panel.modules is not None:
+        return _of_modules(recording, recording.scene.panel.modules, noise_seen.__wrapped__)
     seen, sizes, scene = frame_noise_seen(recording), usual(recording.scene), recording.scene
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured) or sizes is None:
@@ -101,6 +108,11 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
 
     known : what was found of the recording before; None: before that. Raises InputError as `Readings.of`.
     """
+    layout = recording.scene.panel.modules
+    if layout is not None:
+        told = (None,) * layout.count if known is None else known.of_modules
+        parts = [noise_seen_in_part(*pair) for pair in zip(recording.modules, told, strict=True)]
+        return Readings.of_parts(layout, parts)
     seen = frame_noise_seen(recording)
     if known is not None and known.share:
         with suppress(*BROKEN), np.errstate(all="ignore"):
@@ -110,6 +122,8 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
 
 def frame_noise_seen(recording: Recording) -> NoiseSeen:
     """What unloaded frames and neighbours in time show, and readings that allow for it."""
+    if recording.scene.panel.modules is not None:
+        return _of_modules(recording, recording.scene.panel.modules, frame_noise_seen)
     readings, resting = recording.readings(), recording.role == UNLOADED
     outliers, cleaned = without_outliers(readings, resting)
     unloaded = int(resting.sum())
@@ -144,6 +158,26 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
         cleaned = replace(cleaned, sigma=used * cleaned.sigma)
     said = _joined(plain.sentence, factor, _shared_in_words(parts.gain, *sizes))
     return NoiseSeen(outliers, rate, said, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
+
+
+def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording], NoiseSeen]) -> NoiseSeen:
+    """What the frames of every module show, each by itself; a dead one shows nothing."""
+    dead, number_of = recording.scene.dead_modules, range(layout.count)
+    every = [None if number in dead else seen(recording.modules[number]) for number in number_of]
+    given = recording.readings()
+    readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]
+    nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
+    outliers = np.stack([nothing if one is None else one.outliers for one in every], axis=-3)
+    said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.sentence]
+    more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
+    there = [one for one in every if one is not None]
+    return NoiseSeen(
+        layout.joined(outliers),
+        float(np.mean([one.outlier_rate for one in there])),
+        _joined(*said[:MOST_NAMED], more),
+        Readings.of_parts(layout, readings),
+        of_modules=tuple(every),
+    )
 
 
 def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:

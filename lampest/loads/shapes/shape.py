@@ -116,7 +116,7 @@ class Candidate(ABC):
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
-    extents = {"x": panel.columns * panel.pitch_mm, "y": panel.rows * panel.pitch_mm}
+    extents = dict(zip("xy", panel.extent_mm, strict=True))
     pitch = panel.pitch_mm
     return {name: Prior((extent - pitch) / 2, extent / 12**0.5, pitch / 2) for name, extent in extents.items()}
 

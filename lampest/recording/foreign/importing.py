@@ -170,7 +170,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
         for side, size in enumerate((rows, columns))
     )
     try:
-        panel = Panel(*asked)
+        panel = Panel(asked[0], asked[1])
     except ValueError as error:
         raise InputError(f"{asked[0]} × {asked[1]}: {error}") from error
     if scene is not None and scene.panel.shape != panel.shape:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.memory import with_memory
+from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
@@ -37,6 +38,8 @@ def measured(
     on_frame : called after each frame was converted.
     Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
+    if scene.panel.modules is not None:
+        return _of_modules(scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned, on_frame)
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     if scene.contacts is not None:
@@ -59,6 +62,31 @@ def measured(
         total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _of_modules(
+    scene: Scene,
+    layout: Modules,
+    cells: Array,
+    unmodelled: Unmodelled,
+    seed: int,
+    period_s: float,
+    scanned: Sequence[Array],
+    on_frame: Callable[[], None],
+) -> tuple[Array, NDArray[np.int64] | None]:
+    """The same of a panel of modules, each with random numbers of its own; NaN where one is dead."""
+    recorded, sums = [], []
+    for number, own in enumerate(scene.of_modules):
+        inside = (..., *layout.cells(number))
+        drawn = int(random_stream(seed, f"module {number}").integers(2**63))
+        parts = [part[inside] for part in scanned]
+        values, codes = measured(own, cells[inside], unmodelled, drawn, period_s, parts)
+        recorded.append(np.full_like(values, np.nan) if number in scene.dead_modules else values)
+        sums.append(codes)
+    for _ in cells:
+        on_frame()
+    codes_of_all = None if any(part is None for part in sums) else layout.joined(np.stack(sums, axis=-3))  # type: ignore[arg-type]
+    return layout.joined(np.stack(recorded, axis=-3)), codes_of_all
 
 
 def _line_by_line(passes: Sequence[Array], by_columns: bool) -> Array:

@@ -135,7 +135,7 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     on_frame : called after each frame was converted.
     Raises ValueError where a cell's or a measured resistance leaves its range.
     """
-    frames, passes = simulation.all_frames, simulation.scene.panel.rows + simulation.scene.panel.columns
+    frames, passes = simulation.all_frames, sum(simulation.scene.panel.networks[0].shape)
     copies = COPIES + (passes if simulation.unmodelled.load_speed_mm_s else 0)
     check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.cells} cells")
     time = np.arange(frames) * simulation.frame_period_s
@@ -192,7 +192,8 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
     """The cells (frames, rows, columns) ohm while each scanned line is read, in the order of the lines."""
     scene = simulation.scene
-    lines = scene.panel.columns if scene.circuit.by_columns else scene.panel.rows
+    each = scene.panel.networks[0]
+    lines = each.columns if scene.circuit.by_columns else each.rows
     later = ((np.arange(lines) + 0.5) / lines - 0.5) * simulation.frame_period_s
     return tuple(cells_under(simulation, time, float(part)) for part in later)
 

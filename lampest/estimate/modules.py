@@ -1,0 +1,220 @@
+"""A panel of modules frame by frame: every module by a stream of its own, their steps as one step of the image."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise.seen import NoiseSeen
+from lampest.estimate.step import Step
+from lampest.estimate.stream import Stream
+from lampest.panel.modules import Modules
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.posterior.certainty import Certainty
+from lampest.posterior.track import Bars, Change, Track
+from lampest.recording.readings import Readings
+from lampest.solvers.solution import OPTIMA, Status
+
+WORST = (*OPTIMA, Status.APPROXIMATE, Status.FITTED)  # of what counts as an estimate, the last is the weakest
+MOST_NAMED = 3  # modules that a status names for one reason
+
+
+def begin_stream(
+    estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+) -> Stream:
+    """The stream of a scene, of modules or not; see `Stream.begin`."""
+    layout = scene.panel.modules
+    if layout is None:
+        return Stream.begin(estimator, scene, period, resting, noise)
+    noises = (None,) * layout.count if noise is None else noise.of_modules
+    begun = [
+        None
+        if number in scene.dead_modules
+        else Stream.begin(estimator, own, period, resting.of_module(layout, number), told)
+        for number, (own, told) in enumerate(zip(scene.of_modules, noises, strict=True))
+    ]
+    return ModulesStream.of(scene, begun)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageStep(Step):
+    """One frame of a panel of modules. sentence : how the solves ended, and which modules have no estimate."""
+
+    sentence: str = ""
+
+    @property
+    def status(self) -> str:
+        """See above."""
+        return self.sentence
+
+
+@dataclass(frozen=True, eq=False)
+class ModulesStream(Stream):
+    """modules : the stream of each, by its number; None of a dead one. All else is of the whole image."""
+
+    modules: tuple[Stream | None, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene, modules: Sequence[Stream | None]) -> "ModulesStream":
+        """Before the first frame, from the streams of the modules."""
+        layout, first = scene.panel.modules, next(stream for stream in modules if stream is not None)
+        assert layout is not None
+        begun = cls(first.estimator, scene, first.period, _resting(layout, modules), modules=tuple(modules))
+        return begun._rested()
+
+    def tared(self, resting: Readings) -> "ModulesStream":
+        """As `Stream.tared`, of every module."""
+        modules = [
+            None if stream is None else stream.tared(resting.of_module(self._layout, number))
+            for number, stream in enumerate(self.modules)
+        ]
+        return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None)._rested()
+
+    def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
+        """As `Stream.push`: modules of which too little was read stay as they were, and are NaN in the image."""
+        pushed = [
+            (None, None) if stream is None else stream.push(readings.of_module(self._layout, number))
+            for number, stream in enumerate(self.modules)
+        ]
+        modules, steps = tuple(stream for stream, _ in pushed), [step for _, step in pushed]
+        found = replace(self, modules=modules, first=False)
+        return found if self.rested else found._rested(), image_step(self._layout, steps)
+
+    def due(self, readings: Readings) -> bool:
+        """Modules choose their weights themselves."""
+        return False
+
+    @property
+    def baseline_resistance(self) -> Array:
+        """(rows, columns) ohm; NaN where the baseline of a module is not solved, or the module is dead."""
+        return self._maps(lambda stream: stream.baseline_resistance)
+
+    def restarted(self, first: Stream) -> "ModulesStream":
+        """As `Stream.restarted`, of every module."""
+        assert isinstance(first, ModulesStream)
+        pairs = zip(self.modules, first.modules, strict=True)
+        return replace(
+            self, modules=tuple(one and other and one.restarted(other) for one, other in pairs), prepared=None
+        )
+
+    @property
+    def _layout(self) -> Modules:
+        layout = self.scene.panel.modules
+        assert layout is not None
+        return layout
+
+    def _maps(self, part: Callable[[Stream], Array], missing: float = np.nan) -> Array:
+        return joined_maps(self._layout, [None if stream is None else part(stream) for stream in self.modules], missing)
+
+    def _rested(self) -> "ModulesStream":
+        """With the baselines of the modules as one, once all that can be are solved."""
+        steps = [None if stream is None else stream.baseline for stream in self.modules]
+        if all(step is None for step in steps):
+            return self
+        tracks = [None if stream is None else stream.track for stream in self.modules]
+        known = [None if track is None else track.baseline for track in tracks]
+        barred = any(one is not None for one in known)
+        track = Track(baseline=joined_certainty(self._layout, known)) if barred else None
+        return replace(self, baseline=image_step(self._layout, steps), track=track)
+
+
+def _resting(layout: Modules, modules: Sequence[Stream | None]) -> Readings:
+    """The unloaded readings of the image; a dead module says nothing."""
+    first = next(stream.resting for stream in modules if stream is not None)
+    blank = replace(first, side=np.zeros_like(first.side), seen=np.zeros_like(first.seen))
+    return Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
+
+
+def joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any]:
+    """Maps (…, rows, columns) of all modules as one of the image, with a number for those that have none."""
+    first = next(part for part in parts if part is not None)
+    blank = np.full(first.shape, missing, dtype=first.dtype)
+    return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
+
+
+def joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty:
+    """What is known of all modules' cells: nothing of those without error bars."""
+    return Certainty(
+        *(
+            joined_maps(
+                layout,
+                [None if part is None else getattr(part, each.name) for part in parts],
+                0.0 if each.name in ("resolution", "data_share") else np.inf,
+            )
+            for each in fields(Certainty)
+        )
+    )
+
+
+def _joined_bars(layout: Modules, parts: Sequence[Bars | None]) -> Bars | None:
+    """Of all modules; None where none has any."""
+    if all(part is None for part in parts):
+        return None
+    changes = [None if part is None else part.change for part in parts]
+    change = None
+    if any(one is not None for one in changes):
+        maps = (
+            joined_maps(layout, [None if one is None else getattr(one, each.name) for one in changes], np.inf)
+            for each in fields(Change)
+        )
+        change = Change(*maps)
+    return Bars(joined_certainty(layout, [None if part is None else part.frame for part in parts]), change)
+
+
+def image_step(layout: Modules, steps: Sequence[Step | None]) -> ImageStep:
+    """The modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
+    there = [step for step in steps if step is not None]
+    solved = [step for step in there if step.solution.solved]
+    counted, first = solved or there[:1], there[0].solution
+    status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
+
+    def maps(name: str, missing: float) -> NDArray[Any]:
+        return joined_maps(layout, [None if s is None else getattr(s.solution, name)[-1:] for s in steps], missing)
+
+    def largest(name: str) -> Any:
+        return max(getattr(step.solution, name) for step in counted)
+
+    solution = replace(
+        first,
+        cell_resistance=maps("cell_resistance", np.nan),
+        reading=maps("reading", np.nan),
+        open_cell=maps("open_cell", False),
+        at_lower=maps("at_lower", False),
+        costs=np.sum([step.solution.costs for step in counted], axis=0),
+        objective=float(sum(step.solution.objective for step in counted)),
+        kkt_residual=largest("kkt_residual"),
+        iterations=largest("iterations"),
+        starts=largest("starts"),
+        status=status,
+        at=None,
+        dual=None,
+        kept=None,
+    )
+    return ImageStep(
+        solution,
+        sum(step.seconds for step in there),
+        tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),
+        _joined_bars(layout, [None if step is None else step.bars for step in steps]),
+        sum(step.bars_seconds for step in there),
+        sentence=_sentence(layout, steps, status),
+    )
+
+
+def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
+    """The weakest of the modules' statuses, and why some have no estimate."""
+    why: dict[str, list[int]] = {}
+    for number, step in enumerate(steps):
+        if step is None or not step.solution.solved:
+            why.setdefault("dead" if step is None else step.status, []).append(number)
+    if all(step is None or not step.solution.solved for step in steps):
+        return status.value
+    said = [status.value]
+    for reason, numbers in why.items():
+        named = ", ".join(str(list(layout.place(number))) for number in numbers[:MOST_NAMED])
+        more = f" and {len(numbers) - MOST_NAMED} more" if len(numbers) > MOST_NAMED else ""
+        said.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")
+    return "; ".join(said)

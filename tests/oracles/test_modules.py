@@ -1,0 +1,125 @@
+"""A panel of modules: one scene, one recording, one image; every module is estimated as if it stood alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import InputError, Recording, Scene, Simulation, simulate
+from lampest.cli import main
+from lampest.files.document import parse_document, to_yaml, validated
+from lampest.panel.modules import EachModule, Modules
+
+SCENE = """
+panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
+readout: {kind: two_point, reference_ohm: 1000, adc_bits: 12, readings: 20, noise_lsb: 0.7}
+series_resistance_ohm: 140
+"""
+FAULTS = "faults: {dead_modules: [[1, 2]], open: [[4, 5]]}\nmodules: [{at: [0, 1], series_resistance_ohm: 150}]\n"
+LAYOUT = Modules(2, 3, EachModule(3, 4), 3.0)
+
+
+def scene_of(text: str) -> Scene:
+    """A scene from YAML."""
+    scene: Scene = validated(parse_document(text, "scene.yaml"), Scene)
+    return scene
+
+
+def simulated(scene: Scene, frames: int = 3) -> Recording:
+    """A rod over the seams."""
+    rod = lampest.Rod(centre_mm=(40, 30), diameter_mm=40, mass_g=700)
+    return simulate(Simulation(schema=1, seed=5, scene=scene, frames=frames, loads=(rod,)))
+
+
+def test_splitting_and_joining_are_inverse_and_keep_places() -> None:
+    image = np.arange(2 * 6 * 12).reshape(2, 6, 12)
+    parts = LAYOUT.split(image)
+    assert np.array_equal(LAYOUT.joined(parts), image)
+    for number in range(LAYOUT.count):
+        assert np.array_equal(parts[:, number], image[(..., *LAYOUT.cells(number))])
+
+
+def test_a_scene_survives_its_text_and_counts_seams() -> None:
+    scene = scene_of(SCENE + FAULTS)
+    assert scene_of(to_yaml(scene)) == scene
+    x, y = scene.panel.centres_mm()
+    assert x[4] - x[3] == 13 and x[3] - x[2] == 10 and y[3] - y[2] == 13
+    assert scene.of_modules[1].series_resistance_ohm == 150
+    assert scene.of_modules[4].faults == lampest.Faults(open=((1, 1),))
+    assert scene.blind[3:, 8:].all() and scene.blind.sum() == 12
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("faults: {dead_modules: [[2, 0]]}", "there is no module [2, 0]"),
+        ("faults: {dead_rows: [1]}", "every module has lines of its own"),
+        ("modules: [{at: [0, 5]}]", "there is no module [0, 5]"),
+        ("modules: [{at: [0, 1]}, {at: [0, 1]}]", "named twice"),
+        ("modules: [{at: [0, 1], faults: {dead_rows: [3]}}]", "there is no row 3"),
+        ("modules: [{at: [0, 1], readout: {kind: grounded}}]", "another kind"),
+        ("faults: {dead_modules: [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]}", "nothing is left"),
+    ],
+)
+def test_what_modules_cannot_have_is_one_sentence(more: str, said: str) -> None:
+    with pytest.raises(InputError, match=r"scene\.yaml") as error:
+        scene_of(SCENE + more)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)])
+def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | None) -> None:
+    recording = simulated(scene_of(SCENE + FAULTS))
+    terms = [lampest.Misfit(), *([] if penalty is None else [penalty])]
+    image = lampest.reconstruct(recording, terms, formulation="reduced")
+    assert np.isnan(image.cell_resistance[:, 3:, 8:]).all()
+    assert all("module [1, 2]: dead" in status for status in image.status)
+    total = np.zeros(3)
+    for number in range(5):
+        cells = (..., *LAYOUT.cells(number))
+        alone = Recording(recording.scene.of_modules[number], recording.recorded[cells], recording.time, recording.role)
+        found = lampest.reconstruct(alone, terms, formulation="reduced")
+        total += [step.solution.objective for step in found.steps]
+        np.testing.assert_allclose(image.cell_resistance[cells], found.cell_resistance, rtol=1e-6)
+        np.testing.assert_allclose(image.baseline_resistance[cells], found.baseline_resistance, rtol=1e-6)
+        assert image.cell_resistance_errors is not None and found.cell_resistance_errors is not None
+        np.testing.assert_allclose(image.cell_resistance_errors[cells], found.cell_resistance_errors, rtol=1e-4)
+    np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
+
+
+def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
+    recording = simulated(scene_of(SCENE), frames=4)
+    gone = recording.recorded.copy()
+    gone[5, :3, :4] = np.nan
+    terms = [lampest.Misfit(), lampest.Gradient(weight=1e-7)]
+    whole, parted = (
+        lampest.reconstruct(one, terms, formulation="reduced") for one in (recording, replace(recording, recorded=gone))
+    )
+    assert np.isnan(parted.cell_resistance[2, :3, :4]).all() and np.isfinite(parted.cell_resistance[2, 3:]).all()
+    assert "module [0, 0]: too few" in parted.status[2] and parted.solved.all()
+    np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
+
+
+def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = "".join(f"  {line}\n" for line in (SCENE + FAULTS).strip().splitlines())
+    Path("mat.yaml").write_text(f"schema: 1\nseed: 2\nscene:\n{scene}frames: 3\noutput: mat.h5\n")
+    Path("run.yaml").write_text("schema: 1\nrecordings: [mat.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
+    for words in (
+        ["simulate", "mat.yaml"],
+        ["run", "run.yaml", "--jobs", "1"],
+        ["compare", "results/run/results.h5", "--csv", "table.csv", "--report", "page.html"],
+        ["plot", "results/run/results.h5", "--out", "pictures"],
+        ["info", "mat.h5"],
+        ["info", "results/run/results.h5"],
+        ["check", "results/run/results.h5"],
+    ):
+        monkeypatch.setattr("sys.argv", ["lampest", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code, words
+    [case] = lampest.read_results("results/run/results.h5").cases
+    assert case.cell_resistance.shape == (3, 6, 12)
+    assert np.isnan(case.cell_resistance[:, 3:, 8:]).all() and np.isfinite(case.cell_resistance[:, :3]).all()
