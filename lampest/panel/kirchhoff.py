@@ -28,24 +28,25 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 
 
 def laplacian(conductance: Array) -> Array:
-    """L with L·(u, v) = current_balance(g, u, v): (rows + columns)² siemens, singular; paper, equation (3)."""
-    rows, columns = conductance.shape
+    """L with L·(u, v) = current_balance(g, u, v): (…, rows + columns, the same) siemens, singular; paper, equation (3)."""
+    rows, columns = conductance.shape[-2:]
     Panel(rows, columns).check_memory()
-    matrix = np.zeros((rows + columns, rows + columns), dtype=conductance.dtype)
-    matrix[:rows, rows:], matrix[rows:, :rows] = -conductance, -conductance.T
-    matrix.flat[:: rows + columns + 1] = line_sums(conductance)
+    lines = np.arange(rows + columns)
+    matrix = np.zeros((*conductance.shape[:-2], len(lines), len(lines)), dtype=conductance.dtype)
+    matrix[..., :rows, rows:], matrix[..., rows:, :rows] = -conductance, -conductance.swapaxes(-1, -2)
+    matrix[..., lines, lines] = line_sums(conductance)
     return matrix
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
-    """L·V = current_balance of arrays, rows above columns: potentials (lines, patterns) → currents likewise."""
-    rows = len(conductance)
-    currents: Array = line_sums(conductance)[:, None] * potentials
-    currents[:rows] -= conductance @ potentials[rows:]
-    currents[rows:] -= conductance.T @ potentials[:rows]
+    """L·V = current_balance of arrays, rows above columns: potentials (…, lines, patterns) → currents likewise."""
+    rows = conductance.shape[-2]
+    currents: Array = line_sums(conductance)[..., None] * potentials
+    currents[..., :rows, :] -= conductance @ potentials[..., rows:, :]
+    currents[..., rows:, :] -= conductance.swapaxes(-1, -2) @ potentials[..., :rows, :]
     return currents
 
 
 def line_sums(values: Array) -> Array:
-    """(rows + columns) sums over every row and every column of values (rows, columns)."""
-    return np.concatenate([values.sum(axis=1), values.sum(axis=0)])
+    """(…, rows + columns) sums over every row and every column of values (…, rows, columns)."""
+    return np.concatenate([values.sum(axis=-1), values.sum(axis=-2)], axis=-1)

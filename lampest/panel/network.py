@@ -63,7 +63,8 @@ class NormalByLines:
 
 @dataclass(frozen=True, eq=False)
 class Network(ABC):
-    """cell_resistance, conductance : (rows, columns) ohm and siemens, each other's reciprocal.
+    """cell_resistance, conductance : (rows, columns) ohm and siemens, each other's reciprocal; of floating lines also
+    (…, rows, columns), many networks at once.
 
     The impedance Z (lines, lines) in ohm is the network's own affair.
     """
@@ -75,7 +76,7 @@ class Network(ABC):
     @property
     def rows(self) -> int:
         """Number of row lines."""
-        return int(self.conductance.shape[0])
+        return int(self.conductance.shape[-2])
 
     @abstractmethod
     def reading(self) -> Array:
@@ -147,27 +148,29 @@ class Network(ABC):
         to be symmetric.
         """
         rows = self.rows
-        diagonal = np.einsum("ij,ji->i", left, right)
-        across = left[:rows] @ right[:, rows:]
-        across = 2 * across if symmetric else across + (left[rows:] @ right[:, :rows]).T
-        differences: Array = diagonal[:rows, None] + diagonal[None, rows:] - across
+        diagonal = np.einsum("...ij,...ji->...i", left, right)
+        across = left[..., :rows, :] @ right[..., rows:]
+        across = 2 * across if symmetric else across + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)
+        differences: Array = diagonal[..., :rows, None] + diagonal[..., None, rows:] - across
         return differences
 
     def _across(self, matrix: Array) -> Array:
         """bᵀ K b of every cell's own b, (rows, columns); K (lines, lines), symmetric."""
-        diagonal, rows = matrix.diagonal(), self.rows
-        across: Array = diagonal[:rows, None] + diagonal[rows:] - 2 * matrix[:rows, rows:]
+        diagonal, rows = matrix.diagonal(axis1=-2, axis2=-1), self.rows
+        across: Array = diagonal[..., :rows, None] + diagonal[..., None, rows:] - 2 * matrix[..., :rows, rows:]
         return across
 
     def _between_cells(self, matrix: Array) -> Array:
-        """Bᵀ K B (cells, cells), B = the incidence vectors of all cells; K (lines, lines)."""
-        rows, cells = self.rows, self.conductance.size
-        at_cells = matrix[:, :rows][:, :, None] - matrix[:, rows:][:, None, :]
-        return (at_cells[:rows, None] - at_cells[None, rows:]).reshape(cells, cells)
+        """Bᵀ K B (…, cells, cells), B = the incidence vectors of all cells; K (…, lines, lines)."""
+        *several, rows, columns = self.conductance.shape
+        at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
+        between = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
+        return between.reshape(*several, rows * columns, rows * columns)
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
-    """Z = (L(g) + diag(t))⁻¹, (lines, lines) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
+    """Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
     matrix = laplacian(conductance)
-    matrix.flat[:: len(ties) + 1] += ties
+    lines = np.arange(ties.shape[-1])
+    matrix[..., lines, lines] += ties
     return np.linalg.inv(matrix)

@@ -73,11 +73,11 @@ class FloatingNetwork(Network):
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
         """D∘D·diag(g)."""
-        conductance = self.conductance.ravel()
+        conductance = self.conductance.reshape(*self.conductance.shape[:-2], -1)
         if cells is None:
             transfer = self.transfer if readings is None else self.transfer[readings]
             response: Array = transfer * transfer
-            response *= conductance
+            response *= conductance[..., None, :]
             return response
         columns = self.conductance.shape[1]
         lines = self._impedance[:, cells // columns] - self._impedance[:, self.rows + cells % columns]
@@ -131,10 +131,10 @@ class FloatingSecondOrder:
 
     def matrix(self) -> Array:
         """2 g (D ∘ BᵀKB) g."""
-        conductance = self.network.conductance.ravel()
-        matrix: Array = self.network.transfer * (2 * conductance[:, None])
+        conductance = self.network.conductance.reshape(*self.network.conductance.shape[:-2], -1)
+        matrix: Array = self.network.transfer * (2 * conductance[..., None])
         matrix *= self.network._between_cells(self.twice)
-        matrix *= conductance
+        matrix *= conductance[..., None, :]
         return matrix
 
 
