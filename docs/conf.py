@@ -1,4 +1,4 @@
-"""How the pages in this folder become a site: `make docs`, into docs/_build/html. Nothing is fetched."""
+"""Configuration of the documentation: `make docs` builds docs/_build/html. Nothing is fetched."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
-# Notebooks type `lampest` as a reader does: the command of this Python, and one thread each.
+# Notebooks run the `lampest` command of this Python, with one thread each.
 os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -15,8 +15,8 @@ project = "lampest"
 author = "The lampest developers"
 project_copyright = f"2026, {author}"
 release = version_of("lampest")
-extensions = ["myst_nb", "sphinx_copybutton", "sphinx_design", "mathml", "generated"]
-exclude_patterns = ["_build"]
+extensions = ["myst_nb", "sphinx_gallery.gen_gallery", "sphinx_copybutton", "sphinx_design", "mathml", "generated"]
+exclude_patterns = ["_build", "examples"]
 nitpicky = True
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
@@ -31,6 +31,14 @@ nb_execution_show_tb = True
 nb_execution_in_temp = True
 nb_merge_streams = True
 toc_object_entries_show_parents = "hide"
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "download_all_examples": False,
+    "show_memory": False,
+    "min_reported_time": 1e9,  # no times: they are this machine's
+}
 
 html_theme = "furo"
 html_title = "lampest"
