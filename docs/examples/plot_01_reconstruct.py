@@ -2,7 +2,8 @@
 Reconstruct a lamprey's mouth
 =============================
 
-Plain least squares on a shipped, simulated recording of a mouth of 35 mm. The left map shows the measured change, blurred by crosstalk.
+Plain least squares on a shipped, simulated recording of a mouth of 35 mm.
+The left map shows the measured change, blurred by crosstalk.
 """
 
 import lampest

@@ -2,7 +2,8 @@
 Add a penalty and choose its weight
 ===================================
 
-A gradient penalty expects neighbouring cells to be alike. ``weight="auto"`` chooses its weight from the noise of the readings.
+A gradient penalty expects neighbouring cells to be alike.
+``weight="auto"`` chooses its weight from the noise of the readings.
 """
 
 import numpy as np

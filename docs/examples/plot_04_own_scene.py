@@ -12,6 +12,8 @@ scene = lampest.Scene(
     readout=lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7),
 )
 rod = lampest.Rod(centre_mm=(50, 40), diameter_mm=30, mass_g=500)
-recording = lampest.simulate(lampest.Simulation(schema=1, seed=7, scene=scene, baseline_frames=3, frames=5, loads=(rod,)))
+recording = lampest.simulate(
+    lampest.Simulation(schema=1, seed=7, scene=scene, baseline_frames=3, frames=5, loads=(rod,))
+)
 found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
 found.plot()

@@ -19,5 +19,6 @@ readings[:, missing] = np.nan
 terms = [lampest.Misfit(), lampest.Gradient(weight="auto")]
 found = lampest.reconstruct(replace(recording, recorded=readings), terms, formulation="reduced")
 error = 100 * found.cell_resistance_errors[-1] / found.cell_resistance[-1]
-print(f"median error bar: {np.median(error[~missing]):.1f} % of measured cells, {np.median(error[missing]):.1f} % of missing ones")
+print(f"median error bar of measured cells: {np.median(error[~missing]):.1f} %")
+print(f"median error bar of missing cells: {np.median(error[missing]):.1f} %")
 found.plot("certainty")
