@@ -7,6 +7,7 @@
 #   make quick     laws, golden results, the house's rules: for while you work, about 20 s; Python alone
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
+#   make studies  every command of docs/studies, one after the other: hours; what they print is in results/studies/
 #   make lock      after a change of dependencies: the locks with hashes, from pyproject.toml and constraints.txt
 #   make licences  what the dependencies' licences are, as docs/reference/licences.md
 #   make audit     known vulnerabilities of everything in the locks
@@ -48,6 +49,9 @@ lint: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-dev
 	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
+
+studies: $(VENV)/.installed-dev
+	@$(BIN)/python -m tests.studies.all_pages
 
 # Everything that is installed is what the locks say, byte for byte; pyproject.toml and constraints.txt say what they may hold.
 lock: $(VENV)/.installed-supply
@@ -93,4 +97,4 @@ clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test test-all quick lint docs lock licences audit board-packages clean
+.PHONY: install run test test-all quick lint docs studies lock licences audit board-packages clean
