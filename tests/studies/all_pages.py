@@ -1,6 +1,6 @@
 """Every command that the pages in docs/studies name, in their order: `make studies`. It takes hours.
 
-What a command prints goes to results/studies/PAGE.log, with the commit above. A command that fails does not stop the others.
+Output goes to results/studies/PAGE.log, with the commit. A command that fails does not stop the others.
 """
 
 import re
