@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lampest.cost.terms import CellResistance as CellResistance
     from lampest.cost.terms import Gradient as Gradient
     from lampest.cost.terms import GradientOfRelativeChange as GradientOfRelativeChange
+    from lampest.cost.terms import LogGradient as LogGradient
     from lampest.cost.terms import LogRatio as LogRatio
     from lampest.cost.terms import Misfit as Misfit
     from lampest.cost.terms import RelativeChange as RelativeChange

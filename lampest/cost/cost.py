@@ -53,7 +53,7 @@ class Cost:
     @cached_property
     def symbols(self) -> "Symbols":
         """What the cost is a function of, beside weights and duals."""
-        return Symbols.of(self.panel.cells, self.frames, self.partial)
+        return Symbols.of(self.panel.crossings, self.frames, self.partial)
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
         """(number of the term, residual) pairs of expressions, frame by frame."""
@@ -77,7 +77,7 @@ class Cost:
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
         """Of each residual, the rows that read no faulty cell."""
-        every = [frame * self.panel.cells + cell for frame in range(self.frames) for cell in self.faulty]
+        every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
         for _, residual in self._all_residuals(self.symbols):
             reads = casadi.jacobian(residual, casadi.vec(self.symbols.cell_resistance))[:, every].sparsity()

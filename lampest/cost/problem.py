@@ -30,7 +30,7 @@ class Data:
     lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
     readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
     whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. first : whether no frame before
-    this one was solved, so that the solve begins at several places.
+    this one was solved, so that the solve begins at several places. parts : see `Scene.parts`.
     """
 
     given: Given
@@ -41,6 +41,7 @@ class Data:
     noise_known: bool = False
     until: float = math.inf
     first: bool = False
+    parts: NDArray[np.intp] | None = None
 
     def limited(self, seconds: float | None) -> "Data":
         """The same with so many s from now on to solve it, or without end."""
@@ -103,9 +104,7 @@ class Data:
     @cached_property
     def ties(self) -> Array:
         """(frames, rows + columns) siemens: each frame's ties to ground."""
-        if len(self.measured) == 1:
-            return self.readout.ties(self.measured[0])[None]
-        return np.stack([self.readout.ties(measured) for measured in self.measured])
+        return np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in self.measured])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""

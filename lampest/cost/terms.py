@@ -42,13 +42,19 @@ class State(Given):
         return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
 
     def log_steps(self, values: Any) -> Any:
-        """100·log(x_b/x_a) over all pairs of neighbours, b below or right of a, (pairs, 1) percent."""
-        first, second = neighbour_operators(self.panel.rows, self.panel.columns)
-        return 100 * casadi.log((second @ values) / (first @ values))
+        """log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch; see `Panel.neighbours`."""
+        first, second, distance = neighbour_operators(self.panel)
+        return casadi.log((second @ values) / (first @ values)) / distance
 
     def gradient(self, values: Any) -> Any:
-        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D."""
-        return gradient_operator(self.panel.rows, self.panel.columns) @ values
+        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D.
+
+        Of cells at places of their own (x_b − x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch.
+        """
+        if self.panel.cells is None:
+            return gradient_operator(*self.panel.shape) @ values
+        first, second, distance = neighbour_operators(self.panel)
+        return (second @ values - first @ values) / distance
 
 
 @cache
@@ -63,15 +69,17 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
 
 
 @cache
-def neighbour_operators(rows: int, columns: int) -> tuple[casadi.DM, casadi.DM]:
-    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours."""
-
-    def picked(below: tuple[int, int], right: tuple[int, int]) -> casadi.DM:
-        """Rows from `below[0]` to `below[1]` of the panel, then columns from `right[0]` to `right[1]`."""
-        down = casadi.kron(casadi.DM.eye(rows)[slice(*below), :], casadi.DM.eye(columns))
-        return casadi.vertcat(down, casadi.kron(casadi.DM.eye(rows), casadi.DM.eye(columns)[slice(*right), :]))
-
-    return picked((0, rows - 1), (0, columns - 1)), picked((1, rows), (1, columns))
+def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
+    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours; (pairs, 1)
+    their distance in pitches.
+    """
+    *cells, distance = panel.neighbours
+    pairs = range(len(distance))
+    first, second = (
+        casadi.DM.triplet(list(pairs), numbers.tolist(), casadi.DM.ones(len(pairs)), len(pairs), panel.crossings)
+        for numbers in cells
+    )
+    return first, second, casadi.DM(distance)
 
 
 Weight = float | Literal["auto"]
@@ -182,7 +190,7 @@ class GradientOfRelativeChange(Term):
 
 @dataclass(frozen=True)
 class TotalVariation(Term):
-    """100·log(r_b/r_a) in percent, over all pairs a, b of neighbours.
+    """100·log(r_b/r_a) in percent per pitch, over all pairs a, b of neighbours.
 
     With its absolute loss this is the anisotropic total variation of log r. In log r a fall to a tenth and a rise to
     tenfold are edges of one height, and forward differences see a cell that stands out alone, which central ones do
@@ -197,6 +205,22 @@ class TotalVariation(Term):
 
     def residual(self, state: State) -> Any:
         """Logarithmic steps between neighbouring cells, (pairs, 1)."""
+        return 100 * state.log_steps(state.cell_resistance)
+
+
+@dataclass(frozen=True)
+class LogGradient(Term):
+    """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch: divided by their distance in units of the pitch.
+
+    Scale-free, and open cells cost no more than their neighbours make them: for panels whose unloaded cells are open.
+    """
+
+    unit: ClassVar[str] = "1 per pitch"
+    weight: Weight = "auto"
+    kind: Literal["log_gradient"] = "log_gradient"
+
+    def residual(self, state: State) -> Any:
+        """Differences of ln r between neighbouring cells, (pairs, 1)."""
         return state.log_steps(state.cell_resistance)
 
 
@@ -224,7 +248,7 @@ class LogRatio(Term):
 
 @dataclass(frozen=True)
 class TotalVariationOfChange(Term):
-    """100·log((r/r0)_b/(r/r0)_a) in percent, over all pairs a, b of neighbours; r0 the baseline or the previous frame.
+    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 as `reference` says.
 
     With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60,
     1992.
@@ -240,7 +264,7 @@ class TotalVariationOfChange(Term):
 
     def residual(self, state: State) -> Any:
         """Logarithmic steps of the change between neighbouring cells, (pairs, 1)."""
-        return state.log_steps(state.ratio(self.reference))
+        return 100 * state.log_steps(state.ratio(self.reference))
 
 
 @dataclass(frozen=True)
@@ -285,6 +309,7 @@ AnyTerm = Annotated[
     | RelativeChange
     | Gradient
     | GradientOfRelativeChange
+    | LogGradient
     | TotalVariation
     | LogRatio
     | TotalVariationOfChange

@@ -208,8 +208,9 @@ class Estimates:
 
     @property
     def cell_resistance(self) -> Array:
-        """r, (frames, rows, columns) ohm."""
-        return np.stack([step.cell_resistance for step in self.steps])
+        """r, (frames, rows, columns) ohm; NaN at a crossing without a cell."""
+        cells, panel = np.stack([step.cell_resistance for step in self.steps]), self.recording.scene.panel
+        return cells if panel.cells is None else np.where(panel.present, cells, np.nan)
 
     @property
     def relative_change(self) -> Array:
@@ -219,7 +220,7 @@ class Estimates:
     @property
     def open_cell(self) -> NDArray[np.bool_]:
         """(frames, rows, columns) where a cell cannot be told from an open one."""
-        return np.stack([step.solution.open_cell[-1] for step in self.steps])
+        return np.stack([step.solution.open_cell[-1] for step in self.steps]) & self.recording.scene.panel.present
 
     @property
     def at_lower_bound(self) -> NDArray[np.bool_]:

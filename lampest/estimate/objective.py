@@ -189,23 +189,21 @@ class Objective:
             nearly_shorted = scene.circuit.nearly_shorted(measured)
             lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
             upper = np.where(readings.side != 0, apparent * FARTHEST, upper)
-        if scene.faults is not None:
+        if not scene.whole:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            faults = (
-                (scene.faults.open_cells(scene.panel), FARTHEST),
-                (scene.faults.shorted_cells(scene.panel), SHORTED),
-            )
-            for broken, factor in faults:
-                lower, upper = (np.where(broken, typical * factor, bound) for bound in (lower, upper))
-        return Data(Given.of(readings, background), lower, upper, scene.circuit, scene.wiring, sigma is not None)
+            for known, factor in ((scene.open_cells, FARTHEST), (scene.shorted_cells, SHORTED)):
+                lower, upper = (np.where(known, typical * factor, bound) for bound in (lower, upper))
+        given, noisy = Given.of(readings, background), sigma is not None
+        return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
 
     def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
-        """The terms over one frame, or over two jointly; broken cells are left out.
+        """The terms over one frame, or over two jointly; crossings without a cell and broken cells are left out.
 
         partial : whether readings may be bounds or say nothing.
         """
-        faulty = () if scene.faults is None else scene.faults.numbers(scene.panel)
-        return Cost(Panel(*scene.panel.shape), self.terms, frames, faulty, partial)
+        known = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
+        panel = Panel(*scene.panel.shape) if scene.panel.cells is None else scene.panel
+        return Cost(panel, self.terms, frames, known, partial)
 
 
 @dataclass(frozen=True)

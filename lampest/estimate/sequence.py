@@ -54,13 +54,14 @@ def _estimates(
     steps: list[Step],
     asked: Recording | None = None,
 ) -> Estimates:
+    baseline = stream.baseline_resistance
     return Estimates(
         recording,
         stream.estimator,
         frames,
         readings,
         stream.resting,
-        stream.baseline_resistance,
+        np.where(recording.scene.panel.present, baseline, np.nan),
         stream.baseline or steps[0],
         None if stream.track is None else stream.track.baseline,
         tuple(steps),
@@ -221,8 +222,8 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
         reason = "tare: zero is followed through all frames"
     if reason:
         raise InputError(
-            f"{reason}, and {stored.frames} frames of {stored.scene.panel.cells} cells are more than is held at once; "
-            "split the recording"
+            f"{reason}, and {stored.frames} frames of {stored.scene.panel.crossings} cells are more than is held at "
+            "once; split the recording"
         )
 
 

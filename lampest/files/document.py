@@ -1,5 +1,6 @@
 """YAML text ↔ validated objects: the only place that knows YAML. Errors name file, line and column."""
 
+import csv
 import dataclasses
 import io
 import itertools
@@ -31,6 +32,7 @@ WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
 FEW_KEYS = 12  # which a sentence can name
+TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # which a file of their own may hold
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -74,14 +76,35 @@ class Document:
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
-    """Parse a YAML file and set `PATH=VALUE` entries. Raises InputError where it cannot be read, parsed or set."""
+    """Parse a YAML file, its tables too, and set `PATH=VALUE` entries. Raises InputError where that cannot be done."""
     document = parse_document(_text_of(path), str(path))
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not separator or not key:
             raise InputError(f"'{setting}' is not of the form PATH=VALUE")
         document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+    for place in TABLES:
+        document = _with_table(document, place)
     return document
+
+
+def _with_table(document: Document, place: tuple[str, ...]) -> Document:
+    """The document with the rows of the table that stands at a place by its name, relative to the document."""
+    value = document.content
+    for key in place:
+        value = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(value, str):
+        return document
+    path = Path(document.source).parent / value
+    lines = list(csv.reader(io.StringIO(_text_of(path))))
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            rows.append([int(text) if text.strip().isdecimal() else float(text) for text in line])
+        except ValueError as error:
+            if number > 1:  # the first may be a header
+                raise document.error(place, f"{path}:{number}: {', '.join(line)} are not all numbers") from error
+    return document.with_value(place, [row for row in rows if row])
 
 
 def _text_of(path: Path) -> str:

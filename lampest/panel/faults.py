@@ -48,10 +48,6 @@ class Faults:
             cells[row, column] = True
         return cells
 
-    def numbers(self, panel: Panel) -> tuple[int, ...]:
-        """The numbers of all cells that are open or shorted."""
-        return tuple(int(cell) for cell in np.flatnonzero(self.open_cells(panel) | self.shorted_cells(panel)))
-
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
         """(rows, columns) where a reading says nothing."""
         readings = self.shorted_cells(panel)
@@ -92,7 +88,8 @@ class Faults:
                     raise ValueError(f"faults: there is no {name} {line}")
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
             raise ValueError("faults: a cell cannot be open and shorted")
-        if np.all(self.blind(panel)) or np.all(self.open_cells(panel)) or self._all_dead(panel):
+        read, conducting = (panel.present & ~gone for gone in (self.blind(panel), self.open_cells(panel)))
+        if not (read.any() and conducting.any()) or self._all_dead(panel):
             raise ValueError("faults: nothing is left of the panel")
 
     def _all_dead(self, panel: Panel) -> bool:

@@ -1,6 +1,7 @@
-"""The panel: rows × columns of cells, their numbering, and finite differences over them."""
+"""The panel: cells at crossings of rows and columns, their places, neighbours, and finite differences over them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,25 +14,32 @@ from lampest.panel.modules import Modules
 Array = NDArray[np.floating[Any]]
 LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
 MANY_LINES = 2000  # fewer fit into 100 MB
+ROUNDED = (
+    0.01  # (of a squared distance) places are written with three digits, and right angles are then no longer right
+)
+CellPlace = tuple[int, int, float, float]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A matrix of rows · columns cells; cell (j, k) joins row j and column k and has the number j·columns + k.
+    """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
 
     Parameters
     ----------
     rows, columns : number of lines on either side, at least 1.
     pitch_mm : distance between neighbouring cells in millimetre; positions and pictures use it, equations do not.
     modules : the panels that this one is an image of, which say rows, columns and pitch; None: a panel of one network.
+    cells : [row, column, x_mm, y_mm] of every crossing that has a cell, or in a YAML file the name of a table of these;
+        None: all have one, at their pitch.
 
-    Raises ValueError where a number is out of range.
+    Raises ValueError where a number is out of range, or two cells have one crossing or one place.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     rows: int = 0
     columns: int = 0
     pitch_mm: float = 10.0
+    cells: tuple[CellPlace, ...] | None = None
     modules: Modules | None = None
 
     def __post_init__(self) -> None:
@@ -41,12 +49,30 @@ class Panel:
                 raise ValueError(f"the modules make {rows} × {columns} cells, not {self.rows} × {self.columns}")
             for name, value in (("rows", rows), ("columns", columns), ("pitch_mm", pitch)):
                 object.__setattr__(self, name, value)
+            if self.cells is not None:
+                raise ValueError("cells: of modules every crossing has a cell")
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
         if not LEAST_PITCH_MM <= self.pitch_mm <= MOST_PITCH_MM:
             raise ValueError(
                 f"pitch_mm must be positive and finite, a length between {LEAST_PITCH_MM:g} and {MOST_PITCH_MM:g} mm"
             )
+        if self.cells is not None:
+            self._check_cells(self.cells)
+
+    def _check_cells(self, cells: tuple[CellPlace, ...]) -> None:
+        crossings, places = {cell[:2] for cell in cells}, {cell[2:] for cell in cells}
+        for row, column, x, y in cells:
+            if not (0 <= row < self.rows and 0 <= column < self.columns):
+                raise ValueError(f"cells: there is no crossing [{row}, {column}]")
+            if not max(abs(x), abs(y)) <= MOST_PITCH_MM:
+                raise ValueError(f"cells: [{row}, {column}] must lie within {MOST_PITCH_MM:g} mm of the origin")
+        if not cells:
+            raise ValueError("cells: a panel needs at least one cell")
+        if len(crossings) < len(cells):
+            raise ValueError("cells: a crossing is listed twice")
+        if len(places) < len(cells):
+            raise ValueError("cells: two cells lie at one place")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -54,9 +80,17 @@ class Panel:
         return self.rows, self.columns
 
     @property
-    def cells(self) -> int:
+    def crossings(self) -> int:
         """rows · columns."""
         return self.rows * self.columns
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(rows, columns) whether a crossing has a cell."""
+        present = np.full(self.shape, self.cells is None)
+        for row, column, *_ in self.cells or ():
+            present[row, column] = True
+        return present
 
     def check_memory(self, matrices: int = 3) -> None:
         """Raise InputError where there is no room for so many matrices (lines, lines) over the panel's lines.
@@ -91,6 +125,36 @@ class Panel:
         each = self.modules.each
         return (Panel(each.rows, each.columns, each.pitch_mm),) * self.modules.count
 
+    @cached_property
+    def places_mm(self) -> Array:
+        """(2, rows, columns): x and y of every cell in millimetre; NaN at crossings without one."""
+        if self.cells is None:
+            return np.stack(np.meshgrid(*self.centres_mm()))
+        places = np.full((2, *self.shape), np.nan)
+        for row, column, x, y in self.cells:
+            places[:, row, column] = x, y
+        return places
+
+    @cached_property
+    def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """(numbers of the first cells, of the second ones, distance in pitches) of all pairs of neighbours.
+
+        Of a full rectangle the pairs down, then those to the right. Of cells at places of their own those that have no
+        other cell in the circle between them (the Gabriel graph, which joins all cells; Gabriel & Sokal, Systematic
+        Zoology 18, 1969).
+        """
+        if self.cells is None:
+            numbers = np.arange(self.crossings).reshape(self.shape)
+            first = np.concatenate([numbers[:-1].ravel(), numbers[:, :-1].ravel()])
+            second = np.concatenate([numbers[1:].ravel(), numbers[:, 1:].ravel()])
+            return first, second, np.ones(len(first))
+        cells = np.flatnonzero(self.present)
+        places = self.places_mm.reshape(2, -1)[:, cells].T
+        pairs = np.array([(here, there) for here in range(len(cells)) for there in circle_neighbours(places, here)])
+        first, second = pairs.reshape(-1, 2).astype(np.intp).T
+        distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
+        return cells[first], cells[second], distance
+
     def row_gradient(self) -> Array:
         """D with (D x)_j = (x_{j+1} − x_{j−1})/2 inside and one-sided at the ends, (rows, rows), per unit cell."""
         return difference_matrix(self.rows)
@@ -98,6 +162,24 @@ class Panel:
     def column_gradient(self) -> Array:
         """The same along a row, (columns, columns): the gradient of a matrix X is (D_row X, X D_columnᵀ)."""
         return difference_matrix(self.columns)
+
+
+def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
+    """The cells after `here` that have none in the circle over the way from there; places (cells, 2).
+
+    c lies in the circle over 0 and b where c·c ≤ c·b.
+    """
+    way = places - places[here]
+    square = np.sum(way**2, axis=1)
+    alone = square > 0
+    for nearest in np.argsort(square)[1:]:
+        if not np.any(alone & (square > square[nearest])):
+            break
+        within = square[nearest] <= (1 + ROUNDED) * (way @ way[nearest])
+        within[nearest] = False
+        alone &= ~within
+    after = np.flatnonzero(alone)
+    return after[after > here]
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:

@@ -284,9 +284,29 @@ class Scene:
         return self._of_faults(Faults.blind)
 
     @cached_property
+    def asked(self) -> NDArray[np.bool_]:
+        """(rows, columns) of the readings that a frame should have; one at a crossing without a cell is welcome."""
+        return self.panel.present & ~self.blind
+
+    @cached_property
+    def open_cells(self) -> NDArray[np.bool_]:
+        """(rows, columns) where nothing conducts: no cell, or one that faults leave open."""
+        return ~self.panel.present | self._of_faults(Faults.open_cells)
+
+    @cached_property
+    def shorted_cells(self) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell joins its lines."""
+        return self._of_faults(Faults.shorted_cells)
+
+    @cached_property
     def broken(self) -> NDArray[np.bool_]:
-        """(rows, columns) where faults leave no cell to be estimated."""
-        return self._of_faults(lambda faults, panel: faults.open_cells(panel) | faults.shorted_cells(panel))
+        """(rows, columns) where there is no cell to be estimated."""
+        return self.open_cells | self.shorted_cells
+
+    @property
+    def whole(self) -> bool:
+        """Whether every crossing has a cell that works."""
+        return self.faults is None and self.panel.cells is None
 
     def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
         layout = self.panel.modules
@@ -338,6 +358,22 @@ class Scene:
     def told_systematic(self) -> Systematic | None:
         """What the scene itself says of such errors; None where it says nothing, or that there are none."""
         return None if self.systematic == "none" else self.systematic
+
+    @cached_property
+    def parts(self) -> NDArray[np.intp] | None:
+        """(lines) the number of the part that each line belongs to, joined by cells; None where all are one."""
+        if self.whole:
+            return None
+        joined = ~self.open_cells
+        row, column = np.arange(self.panel.rows), np.full(self.panel.columns, self.panel.crossings)
+        for _ in range(sum(self.panel.shape)):
+            before = row
+            column = np.min(np.where(joined, row[:, None], self.panel.rows + np.arange(self.panel.columns)), axis=0)
+            row = np.minimum(row, np.min(np.where(joined, column, self.panel.crossings), axis=1))
+            if np.array_equal(row, before):
+                break
+        parts = np.concatenate([row, column])
+        return None if np.all(parts == parts[0]) else parts
 
     @cached_property
     def wiring(self) -> Wiring | None:

@@ -136,7 +136,7 @@ class Readings:
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
-        if scene.faults is not None:
+        if not scene.whole:
             seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
             least = np.zeros_like(network) if noise is None else NEAR_ZERO * _least_noise(scene, noise)
@@ -178,7 +178,7 @@ class Readings:
     def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
         """The same where every value is one, which most frames are, at a fifth of the time; None where any is not."""
         readout = scene.readout
-        if readout is None or scene.faults is not None or scene.converter_memory is not None:
+        if readout is None or not scene.whole or scene.converter_memory is not None:
             return None
         least, largest = readout.rails()
         if not (recorded.size and least <= recorded.min() and recorded.max() <= largest < np.inf):
@@ -213,9 +213,9 @@ class Readings:
         return bounds
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a reading is missing, though the scene's faults do not make it blind."""
+        """Whether a reading is missing of a cell, though the scene's faults do not make it blind."""
         missing: NDArray[np.bool_] = self.seen == 0
-        return missing & ~scene.blind
+        return missing & scene.asked
 
     @property
     def shown(self) -> Array:
@@ -226,12 +226,12 @@ class Readings:
         """Whether a frame can be estimated, of the leading shape: half of its readings are values, or M + N − 1 are.
 
         So many numbers describe a panel whose lines alone differ, which is the least that every other cell can be known
-        apart from. Bounds do not count: cells that only obey bounds are any of many. Lines and readings that the
-        scene's faults make blind are not asked for.
+        apart from. Bounds do not count: cells that only obey bounds are any of many. Crossings without a cell, and
+        lines and readings that the scene's faults make blind, are not asked for.
         """
         if not self.partial:
             return np.ones(self.value.shape[:-2], dtype=bool)
-        asked = ~scene.blind
+        asked = scene.asked
         lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
         least = min(-(-int(asked.sum()) // 2), lines - 1)
         return np.asarray((self.plain & asked).sum(axis=(-2, -1)) >= least)

@@ -51,7 +51,7 @@ class StoredRecording:
     @property
     def length(self) -> int:
         """Frames of a part."""
-        return max(LEAST_FRAMES, BLOCK // self.scene.panel.cells)
+        return max(LEAST_FRAMES, BLOCK // self.scene.panel.crossings)
 
     def blocks(self) -> tuple[range, ...]:
         """Frames that are estimated one after the other before they are written, part by part."""

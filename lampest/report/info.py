@@ -228,7 +228,7 @@ def _holes(recording: Recording) -> list[str]:
 
 def _holes_of_case(case: CaseResult) -> str:
     """Of the measured frames. Results that do not say which readings are bounds have none."""
-    missing = np.isnan(case.measured) & ~case.scene.blind
+    missing = np.isnan(case.measured) & case.scene.asked
     bounds = np.zeros(missing.shape, bool) if case.reading_side is None else case.reading_side != 0
     return holes_sentence(missing, bounds)
 

@@ -186,7 +186,7 @@ def _operator(penalised: str, panel: Panel) -> Array | None:
     if penalised == "gradient":
         down = np.kron(panel.row_gradient(), np.eye(panel.columns))
         return np.vstack([down, np.kron(np.eye(panel.rows), panel.column_gradient())])
-    return np.eye(panel.cells) if penalised else None
+    return np.eye(panel.crossings) if penalised else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ class _Problem:
     def alone(self, measured: Array) -> Stopped:
         """(11), (13), (19)."""
         factor = np.sqrt(self.weights.absolute)
-        rows = np.zeros((0, self.panel.cells)) if self.operator is None else factor * self.operator
+        rows = np.zeros((0, self.panel.crossings)) if self.operator is None else factor * self.operator
 
         def residual(cells: Array) -> Array:
             return np.concatenate([_misfit(cells, measured), rows @ cells])
@@ -224,7 +224,7 @@ class _Problem:
 
     def joint(self, resting: Array, measured: Array) -> tuple[Array, Stopped]:
         """(15), (21): the baseline, and the first frame with what both needed."""
-        rows, count = self._relative_rows(), self.panel.cells
+        rows, count = self._relative_rows(), self.panel.crossings
         none = np.zeros((count, count))
 
         def residual(both: Array) -> Array:

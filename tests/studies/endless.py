@@ -39,7 +39,7 @@ def parts(frames: int) -> Iterator[Recording]:
     scene, truth, rng = shipped.scene, shipped.truth_cell_resistance, np.random.default_rng(5)
     assert scene.readout is not None and truth is not None
     exact = np.asarray(scene.readout.to_recorded(scene.readout.exact_reading(truth), scene))
-    step = BLOCK // scene.panel.cells
+    step = BLOCK // scene.panel.crossings
     for begin in range(0, frames, step):
         number = np.arange(begin, min(begin + step, frames))
         values = exact[np.where(number < UNLOADED, 0, 3 + (number // 5) % 21)]

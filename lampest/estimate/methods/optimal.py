@@ -54,7 +54,7 @@ class OptimalMethod(Method):
         """
         kind = self.kind
         if kind == "auto":
-            slow = cost.panel.cells <= NODAL_CELLS and period >= NODAL_PERIOD
+            slow = cost.panel.crossings <= NODAL_CELLS and period >= NODAL_PERIOD
             kind = "nodal" if slow and scene.wiring is None else "reduced"
         return _solver(cost, scene.circuit, kind, settings)
 

@@ -49,8 +49,8 @@ class DiscSearch:
                 patterns.append(_everywhere(panel, patch_mm, template, shift))
                 across, down = panel.centres_mm()
                 discs += [Disc(x + shift, y + shift, *size, *pressures, 0.0, 0.0) for y in down for x in across]
-        changes = _unit(np.concatenate(patterns).reshape(-1, panel.cells).T)
-        faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.cells)]
+        changes = _unit(np.concatenate(patterns).reshape(-1, panel.crossings).T)
+        faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.crossings)]
         readings = network_of(baseline.logarithm).sensitivity() @ faint
         return cls(panel, templates, tuple(discs), changes, readings, _unit(whitening @ readings))
 

@@ -28,6 +28,7 @@ class Converter:
     noise_lsb : standard deviation of one reading before quantisation, in least significant bits; a number or one for
         each driven line (`noisy_side`). 'estimated': as the unloaded frames show it. None: not said; then as five or
         more unloaded frames show it, else USUAL_NOISE_LSB.
+    floor_code : codes at or below it were not recorded: such a reading, zero or infinite by its unit, says only that.
 
     Raises ValueError where a number is out of range.
     """
@@ -37,6 +38,7 @@ class Converter:
     adc_bits: int = 10
     readings: int = 20
     noise_lsb: PerLine | Literal["estimated"] | None = None
+    floor_code: int = 0
 
     def __post_init__(self) -> None:
         if not (isfinite(self.supply_volt) and self.supply_volt > 0):
@@ -50,6 +52,10 @@ class Converter:
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
+        if not 0 <= self.floor_code <= 2**self.adc_bits - 3:
+            raise ValueError(
+                f"floor_code must lie between 0 and {2**self.adc_bits - 3}, so that codes are left above it"
+            )
 
     @property
     def noise_told(self) -> bool:
@@ -69,7 +75,8 @@ class Converter:
     def converter_description(self) -> str:
         """The converter's numbers, for people."""
         noise = lines_text(self.assumed_noise, "LSB") if self.noise_told else "as the unloaded frames show it"
-        return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}"
+        floor = f", codes above {self.floor_code}" if self.floor_code else ""
+        return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}{floor}"
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """A recorded reading from what the converter sees, any shape."""
@@ -135,7 +142,7 @@ class Converter:
         return np.asarray(self._of_driven_lines(self.sigma_code()) * self.lsb_volt)
 
     def rails(self) -> tuple[float, float]:
-        """(least, largest) recorded reading that a code between the first and the last one can mean.
+        """(least, largest) recorded reading that a code between the first above the floor and the last one can mean.
 
         A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
         """
@@ -144,5 +151,5 @@ class Converter:
     @cached_property
     def _rails(self) -> tuple[float, float]:
         top = 2.0**self.adc_bits - 1
-        ends = self.recorded_from_volt(np.array([1.0, top]) * self.lsb_volt)
+        ends = self.recorded_from_volt(np.array([self.floor_code + 1.0, top]) * self.lsb_volt)
         return float(ends.min()), float(ends.max())

@@ -116,6 +116,10 @@ class Readout(Converter, ABC):
 
     # What follows from the circuit.
 
+    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+        """t of a panel whose lines (lines) belong to parts that no cell joins, or None; lines of any kind are tied."""
+        return self.ties(measured)
+
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """The solved network of cells (rows, columns) ohm; wiring : what lies between them and the terminals, or None.
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import CellPlace, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.arrays import (
     MATLAB_LAYOUTS,
@@ -127,21 +128,19 @@ def import_file(
         raise InputError("the period must be positive and finite")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
-    frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
-    if transpose:
-        frames = _transposed(frames)
+    frames = _frames(path, panel, transpose, variable, layout)
     count = len(frames.values)
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period)
     if missing == "refuse":
-        _refuse_missing(np.isnan(frames.values), frames.place)
+        _refuse_missing(np.isnan(frames.values) & panel.present, frames.place)
     kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
     given = scene is not None
     scene = scene or Scene(panel)
     recorded = recorded_values(frames.values, kind, scene, frames.place)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
-    kept, gaps = _without_missing(recorded, missing, path)
+    kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     recording = Recording(
         scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
     )
@@ -197,18 +196,47 @@ def _clock(frames: Frames, period: float | None) -> Clock:
     return frames.timing()
 
 
-def _without_missing(recorded: Array, missing: str, path: Path) -> tuple[NDArray[np.intp], str]:
+def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
+    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list.
+
+    At a crossing without a cell only a positive number is a reading.
+    """
+    try:
+        frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
+        frames = _transposed(frames) if transpose else frames
+    except InputError:
+        if panel.cells is None or transpose:
+            raise
+        with suppress(InputError):
+            return _listed(read_frames(path, (1, len(panel.cells)), variable, layout), panel.cells, panel.shape)
+        raise
+    nothing = ~panel.present & ~(frames.values > 0)
+    return dataclasses.replace(frames, values=np.where(nothing, np.nan, frames.values))
+
+
+def _listed(frames: Frames, cells: tuple[CellPlace, ...], shape: tuple[int, int]) -> Frames:
+    """From values (frames, 1, cells) in the order of a panel's list."""
+    number = {cell[:2]: count for count, cell in enumerate(cells)}
+    values = np.full((len(frames.values), *shape), np.nan)
+    for cell, count in number.items():
+        values[:, *cell] = frames.values[:, 0, count]
+
+    def place(frame: int, row: int, column: int) -> str:
+        return frames.place(frame, 0, number.get((row, column), 0))
+
+    notes = (*frames.notes, f"{len(cells)} values are the cells in the order of the scene's list")
+    return dataclasses.replace(frames, values=values, place=place, notes=notes)
+
+
+def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.intp], str]:
     """Which frames are kept, and a sentence on missing readings. Raises InputError where none would be left."""
-    blank = np.isnan(recorded)
     gaps = blank.any(axis=(1, 2))
-    every = np.arange(len(recorded))
+    every = np.arange(len(blank))
     if not np.any(gaps):
         return every, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
-    said = (
-        f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(recorded), 'frame')}"
-    )
+    said = f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(blank), 'frame')}"
     if missing == "mark":
         return every, f"{said}: NaN in the recording"
     if np.all(gaps):

@@ -168,7 +168,10 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Arr
     if unit == "code":
         outside = (plain < 0) | (plain > 2**readout.adc_bits - 1)
         refuse_where(outside, values, place, f"is no code of a {readout.adc_bits}-bit converter")
-        return readout.recorded_from_volt(readout.volt_from_code(plain))
+        volt = readout.volt_from_code(plain)
+        return readout.recorded_from_volt(
+            np.where(plain <= readout.floor_code, 0.0, volt) if readout.floor_code else volt
+        )
     outside = (plain < 0) | (scaled > readout.supply_volt)
     supply = f"{readout.supply_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
     refuse_where(outside & np.isfinite(values), values, place, f"lies outside 0 to {supply}, the readout's supply")

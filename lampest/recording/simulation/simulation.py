@@ -96,7 +96,7 @@ class Simulation:
             raise ValueError(f"frame_period_s must be positive and finite, between {SHORTEST_S:g} and {LONGEST_S:g} s")
         if self.values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values in one recording")
-        if self.scene.panel.cells > MOST_CELLS:
+        if self.scene.panel.crossings > MOST_CELLS:
             raise ValueError(f"more than {MOST_CELLS} cells are not simulated")
         if self.course.start_s <= -self.frame_period_s:
             raise ValueError(
@@ -121,7 +121,7 @@ class Simulation:
     @property
     def values(self) -> int:
         """frames · rows · columns, unloaded frames included."""
-        return self.all_frames * self.scene.panel.cells
+        return self.all_frames * self.scene.panel.crossings
 
     @property
     def all_frames(self) -> int:
@@ -137,7 +137,7 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     """
     frames, passes = simulation.all_frames, sum(simulation.scene.panel.networks[0].shape)
     copies = COPIES + (passes if simulation.unmodelled.load_speed_mm_s else 0)
-    check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.cells} cells")
+    check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.crossings} cells")
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
     pressure = pressure_at(simulation, loaded_time)

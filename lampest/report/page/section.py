@@ -193,7 +193,7 @@ def _maps(
     if not tiles:
         return []
     panel, drawn = cases[0].scene.panel, [tile.values for tile in tiles if tile.values is not None]
-    kind: Literal["svg", "png"] = "svg" if panel.cells * len(tiles) <= MOST_SHARP else "png"
+    kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= MOST_SHARP else "png"
     return [Illustration(data_uri(maps_figure(tiles, panel, scale(drawn)), kind), f"Maps of {of_what}", caption)]
 
 

@@ -55,7 +55,7 @@ class Program:
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
-        conductance = casadi.SX.sym("conductance", cost.panel.cells, cost.frames)
+        conductance = casadi.SX.sym("conductance", cost.panel.crossings, cost.frames)
         frames = [casadi.reshape(conductance[:, frame], columns, rows).T for frame in range(cost.frames)]
         networks = [
             formulation.network(readout, cells, tie[:, frame], scale, f"frame{frame}_")

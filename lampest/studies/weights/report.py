@@ -44,7 +44,7 @@ def run_weights(run: Run, on_step: study.OnStep) -> TunedCases:
 def _tuned(case: Case) -> Tuned | str:
     recording = Recording.load(case.path)
     frames = 2 if case.estimator.relative else 1
-    reason = why_not(case.estimator, frames * recording.scene.panel.cells)
+    reason = why_not(case.estimator, frames * recording.scene.panel.crossings)
     if reason is not None:
         return reason
     subject = WeightSubject.of(case, recording)

@@ -54,7 +54,7 @@ class WeightSubject:
         truth = None
         if recording.truth_cell_resistance is not None:
             truth = np.log(recording.truth_cell_resistance[frame])
-            truth.flat[[] if scene.faults is None else list(scene.faults.numbers(scene.panel))] = np.nan
+            truth[scene.broken] = np.nan
         cost = case.estimator.cost(scene, len(data.measured), data.partial)
         return cls(
             case.recording, case.name, case.estimator, scene, frame, readings.sigma is not None, cost, data, truth

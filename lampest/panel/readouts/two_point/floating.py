@@ -19,16 +19,21 @@ LEAST_SHARE = (
 )
 
 
-def grounding(two_point_resistance: Array) -> Array:
+def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
     """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
 
-    (rows, columns) ohm → (rows + columns) siemens. A tie at a single line carries no current, so potential differences
-    are those of the paper's grounded line, equation (5), while the line can be chosen by the data.
+    (rows, columns) ohm → (rows + columns) siemens. parts : (lines) of which each has its ground; None: all are one. A
+    tie at a single line carries no current, so potential differences are those of the paper's grounded line, equation
+    (5), while the line can be chosen by the data.
     """
     admittance = 1 / two_point_resistance
     total = np.concatenate([admittance.sum(axis=1), admittance.sum(axis=0)])
     tie = np.zeros_like(total)
-    tie[np.argmax(total)] = total.max()
+    if parts is None:
+        grounds = [int(np.argmax(total))]
+    else:
+        grounds = [int(np.argmax(np.where(parts == part, total, -1.0))) for part in np.unique(parts)]
+    tie[grounds] = total[grounds]
     return tie
 
 

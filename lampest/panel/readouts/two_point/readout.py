@@ -65,6 +65,10 @@ class TwoPointReadout(Readout):
         """One line, chosen by the readings; see `grounding`."""
         return grounding(measured)
 
+    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+        """One line of every part."""
+        return grounding(measured, parts)
+
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
         return row + column - 2 * mutual

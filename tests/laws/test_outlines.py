@@ -1,0 +1,107 @@
+"""Laws of panels that are no full rectangle: absent crossings are nothing, whatever the outline."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest.panel.panel import Panel
+from lampest.panel.readouts.two_point.exact import exact_two_point_resistance
+from lampest.panel.scene import Scene
+from tests.outlines import OUTLINES
+
+READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
+
+
+def drawn(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
+    """A panel and its cells in ohm; infinite where there is none."""
+    rng = np.random.default_rng(seed)
+    panel = OUTLINES[outline](rng)
+    return panel, np.where(panel.present, 1000 * np.exp(rng.normal(0, 0.5, panel.shape)), np.inf)
+
+
+def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
+    """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
+    role = np.ones(len(frames), dtype=np.uint8)
+    recording = lampest.Recording(Scene(panel, READOUT), frames, np.arange(len(frames), dtype=float), role)
+    return lampest.reconstruct(recording, terms=list(terms), **settings)
+
+
+@pytest.mark.parametrize("outline", OUTLINES)
+@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
+def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
+    """There are as many readings as cells, and nothing else is sought."""
+    panel, cells = drawn(outline, 1)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
+    found = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
+    assert found.status[0] == "optimum verified"
+    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
+    assert np.all(np.isnan(found.cell_resistance[0][~panel.present]))
+
+
+@pytest.mark.parametrize("outline", OUTLINES)
+def test_neighbours_join_all_cells_and_no_absent_one(outline: str) -> None:
+    panel, _ = drawn(outline, 2)
+    first, second, distance = panel.neighbours
+    assert panel.present.flat[first].all() and panel.present.flat[second].all()
+    x, y = panel.places_mm.reshape(2, -1)
+    np.testing.assert_allclose(distance * panel.pitch_mm, np.hypot(x[first] - x[second], y[first] - y[second]))
+    reached = {int(first[0])}
+    for _ in range(panel.crossings):
+        reached |= {int(b) for a, b in zip(first, second, strict=True) if int(a) in reached}
+        reached |= {int(a) for a, b in zip(first, second, strict=True) if int(b) in reached}
+    assert reached == set(np.flatnonzero(panel.present).tolist())
+
+
+def test_a_lattice_that_lies_askew_has_four_neighbours_though_its_places_are_rounded() -> None:
+    places = [
+        (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1)) for j in range(5) for k in range(5)
+    ]
+    assert len(Panel(5, 5, 7.5, tuple(places)).neighbours[0]) == 2 * 5 * 4
+
+
+def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
+    """The same neighbours and the same estimate, whether cells are listed or not."""
+    plain = Panel(3, 4, 8.0)
+    listed = replace(plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4)))
+    assert {*zip(*(one.tolist() for one in plain.neighbours[:2]), strict=True)} == {
+        *zip(*(one.tolist() for one in listed.neighbours[:2]), strict=True)
+    }
+    readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
+    for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
+        both = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
+        np.testing.assert_allclose(both[0], both[1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("outline", OUTLINES)
+def test_a_cell_that_was_not_read_follows_its_neighbours(outline: str) -> None:
+    """With log_gradient a missing reading's cell is found, and even cells stay even."""
+    panel, _ = drawn(outline, 4)
+    readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
+    row, column = np.argwhere(panel.present)[3]
+    readings[row, column] = np.nan
+    found = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    assert found.status[0] == "optimum verified"
+    np.testing.assert_allclose(found.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
+
+
+def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
+    """It is what leads round: with it a cell whose own reading is missing is found exactly."""
+    panel, cells = drawn("foot", 5)
+    readings = exact_two_point_resistance(cells)
+    row, column = np.argwhere(panel.present)[0]
+    readings[row, column] = np.nan
+    found = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
+    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
+
+
+def test_codes_at_or_below_the_floor_bound_their_reading() -> None:
+    readout = replace(READOUT, floor_code=1000)
+    scene = Scene(Panel(3, 3), readout)
+    recorded = np.full((3, 3), float(readout.recorded_from_volt(readout.volt_from_code(1001))))
+    recorded[0, 0], recorded[1, 1] = np.inf, readout.recorded_from_volt(readout.volt_from_code(999))
+    readings = lampest.Readings.of(scene, recorded)
+    assert readings.side[0, 0] == readings.side[1, 1] == 1
+    assert np.sum(readings.side != 0) == 2
+    np.testing.assert_allclose(readings.value[0, 0], readout.recorded_from_volt(1001 * readout.lsb_volt))
