@@ -28,7 +28,7 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 
 
 def laplacian(conductance: Array) -> Array:
-    """L with L·(u, v) = current_balance(g, u, v): (…, rows + columns, the same) siemens, singular; paper, equation (3)."""
+    """L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
     Panel(rows, columns).check_memory()
     lines = np.arange(rows + columns)
