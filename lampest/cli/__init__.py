@@ -16,7 +16,7 @@ from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ending_signals
 from lampest.files.log import libraries_to_the_log
 from lampest.files.memory import allow_memory
-from lampest.files.whole import refuse_input, sparing
+from lampest.files.whole import refuse_inputs, sparing
 from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
@@ -57,8 +57,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
             allow_memory(memory)
         places = {name: _paths(value) for name, value in options.items()}
         with sparing([path for name, paths in places.items() if name not in outputs for path in paths]):
-            for path in (path for name in outputs for path in places.get(name, ())):
-                refuse_input(path)
+            refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
     kind = Annotated[str | None, _MEMORY]

@@ -20,6 +20,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from lampest.files.errors import InputError, meant
+from lampest.files.whole import note_read
 
 MOST_VALUES = 100_000
 MOST_BYTES = 100_000  # which take up to 4 s
@@ -111,6 +112,7 @@ def _text_of(path: Path) -> str:
     try:
         with path.open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
+        note_read(path)
         if len(content) > MOST_BYTES:
             raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
         return content.decode("utf-8")

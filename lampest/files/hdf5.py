@@ -17,7 +17,7 @@ from lampest.files.checksums import DIGEST, check_attribute, check_digest, check
 from lampest.files.errors import InputError
 from lampest.files.left_open import Closed, is_left_open
 from lampest.files.scales import attach_scales as attach_scales
-from lampest.files.whole import check_room, is_locked, whole_file
+from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
@@ -67,6 +67,7 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
     """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
     if not _is_file(path):
         raise InputError(f"{path}: no such file")
+    note_read(path)
     try:
         check_seal(path)
         with _opened(path) as file:

@@ -4,10 +4,12 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 try:
     import fcntl
@@ -22,23 +24,71 @@ KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": 
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has no such flag
 NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
-_READ: ContextVar[tuple[Path, ...]] = ContextVar("what is read", default=())
+
+@dataclass(frozen=True)
+class Touched:
+    """What a command has read and written so far, and what it may read and write anew; this grows."""
+
+    read: set[Path]
+    written: set[Path]
+    own: set[Path]
+
+    def owns(self, path: Path) -> bool:
+        return any(path.is_relative_to(own) for own in self.own)
+
+
+_TOUCHED: ContextVar[Touched | None] = ContextVar("what a command touches", default=None)
 
 
 @contextmanager
-def sparing(inputs: Sequence[Path]) -> Iterator[None]:
-    """Within it no file that is written takes the place of one of these, under whatever name; see `refuse_input`."""
-    before = _READ.set((*_READ.get(), *inputs))
+def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
+    """Within it no output takes the place of a file that was read, under whatever name, or of another output.
+
+    inputs : what will be read. See `note_read`, `check_output`.
+    """
+    before = _TOUCHED.set(_TOUCHED.get() or Touched(set(), set(), set()))
     try:
+        for path in inputs:
+            note_read(path)
         yield
     finally:
-        _READ.reset(before)
+        _TOUCHED.reset(before)
 
 
-def refuse_input(path: Path) -> None:
-    """Raise InputError where what stands at `path` is one of the files that `sparing` was told."""
-    if any(_same(path, read) for read in _READ.get()):
+def note_read(path: Path) -> None:
+    """Every reader of a user's files says so here; what a command made itself is not noted, see `own`."""
+    touched = _TOUCHED.get()
+    if touched is not None and not touched.owns(path.absolute()):
+        touched.read.add(path.absolute())
+
+
+def own(path: Path) -> None:
+    """A file, or a folder's files, that a command may read and write anew. Raises InputError where it was read before.
+
+    Call it before the first of both.
+    """
+    _refuse_touched(path)
+    touched = _TOUCHED.get()
+    if touched is not None:
+        touched.own.add(path.absolute())
+
+
+def refuse_inputs(outputs: Sequence[Path]) -> None:
+    """Raise InputError where one of them is what is read, or two are one."""
+    for path in outputs:
+        _refuse_touched(path)
+    if len({path.resolve() for path in outputs}) < len(outputs):
+        raise InputError(f"{outputs[-1]}: two outputs have this name; give one of them another")
+
+
+def _refuse_touched(path: Path) -> None:
+    touched = _TOUCHED.get()
+    if touched is None:
+        return
+    if any(_same(path, read) for read in touched.read):
         raise InputError(f"{path}: is what is read; give what is written another name")
+    if path.absolute() in touched.written:
+        raise InputError(f"{path}: two outputs have this name; give one of them another")
 
 
 def _same(path: Path, other: Path) -> bool:
@@ -68,12 +118,29 @@ def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
             with unfinished.open("rb") as handle:
                 os.fsync(handle.fileno())
         unfinished.replace(path)
+        if (touched := _TOUCHED.get()) is not None and not touched.owns(path.absolute()):
+            touched.written.add(path.absolute())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
         if made:
             with suppress(OSError):
                 unfinished.unlink()
+
+
+@contextmanager
+def folder_beside(path: Path) -> Iterator[Path]:
+    """A new folder beside `path` for the parts of what will stand there; it goes at the end.
+
+    Raises InputError as `check_output`, and where the folder cannot be made.
+    """
+    check_output(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -88,14 +155,14 @@ def write_whole(path: Path, text: str) -> None:
 def check_output(path: Path) -> None:
     """Raise InputError unless a file may appear at `path`: nothing stands there, or a regular file that it replaces.
 
-    None of the files that are read may be replaced, see `sparing`.
+    Neither what is read nor another output may be replaced, see `sparing`.
     """
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
     kind = _kind(path)
     if kind not in (None, "-"):
         raise InputError(f"{path}: is {KINDS[kind]}; what is written is a regular file, and replaces nothing else")
-    refuse_input(path)
+    _refuse_touched(path)
 
 
 def check_room(path: Path, size: int) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
+from lampest.files.whole import note_read
 from lampest.loads.pressure import GRAVITY
 from lampest.loads.shapes import Block, Rod
 from lampest.loads.shapes.shape import Shape
@@ -139,6 +140,7 @@ def _as_yaml(path: Path) -> str:
     """The same, line by line, so that a fault is named by the line in which it stands."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
+        note_read(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
-from lampest.files.whole import remove_own
+from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of, whole_frames
 
@@ -114,20 +114,17 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:
     """Write a recording of which each part holds some frames, whole or not at all.
 
-    The parts are files beside it until all are there. Raises InputError where the place cannot be written.
+    The parts are files in a folder beside it until all are there. Raises InputError where the place cannot be written.
     """
     files: list[Path] = []
-    try:
+    with folder_beside(path) as folder:
         for number, part in enumerate(parts):
-            files.append(path.with_name(f".{path.name}.{number:06d}"))
+            files.append(folder / f"{number}.h5")
             part.save(files[-1])
         with hdf5.new_large_file(path, sum(file.stat().st_size for file in files)) as file:
             join_parts(files, file.create_group("entry"), "/entry")
             with hdf5.existing_file(files[0]) as first:
                 file.attrs.update(first.attrs)
-    finally:
-        for left in files:
-            remove_own(left)
 
 
 def too_long(frames: int, cells: int) -> bool:

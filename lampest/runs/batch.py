@@ -12,7 +12,7 @@ from pathlib import Path
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.files.log import told_reason
-from lampest.files.whole import inner_folder, opened_for_locking, output_folder, refuse_input, remove_own, sparing
+from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.config import Case, Run, digest
@@ -67,9 +67,9 @@ def run_batch(
     would replace a recording.
     """
     executor.ready()
-    with exclusive(folder):
-        with sparing(tuple({case.path for case in run.cases})):
-            refuse_input(folder / RESULTS)
+    with exclusive(folder), sparing({case.path for case in run.cases}):
+        own(folder / RESULTS)
+        own(folder / CASES)
         tasks = [Task(case, folder.absolute()) for case in run.cases]
         _clear(folder, tasks, fresh)
         found: dict[Path, CaseResult | StoredCase] = {

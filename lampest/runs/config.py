@@ -14,6 +14,7 @@ from lampest.estimate.sequence import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
+from lampest.files.whole import note_read
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
@@ -204,6 +205,8 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
         if not found or (len(found) == 1 and "*" in found[0].name):
             raise InputError(f"{config}: recordings: no file matches {pattern}")
         files += found
+    for file in files:
+        note_read(file)
     stems = [file.stem for file in files]
     for stem in stems:
         check_name(stem, "recording")

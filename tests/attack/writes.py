@@ -11,6 +11,9 @@ import numpy as np
 from attack.attack import HELD, Attack, called
 from attack.targets import everything, small_folder
 
+from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
+from lampest.recording.stored import save_parts
+
 WRITERS: tuple[tuple[str, ...], ...] = (
     ("run", "run.yaml", "--jobs", "1", "--out"),
     ("simulate", "simulation.yaml", "--out"),
@@ -19,13 +22,44 @@ WRITERS: tuple[tuple[str, ...], ...] = (
     ("compare", "results.h5", "--report"),
     ("plot", "results.h5", "--out"),
     ("detect", "results.h5", "--out"),
-    ("calibrate", "small.h5", "--known", "1000", "--out"),
+    ("calibrate", "known.h5", "--known", "1000", "--out"),
     ("record", "--port", "loop://", "--frames", "1", "--out"),
 )
 OVER_INPUTS = (
     ("tare", "small.h5", "--frames", "0:1", "--out"),
     ("export", "results.h5", "--to", "csv", "--out"),
     ("plot", "results.h5", "--out"),
+)
+# Command that names OUT, and the files that it reads besides what the command line names with a suffix.
+TABLES = (
+    ("simulate", "simulation.yaml", "--out", "OUT"),
+    ("import", "table.csv", "--scene", "scene.yaml", "--out", "OUT"),
+    ("tare", "small.h5", "--frames", "0:1", "--out", "OUT"),
+    ("compare", "results.h5", "--csv", "OUT"),
+    ("compare", "results.h5", "--report", "OUT"),
+    ("plot", "results.h5", "--out", "OUT"),
+    ("export", "results.h5", "--to", "csv", "--out", "OUT"),
+    ("calibrate", "known.h5", "--known", "known.csv", "--out", "OUT"),
+    ("calibrate", "known.h5", "--known", "known.npy", "--out", "OUT"),
+    ("calibrate", "small.h5", "--loads", "loads.yaml", "--out", "OUT"),
+    ("calibrate", "small.h5", "--loads", "loads.csv", "--out", "OUT"),
+    ("record", "--scene", "scene.yaml", "--out", "OUT"),
+    ("live", "--recording", "small.h5", "--config", "run.yaml", "--out", "OUT"),
+)
+# Command, and what it would write over: a file of that name that it reads, made of the second.
+FOLDERS = (
+    (("run", "OUT/results.h5", "--jobs", "1", "--out", "OUT"), "run.yaml"),
+    (("run", "own.yaml", "--jobs", "1", "--out", "OUT"), "small.h5", "results.h5"),
+    (("run", "own.yaml", "--jobs", "2", "--out", "OUT"), "small.h5", "results.h5"),
+    (("study", "weights", "own.yaml", "--out", "OUT"), "small.h5", "tune.h5"),
+    (("study", "weights", "OUT/tune.csv", "--out", "OUT"), "weights.yaml"),
+    (("study", "starts", "OUT/starts.csv", "--random", "1", "--out", "OUT"), "run.yaml"),
+    (("detect", "OUT/detections.h5", "--noise", "1", "--out", "OUT"), "results.h5"),
+    (("plot", "OUT/contours_small.png", "--out", "OUT"), "results.h5"),
+)
+TWICE = (
+    ("compare", "results.h5", "--csv", "z", "--report", "z"),
+    ("compare", "results.h5", "--csv", "z", "--report", "./z"),
 )
 FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "detect"))
 
@@ -74,6 +108,74 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
             (made / place).hardlink_to(made / writer[1])
         yield _untouched(made, (*writer, place), "what is read")
     yield _untouched(made, ("detect", "detections.h5", "--noise", "1"), "what is read")
+
+
+def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Every command's output as every one of its inputs, however it is named: none is harmed."""
+    tries = [(words, read) for words in TABLES for read in words if "." in read]
+    for index in sorted(rng.permutation(len(tries))[:count]):
+        words, read = tries[index]
+        made = _inputs(folder / f"work{index}")
+        yield _untouched(made, tuple(read if word == "OUT" else word for word in words), read)
+
+
+def _named_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A file that a command reads under the name of one that it would write into its folder."""
+    for index in sorted(rng.permutation(len(FOLDERS))[:count]):
+        words, source, *names = FOLDERS[index]
+        made = _inputs(folder / f"work{index}")
+        (made / "OUT").mkdir()
+        name = names[0] if names else Path(next(word for word in words if word.startswith("OUT/"))).name
+        shutil.copy(made / source, made / "OUT" / name)
+        own = (made / ("weights.yaml" if "weights" in words else "run.yaml")).read_text()
+        (made / "own.yaml").write_text(own.replace("small.h5", f"OUT/{name}"))
+        for config in ("run", "weights"):
+            text = (made / f"{config}.yaml").read_text().replace("small.h5", "../small.h5")
+            if source == f"{config}.yaml":
+                (made / "OUT" / name).write_text(text)
+        before = (made / "OUT" / name).read_bytes()
+        ended = called(*words, folder=made)
+        kept = (made / "OUT" / name).read_bytes() == before
+        fault = ended.survived() if kept else f"{name} is lost"
+        yield f"{' '.join(words)}: {fault}" if fault else HELD
+
+
+def _one_name(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Two outputs of one name."""
+    made = small_folder(folder / "work")
+    for words in TWICE:
+        yield _untouched(made, words, "two outputs")
+
+
+def _parts_beside(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A recording that is saved in parts, beside files that have the names that parts once had."""
+    made = small_folder(folder / "work")
+    for number in range(3):
+        (made / f".long.h5.{number:06d}").write_text("precious")
+    before = everything(made)
+    save_parts(made / "long.h5", [Recording.load(made / "small.h5")] * 3)
+    after = everything(made)
+    yield HELD if after.pop("long.h5") and after == before else f"{after.keys() ^ before.keys()} changed"
+
+
+def _inputs(made: Path) -> Path:
+    """A folder with all that commands read."""
+    small_folder(made)
+    (made / "scene.yaml").write_text("panel: {rows: 3, columns: 4}\n")
+    scene = Recording.load(made / "small.h5").scene.panel
+    known = np.full(scene.shape, 1000.0)
+    np.savetxt(made / "known.csv", known, delimiter=",")
+    np.save(made / "known.npy", known)
+    read = np.tile(two_point_resistance(known) + 140.0, (9, 1, 1))
+    recording = Recording(Scene(scene, TwoPointReadout(), 140.0), read, np.arange(9.0), np.ones(9, dtype=np.uint8))
+    recording.save(made / "known.h5")
+    (made / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
+    (made / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
+    (made / "weights.yaml").write_text(
+        "schema: 1\nrecordings: [small.h5]\nformulation: reduced\n"
+        "estimators: {CR: {terms: {misfit: {}, cell_resistance: {weight: auto}}}}\n"
+    )
+    return made
 
 
 def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
@@ -153,6 +255,10 @@ ATTACKS = (
     Attack("writes", "nothing and / as outputs", _no_place, 18, 18),
     Attack("writes", "devices, pipes, sockets, folders and links as outputs", _no_file, 12, 30),
     Attack("writes", "what is read as what is written", _over_inputs, 6, 30),
+    Attack("writes", "every input of every command as its output", _own_inputs, 6, 100),
+    Attack("writes", "inputs named as what is written into a folder", _named_inputs, 3, len(FOLDERS)),
+    Attack("writes", "two outputs of one name", _one_name),
+    Attack("writes", "files named as parts once were", _parts_beside),
     Attack("writes", "a lock that is a link or a pipe", _lock_that_is_a_link),
     Attack("writes", "cases that link to another's folder", _cases_elsewhere),
     Attack("writes", "unfinished files of others", _parts_of_others),

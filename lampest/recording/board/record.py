@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.files.interrupts import deaf, ending_signals
-from lampest.files.whole import check_output, is_locked
+from lampest.files.whole import check_output, is_locked, own
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_finished
@@ -201,6 +201,7 @@ def repair(path: Path) -> int:
 
     Returns the number of frames. Raises InputError where nothing can be read, or someone is still recording into it.
     """
+    own(path)
     if is_finished(path):
         recording = opened(path)
         return recording.frames if isinstance(recording, StoredRecording) else len(recording.time)
@@ -211,6 +212,7 @@ def repair(path: Path) -> int:
 
 def finished(path: Path) -> tuple[Scene, int, float | None]:
     """Rewrite a journal as a clean recording, whatever signals come: its scene and frames, its baseline's noise."""
+    own(path)
     with deaf():
         recording = opened(path)
         if isinstance(recording, Recording):

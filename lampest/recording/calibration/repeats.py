@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.files.whole import note_read
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import PerLine, Side
@@ -182,6 +183,7 @@ def known_resistors(text: str, panel: Panel) -> Array:
         return np.full(panel.shape, float(text))
     except ValueError:
         path = Path(text)
+    note_read(path)
     try:
         if path.suffix == ".npy":
             table = np.load(path, allow_pickle=False)

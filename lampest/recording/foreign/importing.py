@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
+from lampest.files.whole import note_read
 from lampest.panel.panel import CellPlace, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.arrays import (
@@ -49,6 +50,7 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout
     """
     kind = path.suffix.lower()
     try:
+        note_read(path)
         size = path.stat().st_size
         if not path.is_file():
             raise InputError(f"{path}: no file")

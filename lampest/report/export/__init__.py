@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lampest.files.errors import InputError
 from lampest.files.tagged import installed
-from lampest.files.whole import refuse_input, sparing, whole_file
+from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export
 from lampest.report.export.nwb import NwbExport
@@ -56,14 +56,13 @@ def export_results(
     export = export_of(to) if isinstance(to, str) else to
     source = Path(results)
     path = source.with_suffix(export.suffix) if out is None else Path(out)
-    with sparing((source,)):
-        refuse_input(path)
-    read = read_results(source, frames=frames)
-    cases = _started(read.cases if recording is None else read.of(recording), start)
-    if not cases:
-        raise InputError(f"{source}: holds no case that could be exported")
     second = path.with_name(path.name + export.beside) if export.beside else None
-    with ExitStack() as files:
+    with sparing((source,)), ExitStack() as files:
+        refuse_inputs([path] if second is None else [path, second])
+        read = read_results(source, frames=frames)
+        cases = _started(read.cases if recording is None else read.of(recording), start)
+        if not cases:
+            raise InputError(f"{source}: holds no case that could be exported")
         beside = None if second is None else files.enter_context(whole_file(second))
         export.write(cases, path.name, files.enter_context(whole_file(path)), beside)
     return (path,) if second is None else (path, second)
