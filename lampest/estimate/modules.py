@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.batch import pushed_together
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen
 from lampest.estimate.step import Step
@@ -17,6 +18,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track
 from lampest.recording.readings import Readings
+from lampest.solvers.batch import Kept
 from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE, Status.FITTED)  # of what counts as an estimate, the last is the weakest
@@ -76,13 +78,12 @@ class ModulesStream(Stream):
 
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
         """As `Stream.push`: modules of which too little was read stay as they were, and are NaN in the image."""
-        pushed = [
-            (None, None) if stream is None else stream.push(readings.of_module(self._layout, number))
-            for number, stream in enumerate(self.modules)
-        ]
-        modules, steps = tuple(stream for stream, _ in pushed), [step for _, step in pushed]
-        found = replace(self, modules=modules, first=False)
-        return found if self.rested else found._rested(), image_step(self._layout, steps)
+        layout = self._layout
+        kept = self.prepared or Kept.nothing(layout.count, layout.each.rows * layout.each.columns)
+        found = pushed_together(self.modules, [readings.of_module(layout, n) for n in range(layout.count)], kept)
+        modules, steps = tuple(stream for stream, _ in found), [step for _, step in found]
+        after = replace(self, modules=modules, prepared=kept, first=False)
+        return after if self.rested else after._rested(), image_step(layout, steps)
 
     def due(self, readings: Readings) -> bool:
         """Modules choose their weights themselves."""
@@ -143,7 +144,7 @@ def joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Cert
             joined_maps(
                 layout,
                 [None if part is None else getattr(part, each.name) for part in parts],
-                0.0 if each.name in ("resolution", "data_share") else np.inf,
+                np.inf if each.name in ("deviation", "below", "above") else 0.0,
             )
             for each in fields(Certainty)
         )

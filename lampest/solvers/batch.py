@@ -1,0 +1,487 @@
+"""Many panels of one shape solved at once: projected Newton over a leading axis, every panel judged by itself.
+
+The iteration is that of `lampest.solvers.projected_newton`, without what hard cases need: an inverse of ∇²φ of an
+earlier frame preconditions conjugate gradients with the exact ∇²φ (chord steps), cells that pass a bound stop there,
+and a step counts if the cost falls. What has converged leaves the batch. A panel that gets stuck, or of which ∇²φ is
+not positive definite nearby, is handed back unsolved: the solver for single panels takes it.
+Source: Nocedal & Wright, Numerical Optimization, 2006, sections 7.1 (inexact Newton) and 16.7 (projected gradients).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.panel.compiled import Compiled
+from lampest.panel.network import SecondOrder
+from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.two_point.floating import FloatingNetwork
+from lampest.solvers.certificate import MILLIONTH, SHARE
+from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, HALF, MOVED, NEAR, ROUNDING, SHORTER
+from lampest.solvers.solution import Settings
+
+MOST_STEPS = 25  # of a panel in a batch; the solver for single panels goes on from there
+MOST_PRODUCTS = 12  # of one direction
+MOST_STOPS = 5  # solves of one direction, in which cells stop at their bounds
+MOST_TRIES = 4  # lengths of a step, each a quarter of the one before
+WORN = 6  # products of a direction after which its preconditioner is made anew
+CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
+CLEAR = 1e-10  # of a unit diagonal: the least pivot that is no rounding
+BLOCK = 8  # panels by which compiled functions grow: fewer sizes to compile
+Numbers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """cost : of each panel, whose weights stand here: (panels, terms). data : its first axis counts panels."""
+
+    cost: Cost
+    weights: Array
+    data: Data
+
+    @staticmethod
+    def serves(cost: Cost, data: Data) -> bool:
+        """Whether a batch can minimise a cost: smooth losses, and readings of floating lines without wire."""
+        if any(term.loss.enters == "dual" for term in cost.terms) or cost.frames != 1 or data.wiring is not None:
+            return False
+        entries = cost.functions.entries
+        return isinstance(data.readout, TwoPointReadout) and entries.at_model is not None and not entries.crossed
+
+    def some(self, panels: Numbers) -> "Batch":
+        """Some of the panels."""
+        given = replace(self.data.given, **{name: value[panels] for name, value in self.data.given.named()})
+        data = replace(self.data, given=given, lower=self.data.lower[panels], upper=self.data.upper[panels])
+        return Batch(self.cost, self.weights[panels], data)
+
+    @cached_property
+    def named(self) -> dict[str, Array]:
+        """What compiled functions are given, (panels, size) each."""
+        count = len(self.weights)
+        known = dict(self.data.given.named())
+        absent = {
+            name: np.full((count, self.cost.panel.cells), source.absent)
+            for name, source in self.data.given.sources().items()
+            if name not in known
+        }
+        flat = {name: np.reshape(value, (count, -1)) for name, value in known.items()}
+        return absent | flat | {"weights": self.weights, "dual": np.zeros((count, 0))}
+
+    @cached_property
+    def ties(self) -> Array:
+        """(panels, lines) siemens."""
+        return self.data.ties
+
+    @cached_property
+    def log_bounds(self) -> tuple[Array, Array]:
+        """(panels, cells) logarithms of the bounds."""
+        count = len(self.weights)
+        return np.log(self.data.lower).reshape(count, -1), np.log(self.data.upper).reshape(count, -1)
+
+
+@lru_cache(maxsize=256)
+def _mapped(function: Compiled, panels: int) -> Compiled:
+    return Compiled(function.function.map(panels))
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """A point of every panel of a batch. position : u = log r, (panels, cells)."""
+
+    batch: Batch
+    position: Array
+    network: FloatingNetwork
+
+    @classmethod
+    def at(cls, batch: Batch, position: Array) -> "Points":
+        """Solve the networks. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        cells = np.exp(position).reshape(batch.data.measured.shape)
+        return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.ties))
+
+    def some(self, panels: Numbers) -> "Points":
+        """Those of some panels, with what is known of them."""
+        one = self.network
+        network = FloatingNetwork(one.cell_resistance[panels], one.conductance[panels], one._impedance[panels])
+        found = Points(self.batch.some(panels), self.position[panels], network)
+        for name in ("first", "hessian_values"):
+            if name in self.__dict__:
+                found.__dict__[name] = self.__dict__[name][panels]
+        return found
+
+    def _flat(self, maps: Array) -> Array:
+        return maps.reshape(len(self.position), -1)
+
+    def _maps(self, flat: Array) -> Array:
+        return flat.reshape(self.network.conductance.shape)
+
+    @cached_property
+    def reading(self) -> Array:
+        """(panels, rows, columns) ohm."""
+        return self.network.reading()
+
+    def called(self, function: Compiled) -> Array:
+        """A function of the cost at every point, (panels, nonzeros)."""
+        count = len(self.position)
+        size = -(-count // BLOCK) * BLOCK
+        given = dict(self.batch.named)
+        given["cell_resistance"], given["reading"] = self._flat(self.network.cell_resistance), self._flat(self.reading)
+        padded = np.minimum(np.arange(size), count - 1)
+        values = _mapped(function, size)(*(given[name][padded] for name in function.names))
+        return values.reshape(size, -1)[:count]
+
+    @cached_property
+    def first(self) -> Array:
+        """As `Evaluation.first` of every panel."""
+        return self.called(self.batch.cost.functions.first)
+
+    @cached_property
+    def hessian_values(self) -> Array:
+        """Nonzeros of the terms' second derivatives."""
+        return self.called(self.batch.cost.functions.hessian)
+
+    @property
+    def costs(self) -> Array:
+        """(panels, terms)."""
+        return self.first[:, : self.batch.weights.shape[1]]
+
+    @cached_property
+    def objective(self) -> Array:
+        """φ (panels)."""
+        return np.asarray(self.costs.sum(axis=1))
+
+    @cached_property
+    def cost_scale(self) -> Array:
+        """As `Evaluation.cost_scale` (panels)."""
+        terms = self.batch.weights.shape[1]
+        scale = self.first[:, terms : 2 * terms].sum(axis=1) / self.position.shape[1] + self.objective
+        return np.asarray(np.where(scale == 0, 1.0, scale))
+
+    @cached_property
+    def direct(self) -> Array:
+        """r·∂φ/∂r at fixed readings, (panels, cells)."""
+        terms = 2 * self.batch.weights.shape[1]
+        size = self.position.shape[1]
+        return self.first[:, terms : terms + size] * self._flat(self.network.cell_resistance)
+
+    @cached_property
+    def second_order(self) -> SecondOrder:
+        """Of ∂φ/∂y."""
+        return self.network.second_order(self._maps(self.first[:, -self.position.shape[1] :]))
+
+    @cached_property
+    def gradient(self) -> Array:
+        """∂φ/∂u, (panels, cells)."""
+        return self.direct + self._flat(self.second_order.adjoint())
+
+    @cached_property
+    def residual(self) -> Array:
+        """As `Evaluation.kkt_residual` (panels)."""
+        lower, upper = self.batch.log_bounds
+        target = np.clip(self.position - self.gradient / self.cost_scale[:, None], lower, upper)
+        return np.asarray(np.abs(self.position - target).max(axis=1))
+
+    @cached_property
+    def free(self) -> Mask:
+        """As `free_cells` (panels, cells)."""
+        lower, upper = self.batch.log_bounds
+        held: Mask = ((self.position <= lower) & (self.gradient > 0)) | ((self.position >= upper) & (self.gradient < 0))
+        return (lower < upper) & ~held
+
+    @cached_property
+    def reading_weight(self) -> Array:
+        """∂²φ/∂y², (panels, cells)."""
+        entries = self.batch.cost.functions.entries
+        weight = np.zeros_like(self.position)
+        weight[:, entries.at_model] = self.hessian_values[:, entries.model]
+        return weight
+
+    @cached_property
+    def _between(self) -> tuple[Array, Numbers, Numbers, Numbers]:
+        """Second derivatives by u of the terms alone: values (panels, n), their columns; first of each row, rows."""
+        entries, cells = self.batch.cost.functions.entries, self._flat(self.network.cell_resistance)
+        row, column = entries.at_cells
+        order = np.lexsort((column, row))
+        row, column = row[order], column[order]
+        values = self.hessian_values[:, entries.cells[order]] * cells[:, row] * cells[:, column]
+        rows, first = np.unique(row, return_index=True)
+        return values, column, first, rows
+
+    def product(self, step: Array, exact: Array) -> Array:
+        """∇²φ·p in relative changes of conductance; Gauss and Newton's where `exact` (panels, 1) is 0."""
+        change, second = self.second_order.products(self._maps(step))
+        force = self._maps(self.reading_weight * self._flat(change))
+        found = self._flat(self.network.adjoint(force)) + exact * (self._flat(second) + 2 * self.direct * step)
+        values, column, first, rows = self._between
+        if len(rows):
+            found[:, rows] += np.add.reduceat(values * step[:, column], first, axis=1)
+        return found
+
+    def matrix(self) -> Array:
+        """∇²φ in u, (panels, cells, cells)."""
+        sensitivity = self.network.sensitivity()
+        found = self.second_order.matrix()
+        found += (sensitivity * self.reading_weight[..., None]).swapaxes(-1, -2) @ sensitivity
+        values, column, first, rows = self._between
+        if len(rows):
+            row = np.repeat(rows, np.diff(np.append(first, len(column))))
+            found[:, row, column] += values
+        cells = np.arange(self.position.shape[1])
+        found[:, cells, cells] += 2 * self.direct - self.gradient
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What panels keep from frame to frame: M⁻¹, where it was made, and whether it shows a minimum.
+
+    inverse : (panels, cells, cells). position : (panels, cells), NaN where there is none yet. free : (panels, cells)
+    between which M is ∇²φ. positive : (panels) whether that ∇²φ was positive definite. worn : (panels) whether a
+    direction took many products.
+    """
+
+    inverse: Array
+    position: Array
+    free: Mask
+    positive: Mask
+    worn: Mask
+
+    @classmethod
+    def nothing(cls, panels: int, cells: int) -> "Kept":
+        """Before the first frame."""
+        blank = np.zeros((panels, cells), dtype=bool)
+        inverse = np.zeros((panels, cells, cells))
+        none = np.zeros(panels, dtype=bool)
+        return cls(inverse, np.full((panels, cells), np.nan), blank, none, ~none)
+
+    def distance(self, panels: Numbers, position: Array) -> Array:
+        """(of some panels) the largest change of log r since; infinite where there is nothing."""
+        moved = np.abs(position - self.position[panels]).max(axis=1)
+        return np.where(np.isnan(moved), np.inf, moved)
+
+    def shows_minimum(self, panels: Numbers, points: Points) -> Mask:
+        """(of some panels) whether ∇²φ was positive definite so near that it still is."""
+        near = self.distance(panels, points.position) <= CERTIFIED
+        return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
+
+    def renew(self, panels: Numbers, points: Points) -> None:
+        """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel."""
+        matrices = points.matrix()
+        for number, panel in enumerate(panels):
+            free = points.free[number]
+            inverse = _inverse_of(matrices[number], free)
+            self.positive[panel] = inverse is not None
+            if inverse is None:
+                scale = np.abs(np.diag(matrices[number]))
+                inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
+            self.inverse[panel], self.free[panel] = inverse, free
+        self.position[panels], self.worn[panels] = points.position, False
+
+
+def _inverse_of(matrix: Array, free: Mask) -> Array | None:
+    """The inverse of a matrix between the free cells, by Cholesky, the others left apart; None where it has none."""
+    size = np.abs(np.diag(matrix))
+    size = np.sqrt(np.where(size > 0, size, 1.0))
+    unit = matrix / size / size[:, None]
+    if not free.all():
+        unit = np.where(free[:, None] & free, unit, np.eye(len(free)))
+    triangle, failed = lapack.dpotrf(unit)
+    if failed or not np.diag(triangle).min() ** 2 > CLEAR:
+        return None
+    inverse, _ = lapack.dpotri(triangle)
+    upper = np.triu(inverse)
+    return np.asarray((upper + np.triu(inverse, 1).T) / size / size[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """What a batch found. position : (panels, cells). solved : (panels) whether a strict minimum is verified there.
+
+    points : of all panels at their ends. iterations : (panels).
+    """
+
+    points: Points
+    solved: Mask
+    iterations: NDArray[np.int64]
+
+    def where(self, chosen: Mask, other: "Ended") -> "Ended":
+        """This of the chosen panels, the other of all else."""
+        if chosen.all():
+            return self
+        position = np.where(chosen[:, None], self.points.position, other.points.position)
+        solved, iterations = (
+            np.where(chosen, self.solved, other.solved),
+            np.where(chosen, self.iterations, other.iterations),
+        )
+        return Ended(Points.at(self.points.batch, position), solved, iterations)
+
+
+def solve(batch: Batch, start: Array, kept: Kept, numbers: Numbers, settings: Settings) -> Ended:
+    """Minimise from `start`, (panels, rows, columns) ohm, with what frames before left; `kept` is renewed in place.
+
+    numbers : of the batch's panels among those that are kept.
+    """
+    lower, upper = batch.log_bounds
+    whole = Points.at(batch, np.clip(np.log(start).reshape(lower.shape), lower, upper))
+    ends, here = whole.position.copy(), whole
+    solved, iterations = np.zeros(len(start), dtype=bool), np.zeros(len(start), dtype=np.int64)
+    panels = np.arange(len(start))
+    for _ in range(min(MOST_STEPS, settings.max_iterations)):
+        near = here.residual <= settings.tolerance
+        if near.any():
+            doubtful = near & ~kept.shows_minimum(numbers[panels], here)
+            if doubtful.any():
+                kept.renew(numbers[panels[doubtful]], here.some(np.flatnonzero(doubtful)))
+            close, step = _settled(here, kept.inverse[numbers[panels]])
+            settled = near & kept.positive[numbers[panels]] & close
+            solved[panels[settled]] = True
+            stuck = near & ~kept.positive[numbers[panels]]
+            staying = ~(settled | stuck)
+            if not staying.all():
+                ends[panels] = here.position - np.where(settled[:, None], step, 0.0)
+                here, panels = here.some(np.flatnonzero(staying)), panels[staying]
+        if not len(panels):
+            break
+        here, moved = _advanced(here, kept, numbers[panels])
+        iterations[panels] += 1
+        if not moved.all():
+            ends[panels] = here.position
+            here, panels = here.some(np.flatnonzero(moved)), panels[moved]
+    ends[panels] = here.position
+    return Ended(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
+
+
+def _settled(here: Points, inverse: Array) -> tuple[Mask, Array]:
+    """As `Certificate.settled`, with M in the place of ∇²φ, and the step that M would take."""
+    gradient = np.where(here.free, here.gradient, 0.0)
+    step = np.where(here.free, _times(inverse, gradient), 0.0)
+    small: Mask = np.abs(step).max(axis=1) <= MILLIONTH
+    if not here.batch.data.noise_known:
+        return small, step
+    decrement = np.sqrt(np.maximum((gradient * step).sum(axis=1), 0.0))
+    noise = here.batch.data.sigma.reshape(gradient.shape)
+    counting = here.reading_weight > 0
+    squares = np.where(counting, here.reading_weight * noise**2, 0.0).sum(axis=1)
+    scale = np.sqrt(squares / np.maximum(counting.sum(axis=1), 1))
+    near = (decrement <= SHARE * scale) & (np.abs(step).max(axis=1) <= NEAR)
+    return small | near, step
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def _advanced(here: Points, kept: Kept, panels: Numbers) -> tuple[Points, Mask]:
+    """The points after one step each, and which of them found one that lowers the cost."""
+    old = kept.worn[panels] | (kept.distance(panels, here.position) > MOVED)
+    if old.any():
+        kept.renew(panels[old], here.some(np.flatnonzero(old)))
+    step, predicted, products = _direction(here, kept.inverse[panels])
+    kept.worn[panels[products > WORN]] = True
+    position, moved = here.position.copy(), np.zeros(len(panels), dtype=bool)
+    trying, length = np.arange(len(panels)), 1.0
+    lower, upper = here.batch.log_bounds
+    for attempt in range(MOST_TRIES):
+        target = here.position[trying] - np.log1p(-length * step[trying])
+        some = here if len(trying) == len(panels) else here.some(trying)
+        trial = Points.at(some.batch, np.clip(target, lower[trying], upper[trying]))
+        gain = some.objective - trial.objective
+        expected = predicted[trying] * (length * (2 - length))
+        invisible = ROUNDING * np.abs(some.objective)
+        lowered = np.where(
+            expected > invisible,
+            gain >= ACCEPTED * expected,
+            (np.abs(gain) <= invisible) & (trial.residual <= HALF * some.residual),
+        )
+        if attempt == 0 and lowered.all():
+            return trial, np.ones(len(panels), dtype=bool)
+        moved[trying[lowered]] = True
+        position[trying[lowered]] = trial.position[lowered]
+        trying, length = trying[~lowered], SHORTER * length
+        if not len(trying):
+            break
+    return Points.at(here.batch, position), moved
+
+
+def _direction(here: Points, inverse: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """(step in relative changes of conductance, predicted decrease, products) of every panel, within the bounds."""
+    lower, upper = (bound - here.position for bound in here.batch.log_bounds)
+    low, high = -np.expm1(-np.maximum(lower, -FARTHEST)), -np.expm1(-np.minimum(upper, FARTHEST))
+    accuracy = np.minimum(0.1, np.sqrt(here.residual))
+    step, moving, slope = np.zeros_like(here.gradient), here.free, here.gradient
+    exact, count = np.ones((len(step), 1)), np.zeros(len(step), dtype=np.int64)
+    predicted: Array = np.zeros(len(step))
+    left = np.arange(len(step))
+    for stop in range(MOST_STOPS):
+        some = here if len(left) == len(step) else here.some(left)
+        found = conjugate_gradients(some.product, inverse[left], moving[left], slope[left], accuracy[left], exact[left])
+        if found.negative.any():
+            again = left[found.negative]
+            exact[again] = 0.0
+            found = conjugate_gradients(
+                some.product, inverse[left], moving[left], slope[left], accuracy[left], exact[left]
+            )
+        count[left] = np.maximum(count[left], found.products)
+        step[left] = np.where(moving[left], found.step, step[left])
+        if stop == 0:
+            predicted = found.decrease.copy()
+        beyond = moving & ((step < low) | (step > high))
+        hit = np.flatnonzero(beyond.any(axis=1))
+        if not len(hit):
+            break
+        step, moving = np.clip(step, low, high), moving & ~beyond
+        some = here if len(hit) == len(step) else here.some(hit)
+        slope = slope.copy()
+        slope[hit] = here.gradient[hit] + some.product(np.where(moving[hit], 0.0, step[hit]), exact[hit])
+        left = hit
+        whole = some.product(step[hit], exact[hit])
+        predicted[hit] = -(step[hit] * (here.gradient[hit] + whole / 2)).sum(axis=1)
+    return np.clip(step, low, high), predicted, count
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """step, decrease, negative, products : as `SubproblemStep`, of every panel."""
+
+    step: Array
+    decrease: Array
+    negative: Mask
+    products: NDArray[np.int64]
+
+
+def conjugate_gradients(
+    product: Callable[[Array, Array], Array],
+    inverse: Array,
+    moving: Mask,
+    slope: Array,
+    accuracy: Array,
+    exact: Array,
+) -> Directions:
+    """argmin gᵀs + ½ sᵀHs over the moving cells of every panel; see `lampest.panel.trust_region.steihaug`."""
+    residual = np.where(moving, slope, 0.0)
+    scaled = np.where(moving, _times(inverse, residual), 0.0)
+    search, strength = -scaled, (residual * scaled).sum(axis=1)
+    goal, step = accuracy**2 * strength, np.zeros_like(residual)
+    negative, count = np.zeros(len(step), dtype=bool), np.zeros(len(step), dtype=np.int64)
+    for _ in range(MOST_PRODUCTS):
+        going = (strength > goal) & ~negative
+        if not going.any():
+            break
+        image = np.where(moving, product(search, exact), 0.0)
+        curvature = (search * image).sum(axis=1)
+        negative |= going & ~(curvature > 0)
+        going &= ~negative
+        count[going] += 1
+        length = np.where(going, strength / np.where(going, curvature, 1.0), 0.0)[:, None]
+        step, residual = step + length * search, residual + length * image
+        scaled = np.where(moving, _times(inverse, residual), 0.0)
+        before, strength = strength, np.where(going, (residual * scaled).sum(axis=1), strength)
+        ratio = np.where(going, strength / np.where(going, before, 1.0), 0.0)[:, None]
+        search = np.where(going[:, None], ratio * search - scaled, search)
+    decrease = -0.5 * (step * (np.where(moving, slope, 0.0) + residual)).sum(axis=1)
+    return Directions(step, decrease, negative, count)

@@ -1,0 +1,70 @@
+"""Many panels at once against the solver for one: the same minima, each verified; what is none is handed back."""
+
+import numpy as np
+import pytest
+
+from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, RelativeChange, Scene, Term, TwoPointReadout
+from lampest.cost.given import Background
+from lampest.panel.panel import Panel
+from lampest.panel.readouts.two_point.exact import two_point_resistance
+from lampest.solvers.batch import Batch, Kept, solve
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import Settings
+
+SCENE = Scene(Panel(4, 5), TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7))
+PANELS = 6
+
+
+def frames(noise: float, seed: int = 1) -> Readings:
+    """One frame of each of six panels, of cells that differ by a factor of ten."""
+    random = np.random.default_rng(seed)
+    cells = 3000 * np.exp(random.uniform(-1.2, 1.2, (PANELS, 4, 5)))
+    exact = np.stack([two_point_resistance(one) for one in cells])
+    return Readings.of(SCENE, exact * np.exp(noise * random.standard_normal(exact.shape)))
+
+
+def batch_of(terms: tuple[Term, ...], readings: Readings) -> Batch:
+    """The panels' problems; what they are compared with are equal cells."""
+    estimator = Estimator(terms, "reduced")
+    rest = np.full(readings.value.shape, 3000.0)
+    data = estimator.data(readings, Background(SCENE, 1.0, rest, None, rest))
+    cost = estimator.cost(SCENE, 1, data.partial)
+    return Batch(cost, np.tile(cost.weights, (len(rest), 1)), data)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (Misfit(),),
+        (Misfit(), CellResistance(weight=1e-4)),
+        (Misfit(weighting="noise"), Gradient(weight=1e-7)),
+        (Misfit(), RelativeChange(weight=0.1)),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 2e-2])
+def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
+    batch = batch_of(terms, frames(noise))
+    assert Batch.serves(batch.cost, batch.data)
+    start, kept = np.full(batch.data.measured.shape, 3000.0), Kept.nothing(PANELS, 20)
+    found = solve(batch, start, kept, np.arange(PANELS), Settings())
+    assert found.solved.sum() >= PANELS - 2
+    for number in np.flatnonzero(found.solved):
+        one = batch.some(np.array([number])).data
+        alone = best_solution(ProjectedNewton(batch.cost, Settings()), one, start[:1])
+        assert alone.strict
+        scale = float(np.sum((one.measured / 1e3) ** 2))
+        assert abs(found.points.objective[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
+        np.testing.assert_allclose(found.points.network.cell_resistance[number], alone.cell_resistance[0], rtol=1e-5)
+    again = solve(batch, found.points.network.cell_resistance, kept, np.arange(PANELS), Settings())
+    assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
+
+
+def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:
+    readings = frames(1e-3)
+    readings.seen[2, 1] = 0.0
+    batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
+    batch.data.given.seen[2, 1] = 0.0
+    start = np.full(batch.data.measured.shape, 3000.0)
+    found = solve(batch, start, Kept.nothing(PANELS, 20), np.arange(PANELS), Settings())
+    assert not found.solved[2] and found.solved.sum() >= PANELS - 2
