@@ -18,7 +18,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings
-from lampest.solvers.batch import Batch, Ended, Kept, solve
+from lampest.solvers.batch import Ended, Kept, PanelBatch, solve
 from lampest.solvers.bound_multipliers import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME, convex, several_minima
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Status
@@ -77,7 +77,7 @@ class Together:
     """streams : of one shape of panel and one kind of cost. batch : their frames."""
 
     streams: Sequence[Stream]
-    batch: Batch
+    batch: PanelBatch
 
     @classmethod
     def of(cls, streams: Sequence[Stream], frames: Sequence[Readings]) -> "Together | None":
@@ -92,13 +92,13 @@ class Together:
             behind = replace(behind, previous=np.stack(before), baseline=resting)
         data = estimator.data(readings, behind)
         cost = estimator.cost(first.scene, 1, data.partial)
-        if not Batch.serves(cost, data):
+        if not PanelBatch.serves(cost, data):
             return None
         weights = [
             [term.weight for term in stream.estimator.terms] if stream.weights is None else stream.weights
             for stream in streams
         ]
-        return cls(streams, Batch(cost.unweighted, np.array(weights, dtype=float), data))
+        return cls(streams, PanelBatch(cost.unweighted, np.array(weights, dtype=float), data))
 
     def pushed(self, kept: Kept, numbers: NDArray[np.intp]) -> list[Pushed]:
         """Every stream after its frame; (None, None) where the batch found no verified minimum."""

@@ -39,7 +39,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class PanelBatch:
     """cost : of each panel, whose weights stand here: (panels, terms). data : its first axis counts panels."""
 
     cost: Cost
@@ -54,11 +54,11 @@ class Batch:
         entries = cost.functions.entries
         return isinstance(data.readout, TwoPointReadout) and entries.at_model is not None and not entries.crossed
 
-    def some(self, panels: Numbers) -> "Batch":
+    def some(self, panels: Numbers) -> "PanelBatch":
         """Some of the panels."""
         given = replace(self.data.given, **{name: value[panels] for name, value in self.data.given.named()})
         data = replace(self.data, given=given, lower=self.data.lower[panels], upper=self.data.upper[panels])
-        return Batch(self.cost, self.weights[panels], data)
+        return PanelBatch(self.cost, self.weights[panels], data)
 
     @cached_property
     def named(self) -> dict[str, Array]:
@@ -66,7 +66,7 @@ class Batch:
         count = len(self.weights)
         known = dict(self.data.given.named())
         absent = {
-            name: np.full((count, self.cost.panel.cells), source.absent)
+            name: np.full((count, self.cost.panel.crossings), source.absent)
             for name, source in self.data.given.sources().items()
             if name not in known
         }
@@ -94,12 +94,12 @@ def _mapped(function: Compiled, panels: int) -> Compiled:
 class Points:
     """A point of every panel of a batch. position : u = log r, (panels, cells)."""
 
-    batch: Batch
+    batch: PanelBatch
     position: Array
     network: FloatingNetwork
 
     @classmethod
-    def at(cls, batch: Batch, position: Array) -> "Points":
+    def at(cls, batch: PanelBatch, position: Array) -> "Points":
         """Solve the networks. Raises numpy.linalg.LinAlgError where a line is not connected."""
         cells = np.exp(position).reshape(batch.data.measured.shape)
         return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.ties))
@@ -321,7 +321,7 @@ class Ended:
         return Ended(Points.at(self.points.batch, position), solved, iterations)
 
 
-def solve(batch: Batch, start: Array, kept: Kept, numbers: Numbers, settings: Settings) -> Ended:
+def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, settings: Settings) -> Ended:
     """Minimise from `start`, (panels, rows, columns) ohm, with what frames before left; `kept` is renewed in place.
 
     numbers : of the batch's panels among those that are kept.

@@ -7,7 +7,7 @@ from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, Relat
 from lampest.cost.given import Background
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.two_point.exact import two_point_resistance
-from lampest.solvers.batch import Batch, Kept, solve
+from lampest.solvers.batch import Kept, PanelBatch, solve
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
@@ -24,13 +24,13 @@ def frames(noise: float, seed: int = 1) -> Readings:
     return Readings.of(SCENE, exact * np.exp(noise * random.standard_normal(exact.shape)))
 
 
-def batch_of(terms: tuple[Term, ...], readings: Readings) -> Batch:
+def batch_of(terms: tuple[Term, ...], readings: Readings) -> PanelBatch:
     """The panels' problems; what they are compared with are equal cells."""
     estimator = Estimator(terms, "reduced")
     rest = np.full(readings.value.shape, 3000.0)
     data = estimator.data(readings, Background(SCENE, 1.0, rest, None, rest))
     cost = estimator.cost(SCENE, 1, data.partial)
-    return Batch(cost, np.tile(cost.weights, (len(rest), 1)), data)
+    return PanelBatch(cost, np.tile(cost.weights, (len(rest), 1)), data)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> Batch:
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 2e-2])
 def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
     batch = batch_of(terms, frames(noise))
-    assert Batch.serves(batch.cost, batch.data)
+    assert PanelBatch.serves(batch.cost, batch.data)
     start, kept = np.full(batch.data.measured.shape, 3000.0), Kept.nothing(PANELS, 20)
     found = solve(batch, start, kept, np.arange(PANELS), Settings())
     assert found.solved.sum() >= PANELS - 2
