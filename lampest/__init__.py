@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
     from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
     from lampest.estimate.model_check.check import ModelCheck as ModelCheck
-    from lampest.estimate.step import Step as Step
+    from lampest.estimate.state import Step as Step
     from lampest.estimate.stream import Stream as Stream
     from lampest.files.errors import InputError as InputError
     from lampest.loads.shapes import Block as Block

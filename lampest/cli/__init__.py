@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lampest.cli import board, estimation, results, start, studies
+from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
 from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ending_signals
@@ -86,7 +86,7 @@ def _renamed(old: str, new: str) -> Callable[..., None]:
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], str]] = {  # name → (command, example)
-    "init": (start.init, "mine"),
+    "init": (estimation.init, "mine"),
     "run": (estimation.run, "run.yaml --set formulation=reduced --jobs 2"),
     "simulate": (estimation.simulate, "simulation.yaml --set seed=2 --out second.h5"),
     "import": (estimation.import_, "mine.csv --scene scene.yaml --baseline 3 --out mine.h5"),

@@ -63,7 +63,7 @@ def record(
         return
     if out is None:
         raise InputError("--out: name the recording that is written")
-    from lampest.recording.board.keys import pressed_keys
+    from lampest.recording.board.port import pressed_keys
     from lampest.recording.board.record import record as record_board
 
     if frames is not None and seconds is not None:

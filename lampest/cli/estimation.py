@@ -1,4 +1,4 @@
-"""Commands that make recordings and estimate cells."""
+"""Commands that make files to begin with and recordings, and estimate cells."""
 
 import sys
 from pathlib import Path
@@ -13,9 +13,24 @@ from lampest.cli.screen import (
     check_positive,
     progress,
     say,
+    say_text,
     scene_of,
     written,
 )
+
+
+def init(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Made where it is not there; nothing is replaced.")
+    ] = Path(),
+) -> None:
+    """Write files to begin with: a run, a scene, a simulated recording and how it was made, the schema for editors."""
+    from lampest.runs.starter import RUN, write_starter
+
+    for path in write_starter(folder):
+        say(path)
+    run = folder / RUN
+    say_text(f"\nnow: lampest run {run}\n     lampest plot results/{run.stem}/results.h5")
 
 
 def run(
@@ -29,7 +44,7 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
-    from lampest.report.page.words import counted
+    from lampest.report.page.template import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local

@@ -225,7 +225,7 @@ def check(
     repair: Annotated[bool, typer.Option("--repair", help="Make clean recordings of what a crash left.")] = False,
 ) -> None:
     """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
-    from lampest.report.checked import checked_sentence
+    from lampest.report.info import checked_sentence
 
     damaged = 0
     with progress("files") as on_file:

@@ -17,8 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.estimate.state import S, SequenceState
-from lampest.estimate.step import Step
+from lampest.estimate.state import S, SequenceState, Step
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wired import contact_responses

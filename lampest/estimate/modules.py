@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.estimate.batch import pushed_together
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen
-from lampest.estimate.step import Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Array

@@ -12,8 +12,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import ModulesStream, begin_stream
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
-from lampest.estimate.state import CarriedOver
-from lampest.estimate.step import Step
+from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words

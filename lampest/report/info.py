@@ -15,13 +15,16 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import lines_text
 from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
+from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import BLOCK, StoredRecording, opened, too_long
+from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 MOST_ROWS, MOST_COLUMNS = 24, 12  # of a map, which a terminal of 100 × 40 signs shows
+SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
+UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
 
 
 def describe(path: str | Path) -> list[str]:
@@ -284,3 +287,22 @@ def text_map(values: Array) -> list[str]:
     if shown.shape != values.shape:
         lines.append(f"(the first {shown.shape[0]} of {rows} rows and {shown.shape[1]} of {columns} columns)")
     return lines
+
+
+def checked_sentence(path: Path) -> str:
+    """Reads all of a file, and says what vouches for it.
+
+    Raises InputError where a dataset is not what was written, with its path, or the file cannot be read.
+    """
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+    size, datasets = hdf5.checked(path)
+    if form == FORMAT:
+        for _ in read_each(path, WHOLE):
+            pass
+    elif form == RECORDING or not datasets:
+        recording = opened(path)
+        if isinstance(recording, StoredRecording):
+            for part in recording.blocks():
+                recording.part(part)
+    return f"{path}: {SEALED.format(bytes=size, datasets=datasets) if datasets else UNSEALED}"

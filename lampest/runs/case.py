@@ -68,7 +68,7 @@ class CaseResult:
     noise_learned : what they told of it, contradiction or not; ''.
     reading_error : standard deviation of the logarithm of a factor on each reading, the same in all frames, as still
         cells told it; 0 where they told none. frame_noise : what the readings of a frame share by chance, as unloaded
-        frames told it, see `lampest.runs.frame_noise`; empty: nothing.
+        frames told it, see `lampest.runs.results.scene`; empty: nothing.
     film_sentence : what the scene leaves open of the film, and what pressures take it for; ''.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
     the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.

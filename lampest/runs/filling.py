@@ -11,7 +11,7 @@ from lampest.files.document import plain_content, to_yaml
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import FIGURES, Column, all_columns
 from lampest.runs.config import Case
-from lampest.runs.frame_noise import arrays_of
+from lampest.runs.results.scene import arrays_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 

@@ -13,7 +13,7 @@ from board.bench import FIRMWARE, bench, scene, some_cells
 
 from lampest import InputError
 from lampest.recording.board import port
-from lampest.recording.board.keys import pressed_keys
+from lampest.recording.board.port import pressed_keys
 from lampest.recording.board.protocol import message
 from lampest.recording.board.record import record
 

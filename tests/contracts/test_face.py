@@ -110,7 +110,7 @@ REVEALED = (
     "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.floating[Any]]] | None",
     "tuple[str, ...]",
     "xarray.core.dataset.Dataset",
-    "tuple[lampest.estimate.stream.Stream, lampest.estimate.step.Step]",
+    "tuple[lampest.estimate.stream.Stream, lampest.estimate.state.Step]",
 )
 MISTAKES = (
     ("lampest.Recordign", 'has no attribute "Recordign"'),

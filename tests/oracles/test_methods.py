@@ -13,8 +13,7 @@ from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange,
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import Method
-from lampest.estimate.methods.anchored import LinearisedMethod, RegionMethod
-from lampest.estimate.methods.approximate import TruncatedMethod, UncorrectedMethod
+from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError

@@ -11,8 +11,7 @@ from support import invented_case
 from lampest.report.page.advice import advise, doubts
 from lampest.report.page.batch import Batch, Subject, matched
 from lampest.report.page.compared import PREDICTION, compared, predicted
-from lampest.report.page.measures import disagreements, measures
-from lampest.report.page.statistics import block_length, mean_interval, median_interval, picks
+from lampest.report.page.measures import block_length, disagreements, mean_interval, measures, median_interval, picks
 from lampest.runs.results import CaseResult
 
 pytestmark = pytest.mark.slow

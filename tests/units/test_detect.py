@@ -22,8 +22,8 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.detect.detection import MOST_SOURCES, QUANTITIES, GivenRecording, detect, detect_file, looked_at
 from lampest.report.detect.events import event_table, write_detections
 from lampest.report.plots.timeline import plot_timelines
-from lampest.runs.frame_noise import arrays_of
 from lampest.runs.results import CaseResult, Results, read_results, write_results
+from lampest.runs.results.scene import arrays_of
 
 FRAMES = 3
 MOUTH = {

@@ -22,7 +22,7 @@ from lampest.recording.board.journal import Journal
 from lampest.recording.board.record import repair
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import Recording
-from lampest.report.checked import checked_sentence
+from lampest.report.info import checked_sentence
 from lampest.runs import long_case
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
@@ -290,7 +290,7 @@ def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.slow
 def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
-    for module in ("lampest.recording.stored", "lampest.report.info", "lampest.report.checked"):
+    for module in ("lampest.recording.stored", "lampest.report.info"):
         for name, readings in (("WHOLE", 600), ("BLOCK", 400)):
             monkeypatch.setattr(f"{module}.{name}", readings, raising=False)
     save(tmp_path, frames(60))

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.studies.tradeoff.report import front, on_front, summary_rows
-from lampest.studies.tradeoff.run import Measured, run_tradeoff
+from lampest.studies.tradeoff.report import Measured, front, on_front, run_tradeoff, summary_rows
 from lampest.studies.tradeoff.settings import label, read_plan
 from tests.small_files import TRADEOFF
 

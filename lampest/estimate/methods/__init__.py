@@ -2,8 +2,7 @@
 
 from typing import Annotated, Literal
 
-from lampest.estimate.methods.anchored import LinearisedMethod, RegionMethod
-from lampest.estimate.methods.approximate import TruncatedMethod, UncorrectedMethod
+from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.methods.oral_disc import OralDiscMethod

@@ -14,8 +14,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import S, SequenceState
-from lampest.estimate.step import Step
+from lampest.estimate.state import S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt, ended_where_hung
 from lampest.panel.panel import Array

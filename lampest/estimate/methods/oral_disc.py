@@ -11,8 +11,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.methods.method import Method
-from lampest.estimate.state import S, SequenceState
-from lampest.estimate.step import Step
+from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
 from lampest.loads.pressure import water_pressure

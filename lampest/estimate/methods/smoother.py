@@ -16,8 +16,7 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.smoothing.graduated import Walk, smoothed
 from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData, error_bars
-from lampest.estimate.state import S, SequenceState
-from lampest.estimate.step import Step
+from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array

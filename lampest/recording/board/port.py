@@ -1,9 +1,16 @@
-"""The serial port with a board behind it: find, open, wait for HELLO, set, start, read. The one place with pyserial."""
+"""The serial port with a board behind it: find, open, wait for HELLO, set, start, read; keys pressed meanwhile.
+
+The one place with pyserial.
+"""
 
 import contextlib
+import os
+import select
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 
@@ -234,3 +241,32 @@ def _pulse_reset(port: serial.SerialBase) -> None:
         time.sleep(0.1)
         port.reset_input_buffer()
         port.dtr = True
+
+
+@contextmanager
+def pressed_keys() -> Iterator[Callable[[], str]]:
+    """A function that gives the keys pressed since it was last called, '' for none; the terminal is restored after."""
+    try:
+        import termios
+        import tty
+
+        descriptor = sys.stdin.fileno()
+        before = termios.tcgetattr(descriptor)
+        if os.tcgetpgrp(descriptor) != os.getpgrp():
+            raise OSError("in the background, where touching the terminal would stop the process")
+    except (ImportError, OSError, ValueError, AttributeError):
+        # No POSIX terminal: then nothing can be marked.
+        yield lambda: ""
+        return
+    except termios.error:
+        yield lambda: ""
+        return
+    try:
+        tty.setcbreak(descriptor)
+        yield (
+            lambda: (
+                os.read(descriptor, 64).decode("ascii", "ignore") if select.select([descriptor], [], [], 0)[0] else ""
+            )
+        )
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -25,8 +25,8 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import AT_LEAST, VALUE, Readings, StandIn
 from lampest.runs.case import SHARED
 from lampest.runs.executors import each_of
-from lampest.runs.frame_noise import frame_noise_of
 from lampest.runs.results import CaseResult, Results, read_results
+from lampest.runs.results.scene import frame_noise_of
 
 NOT_SOLVED = "not solved"
 AS_PUBLISHED = RecognitionSettings()

@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.outliers import FramesBefore
-from lampest.estimate.step import Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.loads.force import Force

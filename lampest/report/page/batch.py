@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.report.page.words import listed
+from lampest.report.page.template import listed
 from lampest.runs.results import CaseResult, read_results
 
 GIVEN = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")

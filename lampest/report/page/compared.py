@@ -10,8 +10,15 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.report.compare import data_error
 from lampest.report.page.batch import Batch, Matched, matched
-from lampest.report.page.measures import log_error, weighted_residual
-from lampest.report.page.statistics import Interval, Picks, block_length, mean_interval, picks
+from lampest.report.page.measures import (
+    Interval,
+    Picks,
+    block_length,
+    log_error,
+    mean_interval,
+    picks,
+    weighted_residual,
+)
 from lampest.runs.case import CaseResult
 
 OUTLIER = 5.0  # standard deviations: what larger residuals count as

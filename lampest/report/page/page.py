@@ -10,12 +10,10 @@ from lampest.files.whole import write_whole
 from lampest.report.page.advice import Advice, advise, doubts
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Comparison, compared
-from lampest.report.page.measures import Measures, measures
+from lampest.report.page.measures import DRAWS, Measures, measures
 from lampest.report.page.section import Section, section, standing_section
-from lampest.report.page.statistics import DRAWS
 from lampest.report.page.tables import batch_sheet
-from lampest.report.page.template import SHARED, filled
-from lampest.report.page.words import counted, listed
+from lampest.report.page.template import SHARED, counted, filled, listed
 from lampest.report.plots.style import verbatim
 from lampest.runs.executors import each_of
 

@@ -13,8 +13,7 @@ from lampest.report.page.batch import Subject
 from lampest.report.page.compared import Comparison, Standing
 from lampest.report.page.measures import Disagreement, Measures, disagreements, weighted_residual
 from lampest.report.page.tables import failures, pair_sheet, recording_sheet, standing_sheet, unit_sheet
-from lampest.report.page.template import Illustration, Sheet
-from lampest.report.page.words import counted, digits
+from lampest.report.page.template import Illustration, Sheet, counted, digits
 from lampest.report.plots.contours import ContourPlot, percent_change
 from lampest.report.plots.curves import (
     Forest,

@@ -8,10 +8,8 @@ import numpy as np
 
 from lampest.report.page.batch import Batch
 from lampest.report.page.compared import Comparison
-from lampest.report.page.measures import Measures
-from lampest.report.page.statistics import Interval
-from lampest.report.page.template import Sheet
-from lampest.report.page.words import HARD, NONE, between, digits, frames_text, signed, weights_text
+from lampest.report.page.measures import Interval, Measures
+from lampest.report.page.template import HARD, NONE, Sheet, between, digits, frames_text, signed, weights_text
 
 LEAST = 1e-3  # of a figure: less is not spelt out
 

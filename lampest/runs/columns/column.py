@@ -16,7 +16,7 @@ from lampest.panel.readouts.readout import Readout
 
 if TYPE_CHECKING:  # what reads results need not load what solves
     from lampest.estimate.estimates import Estimates
-    from lampest.estimate.step import Step
+    from lampest.estimate.state import Step
 
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]

@@ -1,9 +1,9 @@
 """Results files: what estimators made of recordings, case by case; their one reader and writer."""
 
 from lampest.runs.case import CaseResult, StoredCase, check_name
-from lampest.runs.published import PublishedFigures, StepFigures
 from lampest.runs.results.kept import read_kept, write_kept
 from lampest.runs.results.reader import Results, read_case_ids, read_each, read_results, stored_cases
+from lampest.runs.results.scene import PublishedFigures, StepFigures
 from lampest.runs.results.writer import FORMAT, join_case, write_results
 
 __all__ = [

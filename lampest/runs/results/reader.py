@@ -17,9 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.runs.case import REQUIRED, SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
-from lampest.runs.frame_noise import NAMES
-from lampest.runs.published import PublishedFigures, published_from
-from lampest.runs.results.scene import stored_scene
+from lampest.runs.results.scene import NAMES, PublishedFigures, published_from, stored_scene
 from lampest.runs.results.writer import FORMAT
 
 NONE = slice(0, 0)

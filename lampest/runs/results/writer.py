@@ -13,8 +13,7 @@ from lampest.files.parts import copy_group, join_parts
 from lampest.panel.panel import Array
 from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
-from lampest.runs.published import PublishedFigures, published_text
-from lampest.runs.results.scene import ATTRIBUTES, fullest, write_scene
+from lampest.runs.results.scene import ATTRIBUTES, PublishedFigures, fullest, published_text, write_scene
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates

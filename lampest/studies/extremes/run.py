@@ -8,7 +8,7 @@ import numpy as np
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
-from lampest.estimate.step import Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array

@@ -7,8 +7,7 @@ import numpy as np
 
 from lampest.loads.response import relative_change_from_pressure
 from lampest.panel.film import Film
-from lampest.report.page.template import Sheet
-from lampest.report.page.words import digits
+from lampest.report.page.template import Sheet, digits
 from lampest.report.plots.style import plain_number
 from lampest.studies.paper.figures import covered
 from lampest.studies.paper.published import Published
