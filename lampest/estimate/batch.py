@@ -12,7 +12,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import OptimalMethod
-from lampest.estimate.step import Step
+from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
