@@ -61,7 +61,10 @@ def run(
         say(f"lampest: the results that stood there held other cases; they are kept: {report.aside}", to=sys.stderr)
     for name, sentence in report.failed:
         say(f"lampest: {name} failed: {sentence}", to=sys.stderr)
-    if report.failed:
+    if report.lost:
+        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; the same command goes on with them"
+        say(f"lampest: {left}", to=sys.stderr)
+    if report.failed or report.not_run:
         raise typer.Exit(SOME_FAILED)
 
 

@@ -25,6 +25,7 @@ LAST = re.compile(rb"end ([0-9a-f]{32}) (\d{16})\n")
 LENGTH_OF_LAST = 54
 LINE = re.compile(r"(\d{1,16}) (\d{1,16}) ([0-9a-f]{32}) (.+)")
 MOST_AT_OPENING = 2**26  # bytes: what holds more is left to HDF5's own checksums, unless all is asked for
+SUPERBLOCK_0 = b"\x89HDF\r\n\x1a\n\0"
 END_IN_SUPERBLOCK = slice(40, 48)  # of version 0, which such files have
 
 
@@ -121,6 +122,8 @@ def check_seal(path: Path, everything: bool = False) -> bool:
         stream.seek(max(size - LENGTH_OF_LAST, 0))
         last = LAST.fullmatch(stream.read())
         if last is None and not _begins(stream, size):
+            if 0 < _end(stream) < size:
+                raise InputError(f"{path}: is damaged: what stands behind its end are no checksums")
             return False
         stream.seek(max(size - int(last[2]), 0) if last else size)
         text = stream.read()[:-LENGTH_OF_LAST]
@@ -139,10 +142,16 @@ def check_seal(path: Path, everything: bool = False) -> bool:
 
 def _begins(stream: BinaryIO, size: int) -> bool:
     """Whether a seal begins where HDF5 ends."""
-    stream.seek(0)
-    end = int.from_bytes(stream.read(END_IN_SUPERBLOCK.stop)[END_IN_SUPERBLOCK], "little")
+    end = _end(stream)
     stream.seek(min(end, size))
     return end > 0 and any(sign == mark for sign, mark in zip(stream.read(len(MARK)), MARK, strict=False))
+
+
+def _end(stream: BinaryIO) -> int:
+    """Where HDF5 ends, as the superblock of an older file says; 0 of any other."""
+    stream.seek(0)
+    head = stream.read(END_IN_SUPERBLOCK.stop)
+    return int.from_bytes(head[END_IN_SUPERBLOCK], "little") if head.startswith(SUPERBLOCK_0) else 0
 
 
 def _digest(data: bytes) -> str:

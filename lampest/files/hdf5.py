@@ -199,6 +199,14 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
     write_plain(group, name, np.asarray(ascii_array(text)))
 
 
+def length_of(file: h5py.File, path: str) -> int:
+    """The length of a dataset's first axis. Raises InputError where it is absent or has no axis."""
+    shape = shape_of(file, path)
+    if not shape:
+        raise InputError(f"{file.filename}: {path} is a single value")
+    return shape[0]
+
+
 def has(file: h5py.File, path: str) -> bool:
     """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
     with located(file, path):

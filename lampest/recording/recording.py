@@ -249,7 +249,10 @@ def head_of(file: h5py.File, path: Path) -> tuple[Scene, str, str]:
     """(scene, group of the frames, its signal). Raises InputError where there is no valid scene."""
     text = hdf5.read_text(file, "/entry/scene")
     scene: Scene = validated(parse_document(text, f"{path}:/entry/scene"), Scene)
-    return scene, f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
+    group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
+    if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
+        raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
+    return scene, group, signal
 
 
 def _check_held(file: h5py.File, signal: str, *others: str) -> None:
@@ -271,7 +274,7 @@ def whole_frames(file: h5py.File, group: str, signal: str) -> slice:
         return hdf5.ALL
     acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
     paths = (*(f"{group}/{name}" for name in ("time", "role", signal)), "/entry/raw/sums", *acquired)
-    frames, kept = min(hdf5.shape_of(file, path)[0] for path in paths), 0
+    frames, kept = min(hdf5.length_of(file, path) for path in paths), 0
     for begin in range(0, frames, AT_ONCE):
         recorded = hdf5.read_array(file, f"{group}/{signal}", 3, part=slice(begin, min(begin + AT_ONCE, frames)))
         # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.

@@ -35,8 +35,8 @@ class StoredRecording:
         with hdf5.existing_file(path) as file:
             scene, group, signal = head_of(file, path)
             shape = hdf5.shape_of(file, f"{group}/{signal}")
-            if len(shape) != 3 or not shape[0]:
-                raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
+            if not shape[0]:
+                raise InputError(f"{path}: {group}/{signal} holds no frame")
             kept = whole_frames(file, group, signal).stop
             for axis in (f"{group}/time", f"{group}/role") if kept is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:

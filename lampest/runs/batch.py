@@ -16,7 +16,7 @@ from lampest.files.whole import inner_folder, opened_for_locking, output_folder,
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.config import Case, Run, digest
-from lampest.runs.executors import Executor
+from lampest.runs.executors import Executor, LostError
 from lampest.runs.filling import case_result
 from lampest.runs.long_case import PartFiles, solve_long, watched
 from lampest.runs.results import CaseResult, StoredCase, read_case_ids, read_kept, write_kept, write_results
@@ -29,6 +29,7 @@ CASES = "cases"
 class Report:
     """How a batch went: path of the results file, None where no case has a result, numbers of cases, and (case,
     sentence) of those that failed. aside : where results of other cases that stood there went, None if there were none.
+    not_run : cases that wait for the next run, because whoever hands them out is gone, and lost : why, else ''.
     """
 
     results: Path | None
@@ -36,6 +37,8 @@ class Report:
     skipped: int
     failed: tuple[tuple[str, str], ...]
     aside: Path | None = None
+    not_run: int = 0
+    lost: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ def run_batch(
         waiting = [task for task in tasks if task.file not in found]
         failed: list[tuple[str, str]] = []
         aside: Path | None = None
+        lost = ""
         try:
             under_way = watched([(task.case, task.file) for task in waiting], on_long)
             with under_way, closing(executor.results(solve_case, waiting)) as outcomes:
@@ -89,6 +93,8 @@ def run_batch(
                         found[task.file] = outcome
                     if on_case:
                         on_case(finished, len(waiting))
+        except LostError as error:
+            lost = str(error)
         finally:
             _clear(folder, tasks, fresh=False)
             done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
@@ -96,7 +102,9 @@ def run_batch(
                 aside = _put_aside(folder / RESULTS, done)
                 write_results(folder / RESULTS, done, run.published)
         skipped = len(tasks) - len(waiting)
-        return Report(folder / RESULTS if done else None, len(waiting) - len(failed), skipped, tuple(failed), aside)
+        not_run = len(tasks) - len(done) - len(failed) if lost else 0
+        solved = len(waiting) - len(failed) - not_run
+        return Report(folder / RESULTS if done else None, solved, skipped, tuple(failed), aside, not_run, lost)
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -85,7 +86,7 @@ def test_errors_stay_with_their_task(executor: Any) -> None:
 def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     tasks = [f"{number} + 0" for number in range(6)]
     found = {text: str(outcome) for text, outcome in executor.results(eval, [tasks[0], DEATH, *tasks[1:]])}
-    assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died twice"}
+    assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died 4 times"}
 
 
 @pytest.mark.slow
@@ -171,6 +172,69 @@ def test_a_process_that_nobody_replaces_is_not_ended() -> None:
     before = signal.getsignal(signal.SIGALRM)
     assert hanging(0.5) == 0.5
     assert signal.getsignal(signal.SIGALRM) == before
+
+
+def killed_thrice(folder: Path) -> int:
+    """Is killed as from outside, until there are three marks."""
+    marks = len(list(folder.iterdir()))
+    if marks < 3:
+        (folder / str(marks)).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return marks
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_three_times_is_tried_again(tmp_path: Path) -> None:
+    assert list(Processes(1).results(killed_thrice, [tmp_path])) == [(tmp_path, 3)]
+
+
+def slow_case(task: Task) -> Any:
+    """Solves a case; every one but the first takes long to say so."""
+    solved = solve_case(task)
+    time.sleep(0.0 if task.case.name == "LSM" else 30.0)
+    return solved
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(
+    disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker has written the second case and not said so when the scheduler is killed; the third one waits."""
+    file = disk.folder / "scheduler.json"
+    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    words += ["--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1"]
+    worker += ["--no-dashboard", "--death-timeout", "60", "--no-nanny"]
+    tests = Path(__file__).parents[1]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tests.parent, tests, tests / "units")))}
+    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    scheduler, helper = subprocess.Popen(words, **quiet), subprocess.Popen(worker, **quiet)
+    try:
+        run = read_run(disk.run(disk.text + "formulation: reduced\n"))
+        monkeypatch.setattr("lampest.runs.batch.solve_case", slow_case)
+        cases = disk.folder / "out" / "cases"
+
+        def kill() -> None:
+            while len(list(cases.glob("[!.]*.h5"))) < 2:
+                time.sleep(0.05)
+            scheduler.kill()
+
+        killer = Thread(target=kill)
+        killer.start()
+        while not file.exists():
+            time.sleep(0.05)
+        report = run_batch(run, disk.folder / "out", Dask(scheduler_file=str(file), wait_s=60.0))
+        killer.join()
+    finally:
+        for process in (scheduler, helper):
+            process.kill()
+            process.wait()
+    assert (report.done, report.failed, report.not_run) == (2, (), 1)
+    assert report.lost.startswith("the Dask scheduler tcp://127.0.0.1:") and report.lost.endswith("is gone")
+    assert report.results is not None and len(read_results(report.results).cases) == 2
+    monkeypatch.undo()
+    again = run_batch(run, disk.folder / "out", Serial())
+    assert (again.done, again.skipped, again.not_run) == (1, 2, 0)
 
 
 def test_a_scheduler_is_found_by_its_file(disk: SimpleNamespace) -> None:

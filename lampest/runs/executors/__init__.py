@@ -6,10 +6,22 @@ from typing import Annotated, Any
 
 from lampest.files.tagged import ByKind
 from lampest.runs.executors.dask import Dask, Tls
-from lampest.runs.executors.executor import ONE_THREAD, Executor, Function, cores
+from lampest.runs.executors.executor import ONE_THREAD, Executor, Function, LostError, cores
 from lampest.runs.executors.processes import Processes, Serial, Worker
 
-__all__ = ["ONE_THREAD", "AnyExecutor", "Dask", "Executor", "Processes", "Serial", "Tls", "Worker", "each_of", "local"]
+__all__ = [
+    "ONE_THREAD",
+    "AnyExecutor",
+    "Dask",
+    "Executor",
+    "LostError",
+    "Processes",
+    "Serial",
+    "Tls",
+    "Worker",
+    "each_of",
+    "local",
+]
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 FEW = 12  # so many tasks of half a second end before processes have started
 

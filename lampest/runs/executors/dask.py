@@ -17,6 +17,7 @@ from lampest.runs.executors.executor import (
     MOST_TRIES,
     ONE_THREAD,
     Function,
+    LostError,
     Pairs,
     check_workers,
     cores,
@@ -74,8 +75,8 @@ class Dask:
     tls : files by which scheduler, workers and this computer know each other; with an address it begins with tls://.
 
     Without address and file the workers are processes of this machine. A worker that dies costs the task it was at one
-    more try (as many as a scheduler elsewhere grants). Results are those of `Serial` bit for bit where the processors
-    are of one kind. Raises ValueError where the parameters exclude each other.
+    of a few more tries (as many as a scheduler elsewhere grants). Results are those of `Serial` bit for bit where the
+    processors are of one kind. Raises ValueError where the parameters exclude each other.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -114,7 +115,7 @@ class Dask:
         library("distributed")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """In the order in which they are finished. Raises InputError where no fit worker answers."""
+        """In the order in which they are finished. Raises InputError where no fit worker answers, LostError."""
         if not arguments:
             return
         distributed = library("distributed")
@@ -142,6 +143,7 @@ class Dask:
                 workers = min(self.workers or cores(), tasks)
                 where = {"address": stack.enter_context(_of_this_machine(distributed, workers))}
             security = None if self.tls is None else self.tls.security()
+            _silence()
             try:
                 client = stack.enter_context(
                     distributed.Client(**where, timeout=self.wait_s, set_as_default=False, security=security)
@@ -175,12 +177,21 @@ def dask_setup(worker: Any) -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
+def _silence() -> None:
+    """Dask tells of a scheduler that is gone in dozens of lines of its own; a user reads one sentence."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
 def _outcomes(distributed: Any, client: Any, function: Function, tasks: dict[int, Any]) -> Iterator[tuple[int, Any]]:
     """(number, result or exception) of numbered tasks as they are finished."""
     numbers = {client.submit(function, argument, pure=False): number for number, argument in tasks.items()}
     for future in distributed.as_completed(list(numbers), loop=client.loop):
         try:
             outcome = future.result()
+        except distributed.CancelledError as error:
+            raise LostError(f"the Dask scheduler {client.scheduler.address} is gone") from error
         except Exception as error:
             outcome = error
         future.release()

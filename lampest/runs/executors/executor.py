@@ -6,14 +6,18 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-MOST_TRIES = 2
-DIED = "its process died twice"
+MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
+DIED = f"its process died {MOST_TRIES} times"
 HUNG = (
     "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
 )
 
 Function = Callable[[Any], Any]
 Pairs = Generator[tuple[Any, Any], None, None]
+
+
+class LostError(RuntimeError):
+    """Whoever hands out the tasks is gone: those without a result have not failed, they were not run."""
 
 
 class Executor(Protocol):
@@ -25,7 +29,8 @@ class Executor(Protocol):
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
 
-        After the generator is closed no further call starts; a call under way ends or dies, and writes no half file.
+        Raises LostError where no further result will come. After the generator is closed no further call starts; a
+        call under way ends or dies, and writes no half file.
         """
 
 

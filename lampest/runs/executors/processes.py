@@ -45,8 +45,8 @@ class Serial:
 class Processes:
     """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
 
-    A process that dies costs the task it was at one more try, and no other task anything. One that hangs beyond the
-    time limit of a frame is ended, and its task with it.
+    A process that dies costs the task it was at one of a few more tries, and no other task anything. One that
+    hangs beyond the time limit of a frame is ended, and its task with it.
     Raises ValueError where the number of workers is out of range.
     """
 

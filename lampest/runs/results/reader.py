@@ -84,7 +84,7 @@ def read_each(path: Path, most: int) -> Iterator[CaseResult]:
     with _results_file(path) as file:
         _read_published(file)
         for name in _in_order(file, "/entry"):
-            frames, rows, columns = (hdf5.shape_of(file, f"/entry/{name}/{SHARED}/{axis}")[0] for axis in MAPS)
+            frames, rows, columns = (hdf5.length_of(file, f"/entry/{name}/{SHARED}/{axis}") for axis in MAPS)
             step = max(1, most // (rows * columns * max(1, len(hdf5.child_groups(file, f"/entry/{name}")) - 1)))
             for begin in range(0, frames, step):
                 yield from _read_recording(file, name, all_columns(), slice(begin, begin + step))
@@ -93,12 +93,12 @@ def read_each(path: Path, most: int) -> Iterator[CaseResult]:
 def _part(file: h5py.File, recording: str, frames: range) -> slice:
     """Which of the frames that are kept are these ones of the recording, by bisection; NONE where none is."""
     name = next((name for name in _in_order(file, f"/entry/{recording}") if name != SHARED), "")
-    path, length = f"/entry/{recording}/{name}/{FRAME.path}", hdf5.shape_of(file, f"/entry/{recording}/{SHARED}/time")
+    path, length = f"/entry/{recording}/{name}/{FRAME.path}", hdf5.length_of(file, f"/entry/{recording}/{SHARED}/time")
 
     def number(at: int) -> int:
-        return int(hdf5.read_array(file, path, 1, length, slice(at, at + 1))[0])
+        return int(hdf5.read_array(file, path, 1, (length,), slice(at, at + 1))[0])
 
-    part = slice(*(bisect_left(range(length[0]), end, key=number) for end in (frames.start, frames.stop)))
+    part = slice(*(bisect_left(range(length), end, key=number) for end in (frames.start, frames.stop)))
     return part if part.start < part.stop else NONE
 
 
@@ -108,7 +108,7 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
     with _results_file(path) as file:
         for recording in _in_order(file, "/entry"):
             base = f"/entry/{recording}/{SHARED}"
-            frames, rows, columns = (hdf5.shape_of(file, f"{base}/{axis}")[0] for axis in MAPS)
+            frames, rows, columns = (hdf5.length_of(file, f"{base}/{axis}") for axis in MAPS)
             for name in _in_order(file, f"/entry/{recording}"):
                 if name != SHARED:
                     identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
