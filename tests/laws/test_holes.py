@@ -26,6 +26,7 @@ ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoo
 READOUTS = [kind() for kind in members_by_kind(AnyReadout).values()]
 ROLE = np.array([0, 0, 1, 1], dtype=np.uint8)
 HOLES = [(1, 2), (3, 0)]
+LONG = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
@@ -75,8 +76,19 @@ def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -
     assert_allclose(found.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("readout", READOUTS, ids=lambda readout: readout.kind)
+@pytest.mark.parametrize(
+    ("readout", "formulation"),
+    [
+        pytest.param(
+            readout,
+            formulation,
+            id=f"{readout.kind}-{formulation}",
+            marks=pytest.mark.slow if readout.unit == "volt" and formulation in LONG else (),
+        )
+        for readout in READOUTS
+        for formulation in FORMULATIONS
+    ],
+)
 def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation: MethodName) -> None:
     """Named for what it is, in every method; the flags and counts say which cells nobody read."""
     scene = Scene(Panel(*SHAPE), readout)

@@ -116,6 +116,7 @@ class Square(Shape):
         return under * contact_of_weight(self.mass_g, self.edge_mm**2), np.zeros_like(x)
 
 
+@pytest.mark.slow
 def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)

@@ -89,6 +89,7 @@ def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
     assert upper.sum() > 1.2 * lower.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", RECOGNISED)
 def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
     verdict = verdict_on(load_of(kind))

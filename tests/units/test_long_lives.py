@@ -7,6 +7,7 @@ from studies.long_lives import live_figures, stream_figures
 FRAMES, LEAK_BYTES_PER_FRAME = 1000, 60.0
 
 
+@pytest.mark.slow
 def test_a_stream_keeps_nothing_of_the_frames_that_went() -> None:
     before, after = stream_figures((FRAMES // 4, FRAMES))
     assert after.allocated - before.allocated < LEAK_BYTES_PER_FRAME * (after.frames - before.frames)

@@ -118,7 +118,7 @@ def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
     assert [text.get_text() for text in axes.texts] == ["not solved"] and not axes.collections
     figure = new_figure(3.0)
     painter.bar(figure, figure.subplots(), "right")
-    assert figure.axes[1].get_ylabel() == "share [1]"
+    assert figure.axes[1].get_ylabel() == "resolution"
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def _solves(task: AtlasTask, method: str, estimator: Estimator, recording: Recor
         weights = zip(estimator.terms, squared, strict=True)
         estimator = estimator.with_weights(float(term.weight) * factor for term, factor in weights)
     for part, before in zip(_parts(estimator, recording), originals, strict=False):
-        solve = _judged(task, method, estimator, part, scene, recording)
+        solve = _judged(task, method, part, scene, recording)
         if before is not None and solve.solved and before.step.solution.solved:
             alike = scene.scale * before.step.solution.cell_resistance
             solve = replace(solve, estimate_digits=correct_digits(part.step.solution.cell_resistance, alike))
@@ -153,30 +153,30 @@ def _solves(task: AtlasTask, method: str, estimator: Estimator, recording: Recor
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One solve of a sequence with its data; frames : which of the scene's it is about."""
+    """One solve of a sequence with its data; frames : which of the scene's; estimator : whose cost it minimises."""
 
     name: str
     frames: slice
+    estimator: Estimator
     data: Data
     step: Step
 
 
 def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
     readings = recording.readings()
-    blank = Stream(estimator, recording.scene, frame_period(recording), readings[0])
     stream = first_stream(recording, readings, estimator)
     if stream.baseline is not None:
-        yield _Part("baseline", slice(0, 1), blank.given(blank.resting)[0], stream.baseline)
+        alone = replace(estimator, terms=estimator.absolute_terms)
+        blank = Stream(alone, recording.scene, frame_period(recording), readings[0])
+        yield _Part("baseline", slice(0, 1), alone, blank.given(blank.resting)[0], stream.baseline)
     data, _ = stream.given(readings[1])
     _, step = stream.push(readings[1])
     joint = len(data.measured) == 2
-    yield _Part("pair" if joint else "frame", slice(0 if joint else 1, 2), data, step)
+    yield _Part("pair" if joint else "frame", slice(0 if joint else 1, 2), estimator, data, step)
 
 
-def _judged(
-    task: AtlasTask, method: str, estimator: Estimator, part: _Part, scene: Made, recording: Recording
-) -> Solve:
-    solution, data = part.step.solution, part.data
+def _judged(task: AtlasTask, method: str, part: _Part, scene: Made, recording: Recording) -> Solve:
+    solution, data, estimator = part.step.solution, part.data, part.estimator
     cost = estimator.cost(recording.scene, len(data.measured), data.partial)
     solve = Solve(
         task.sample,
