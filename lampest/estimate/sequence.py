@@ -24,7 +24,7 @@ from lampest.recording.stored import StoredRecording, first_unloaded, measured_p
 
 LEAD = 500  # unloaded frames, and no more than a part has: more tell no more of the noise than a scene does
 AROUND = 250  # measured frames before, and after, the one that differs most; no more than a part has
-BESIDE = 4  # frames in time that tell whether a reading leaps
+BESIDE = 4  # frames in time that show whether a reading is an outlier
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 

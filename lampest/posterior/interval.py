@@ -38,3 +38,8 @@ def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
 def largest_of(excess: ArrayLike, count: int) -> Array:
     """P(the largest of `count` normal numbers ≥ excess), at most, by Bonferroni's inequality. Any shape."""
     return np.asarray(np.minimum(count * ndtr(-np.asarray(excess, dtype=float)), 1.0))
+
+
+def largest_normal(count: int, chance: float) -> float:
+    """What the largest of so many normal numbers exceeds in size with a chance of no more than that (Bonferroni)."""
+    return float(-ndtri(chance / (2 * count)))

@@ -153,7 +153,7 @@ def test_single_wild_readings_are_no_fault_of_the_circuit() -> None:
     wild[6, 5, 0] /= 2.0
     check = recording_check(replace(recording, recorded=wild))
     assert (check.mark, check.better) == ("yes", "")
-    assert "2 readings that leap for one frame alone left out" in check.sentence
+    assert "2 outliers of one frame left out" in check.sentence
     assert "leap" not in recording_check(recording).sentence
 
 

@@ -139,7 +139,7 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
     "method", [of_every_frame("LSR-gCR"), of_every_frame("LSR-dCR"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
 )
 def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
-    # Without readings that leap: only a batch sees the frames after it, which tell a leap from a change.
+    # Without outliers: only a batch sees the frames after one, which tell it from a change.
     ((_, simulation),) = read_simulations(Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml")
     calm = dataclasses.replace(simulation.unmodelled, outlier_probability=0.0)
     lamprey = simulate(dataclasses.replace(simulation, frames=6, unmodelled=calm))

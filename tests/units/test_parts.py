@@ -125,7 +125,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, small: None) -> None:
-    """A part without a measured frame, frames that cannot be read and readings that leap are among them."""
+    """A part without a measured frame, frames that cannot be read and outliers are among them."""
     values = frames(110)
     values[45:75] = np.nan
     values[20, 1, 1] *= 3

@@ -193,8 +193,4 @@ def _sentence(fault: str, better: Better | None) -> str:
 
 def _said_of_outliers(count: int) -> str:
     """What a sentence on the circuit says of them; nothing where there are none."""
-    if count == 0:
-        return ""
-    return (
-        f"; {count} reading{'s' if count > 1 else ''} that leap{'s' if count == 1 else ''} for one frame alone left out"
-    )
+    return f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""

@@ -1,10 +1,10 @@
 """Motion within a scan: whether loads moved on while the lines of a frame were read one after the other.
 
 A reading that is taken τ of a frame period away from the frame's middle differs by Δ·τ, with Δ half the difference of
-the frames before and after. If no cells explain the readings, but some do once s·Δ·τ is taken off, or if cells that
-nobody touched seem to move with s·Δ·τ, a scan takes the share s of the period. Where no share helps, and most of the
-frames that move most are unexplained though the unloaded panel is not, loads move too far from frame to frame for Δ,
-and s is 1. Error bars then reach as far as |τ| s times the larger of a reading's steps to the frames beside.
+the frames before and after. If no cells explain the readings, but some do once s·Δ·τ is taken off, a scan takes the
+share s of the period. Where no share helps, and most of the frames that move most are unexplained though the unloaded
+panel is not, loads move too far from frame to frame for Δ, and s is 1. Error bars then reach as far as |τ| s times the
+larger of a reading's steps to the frames beside.
 """
 
 from dataclasses import replace
@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check.cells_fit import LEVEL, fitted
-from lampest.estimate.noise.still_cells import GAIN, FrameFit, Moves, possible, still_cells
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, Systematic
-from lampest.posterior.frame_noise import FrameNoise
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
 MOST_FRAMES = 3  # that move most are tried
@@ -58,15 +56,8 @@ def _late(scene: Scene, readings: Readings) -> Array:
     return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
-def scan_share(
-    scene: Scene,
-    sizes: Systematic,
-    resting: Readings,
-    readings: Readings,
-    measured: NDArray[np.intp],
-    noise: FrameNoise | None,
-) -> float:
-    """√E[s²] of the share of its period that a frame's scan seems to take; 0 where still cells do not show it.
+def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
+    """The share of its period that a frame's scan seems to take; 0 where nothing shows it.
 
     Frames with most motion that have two neighbours are tried.
     """
@@ -78,8 +69,8 @@ def scan_share(
     moving = inner[np.argsort(-size[inner])][:MOST_FRAMES]
     if size[moving[0]] < LEAST_MOTION:
         return 0.0
-    base = FrameFit.of(scene, resting, None, sizes, noise)
-    if base is None or base.fit.tail < LEVEL:
+    base = fitted(scene, resting, patient=True)
+    if base is None or base.tail < LEVEL:
         return 0.0
 
     def left(share: float) -> tuple[list[float], float]:
@@ -91,25 +82,10 @@ def scan_share(
         return tails, float(sum(np.log1p(fit.chi_square) for fit in fits))
 
     tails, cost = left(0.0)
-    if min(tails) < LEVEL:
-        costs = {share: left(share)[1] for share in SHARES}
-        best = min(costs, key=lambda share: costs[share])
-        if costs[best] < cost - len(moving) * np.log(THIRD):
-            return best
-        return float(np.median(tails) < LEVEL)  # the whole period, or nothing
-    for frame in moving[size[moving] >= LEAST_MOTION]:
-        here = FrameFit.of(scene, readings[frame], base.fit.cells, sizes, noise)
-        if here is not None and (share := _share(base, here, moved[frame])):
-            return share
-    return 0.0
-
-
-def _share(base: FrameFit, here: FrameFit, moved: Array) -> float:
-    """√E[s²] from how cells that nobody touched seem to move in one frame."""
-    plain = Moves.between(base, [here])
-    cost, _ = still_cells(plain.change, plain.covariance(0.0))
-    moves = plain.with_column(here.answer(moved[None]))
-    better, still = still_cells(moves.change, moves.covariance(0.0))
-    if better > cost - GAIN:
+    if min(tails) >= LEVEL:
         return 0.0
-    return float(np.sqrt((possible(moves, 0.0, still)[-1] ** 2).sum()))
+    costs = {share: left(share)[1] for share in SHARES}
+    best = min(costs, key=lambda share: costs[share])
+    if costs[best] < cost - len(moving) * np.log(THIRD):
+        return best
+    return float(np.median(tails) < LEVEL)  # the whole period, or nothing

@@ -4,7 +4,7 @@ A loose contact or a lost bit moves one reading for one frame; a touch moves man
 outlier is left out of the mean; among measured ones its neighbours in time replace it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.posterior.interval import largest_normal
 from lampest.recording.readings import Readings
 
 FAR = 6.0  # σ beyond the neighbours: of the 2,400 readings of a usual recording noise does it once in 200,000
@@ -26,7 +27,13 @@ TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviati
 LEAST_FRAMES = 3  # that tell which of them is the odd one
 CHECKED = 5  # cells of a diagonal at which it is checked whether lines follow a load
 
-Expected = tuple[Array, Array]  # (what neighbours in time let expect, how far off that may be) of each reading
+MOVES = 2.0  # times its noise: a reading whose median error is larger moves
+BLOCK = 8  # frames whose errors are compared with those of as many before and after
+FALSE = 0.01  # recordings without outliers in which chance makes one
+
+# (what neighbours in time let expect, how far off that may be by their scatter, and by noise as a multiple of its σ).
+Expected = tuple[Array, Array, Array]
+Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +51,21 @@ class Outliers:
         A frame in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
         readings beside σ = 0.
         """
-        expected = [_by_median(value), *_by_line(value)]
+        predictors = [_by_median, *([_by_line] if len(value) > NEAREST else [])]
+        expected = [_predicted(value, predictor) for predictor in predictors]
         scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = (scale > 0) & np.any([_stands_out(value, scale, one) for one in expected], axis=0)
+            far = [
+                _stands_out(value, scale, one) & ~_usual(value, scale, one, predict)
+                for one, predict in zip(expected, predictors, strict=True)
+            ]
+            outlying = (scale > 0) & np.any(far, axis=0)
         few = outlying.mean(axis=(1, 2)) <= most_share
-        middle, spread = expected[0]
-        for other, wider in expected[1:]:
+        middle, spread, _ = expected[0]
+        for other, wider, _ in expected[1:]:
             nearer = wider < spread
             middle, spread = np.where(nearer, other, middle), np.where(nearer, wider, spread)
-        apart = np.max([np.abs(there - middle) for there, _ in expected], axis=0)
+        apart = np.max([np.abs(there - middle) for there, _, _ in expected], axis=0)
         outlying &= few[:, None, None] & (len(value) >= LEAST_FRAMES)
         return cls(outlying, middle, np.hypot(spread, np.nan_to_num(apart)))
 
@@ -68,7 +80,7 @@ def without_outliers(readings: Readings, unloaded: NDArray[np.bool_]) -> tuple[N
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
     # σ may be wrong, and frames may differ together: what most readings do from frame to frame is noise.
-    seen = [pair_scale(value[chosen] / sigma[chosen]) for chosen in (unloaded, ~unloaded)]
+    seen = [pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
     most = 1.0
     for chosen in (unloaded, ~unloaded):
@@ -110,11 +122,11 @@ class FramesBefore:
         if len(self.frames) < LEAST_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, 0
         value = np.stack([frame.plain_values for frame in self.frames])
-        scale = readings.sigma * np.fmax(pair_scale(value / readings.sigma), 1.0)
+        scale = readings.sigma * np.fmax(pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
         middle = median(value)
-        spread = TO_SIGMA * median(np.abs(value - middle))
+        spread, ones = TO_SIGMA * median(np.abs(value - middle)), np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _stands_out(readings.plain_values[None], scale[None], (middle[None], spread[None]))[0]
+            outlying = _stands_out(readings.plain_values[None], scale[None], (middle[None], spread[None], ones))[0]
         if not outlying.any() or outlying.mean() > SHARE:
             return readings, 0
         if not _lines_follow(scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring), scale):
@@ -137,43 +149,75 @@ def _lines_follow(network: Network, scale: Array) -> bool:
     return True
 
 
-def _neighbours(value: Array) -> tuple[Array, NDArray[np.intp]]:
-    """The NEAREST other frames of every frame, (neighbours, frames, rows, columns), and how far off each is."""
+def _predicted(value: Array, predict: Predictor) -> Expected:
+    """What up to NEAREST other frames around let expect of every frame."""
     frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
-    within = np.clip(frames - NEAREST // 2, 0, len(value) - width)[:, None] + np.arange(width)
-    nearest = within[within != frames[:, None]].reshape(len(value), width - 1).T
-    return value[nearest], nearest - frames
+    first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
+    return _from_window(value, first, frames - first, predict)
 
 
-def _by_median(value: Array) -> Expected:
-    """The median of the neighbours, with their scatter."""
-    beside, _ = _neighbours(value)
-    middle = median(beside)
-    return middle, TO_SIGMA * median(np.abs(beside - middle))
+def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
+    """Of frames first + place, each from the other frames of the window that begins at `first`."""
+    width = min(len(value), NEAREST + 1)
+    within = first[:, None] + np.arange(width)
+    target = first + place
+    nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
+    return predict(value[nearest], nearest - target)
 
 
-def _by_line(value: Array) -> Sequence[Expected]:
-    """The line through the neighbours, where there are enough: of a load that moves, or breathes.
+def _usual(value: Array, scale: Array, expected: Expected, predict: Predictor) -> NDArray[np.bool_]:
+    """Whether a reading that moves is no farther from what is expected than at other times.
 
-    Twice what it leaves may be off: two degrees of freedom tell little, and a load does not move along a line.
+    Its errors at the same place of other windows have a median of noise's size where it rests. Where it moves, it goes
+    by chance as far as the largest of so many normal numbers. Few windows show nothing.
     """
-    beside, offset = _neighbours(value)
-    if len(beside) < NEAREST:
-        return []
+    frames, width = len(value), min(len(value), NEAREST + 1)
+    if frames - width < NEAREST:
+        return np.zeros(value.shape, dtype=bool)
+    first = np.clip(np.arange(frames) - NEAREST // 2, 0, frames - width)
+    place = np.arange(frames) - first
+    usual = np.zeros(value.shape)
+    away = np.nan_to_num(np.abs(value - expected[0]))
+    middle = place == NEAREST // 2
+    for begin in range(0, frames, BLOCK):
+        around = slice(max(begin - BLOCK, 0), begin + 2 * BLOCK)
+        usual[begin : begin + BLOCK] = median(away[around][middle[around]])
+    for frame in np.flatnonzero(~middle):
+        begins = np.arange(frames - width + 1)
+        near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * BLOCK]]
+        there, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
+        usual[frame] = median(np.abs(value[near + place[frame]] - there))
+    usual = TO_SIGMA * np.nan_to_num(usual)
+    return np.asarray((usual > MOVES * scale) & (away <= largest_normal(value.size, FALSE) * usual))
+
+
+def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
+    """The median of the neighbours (neighbours, frames, rows, columns), with their scatter."""
+    middle = median(beside)
+    noise = np.sqrt(1 + np.pi / (2 * len(beside)))
+    return middle, TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
+
+
+def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
+    """The line through the neighbours, `offset` frames away: of a load that moves, or breathes.
+
+    Twice what it leaves may be off: two degrees of freedom show little, and a load does not move along a line.
+    """
     centre = offset.mean(axis=0)[:, None, None]
     apart = offset[..., None, None] - centre
     size = np.sum(apart**2, axis=0)
     height, slope = beside.mean(axis=0), np.sum(apart * beside, axis=0) / size
     left = np.sum((beside - height - slope * apart) ** 2, axis=0) / (len(beside) - 2)
-    return [(height - slope * centre, 2 * np.sqrt(left * (1 + 1 / len(beside) + centre**2 / size)))]
+    noise = np.sqrt(1 + 1 / len(beside) + centre**2 / size)
+    return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
 
 
 def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
     """Whether a reading is far from what is expected, while its row and its column are not."""
-    middle, spread = expected
+    middle, spread, noise = expected
     away = np.abs(value - middle)
     beside = np.fmax(*(_lines_median(away / scale, axis) for axis in (1, 2))) * scale
-    return np.asarray(away > np.fmax(np.fmax(FAR * scale, STEADIER * spread), ALONE * beside))
+    return np.asarray(away > np.fmax(np.fmax(FAR * noise * scale, STEADIER * spread), ALONE * beside))
 
 
 def _lines_median(values: Array, axis: int) -> Array:
@@ -190,8 +234,11 @@ def median(values: Array) -> Array:
     return np.asarray((picked[0] + picked[1]) / 2)
 
 
-def pair_scale(value: Array) -> float:
-    """σ from the median size of differences between successive frames (frames, rows, columns); NaN without any."""
-    difference = np.abs(np.diff(value, axis=0)) / np.sqrt(2)
+def pair_scale(value: Array, sigma: Array) -> float:
+    """Noise over its σ, from the median size of differences between successive frames; NaN without any.
+
+    value, sigma : (frames, rows, columns). σ follows the reading: a reading over its own σ hardly varies.
+    """
+    difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
     known = difference[~np.isnan(difference)]
     return float(TO_SIGMA * np.median(known)) if len(known) else float("nan")

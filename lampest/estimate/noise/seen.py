@@ -76,7 +76,7 @@ class NoiseSeen:
         return _joined(
             f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed and {taken}",
             f"frames share {frames or 'nothing'}",
-            f"{int(self.outliers.sum())} of {self.outliers.size} readings leap",
+            f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
             "" if self.hidden is None else _sizes_in_words(self.hidden),
         )
 
@@ -92,7 +92,7 @@ def noise_seen(recording: Recording) -> NoiseSeen:
         return seen
     with suppress(*BROKEN), np.errstate(all="ignore"):
         resting = seen.readings[unloaded].mean()
-        share = scan_share(scene, sizes, resting, seen.readings, measured, seen.frame)
+        share = scan_share(scene, resting, seen.readings, measured)
         still = _with_motion(scene, seen, share, measured)
         strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
         chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
@@ -188,8 +188,8 @@ def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[
     moved = share * swept(scene, seen.readings, measured)
     count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
     said = (
-        f"loads move while a frame is scanned, as if that took {share:.2g} of the time between frames: {count} frames "
-        "are torn, which error bars allow for as far as their neighbours tell"
+        f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
+        "error bars allow for it as far as their neighbours show"
     )
     wider = replace(seen.readings, sigma=np.hypot(sigma, moved))
     return replace(seen, readings=wider, share=share, sentence=_joined(seen.sentence, said))
@@ -239,10 +239,10 @@ def _outliers_in_words(outliers: NDArray[np.bool_], rate: float) -> str:
     count = int(outliers.sum())
     if count == 0:
         return ""
-    text = f"{count} of {outliers.size} readings leap for one frame alone and were replaced by their neighbours in time"
+    text = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
     if rate <= CROWDED:
         return text
-    return f"{text}; with {100 * rate:.2g} % of them there are more that nobody sees, and error bars do not hold them"
+    return f"{text}; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
 
 
 def _sizes_in_words(hidden: Possible) -> str:
