@@ -35,6 +35,7 @@ toc_object_entries_show_parents = "hide"
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
+    "image_scrapers": ("figures.scraper",),
     "download_all_examples": False,
     "show_memory": False,
     "min_reported_time": 1e9,  # no times: they are this machine's

@@ -11,4 +11,4 @@ import lampest
 recording = lampest.datasets.load("lamprey_35mm")
 found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
 print(found.status[-1])
-found.plot()
+figure = found.plot()

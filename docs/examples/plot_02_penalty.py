@@ -19,4 +19,4 @@ for name, terms in {
     found = lampest.reconstruct(recording, terms, formulation="reduced")
     error = 100 * np.median(np.abs(found.cell_resistance / truth - 1))
     print(f"{name}: median cell error {error:.1f} %")
-found.plot()
+figure = found.plot()

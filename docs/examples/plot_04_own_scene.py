@@ -16,4 +16,4 @@ recording = lampest.simulate(
     lampest.Simulation(schema=1, seed=7, scene=scene, baseline_frames=3, frames=5, loads=(rod,))
 )
 found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-found.plot()
+figure = found.plot()

@@ -21,4 +21,4 @@ found = lampest.reconstruct(replace(recording, recorded=readings), terms, formul
 error = 100 * found.cell_resistance_errors[-1] / found.cell_resistance[-1]
 print(f"median error bar of measured cells: {np.median(error[~missing]):.1f} %")
 print(f"median error bar of missing cells: {np.median(error[missing]):.1f} %")
-found.plot("certainty")
+figure = found.plot("certainty")

@@ -26,4 +26,4 @@ class CommonLevel(lampest.Term):
 recording = lampest.datasets.load("rod")
 found = lampest.reconstruct(recording, [lampest.Misfit(), CommonLevel(weight=1.0)], formulation="reduced")
 print(found.status[-1])
-found.plot()
+figure = found.plot()
