@@ -38,6 +38,7 @@ sphinx_gallery_conf = {
     "image_scrapers": ("figures.scraper",),
     "download_all_examples": False,
     "show_memory": False,
+    "write_computation_times": False,
     "min_reported_time": 1e9,  # no times: they are this machine's
 }
 
