@@ -1,8 +1,9 @@
 """Frames of many streams at once: what a batch can solve goes into one, and every other stream solves by itself."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from time import perf_counter
 
 import numpy as np
@@ -20,8 +21,8 @@ from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings
 from lampest.solvers.batch import Ended, Kept, PanelBatch, solve
 from lampest.solvers.bound_multipliers import bounds_matter
-from lampest.solvers.multistart import BROKEN, SAME, convex, several_minima
-from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Solution, Status
+from lampest.solvers.multistart import BROKEN, SAME, several_minima
+from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 Pushed = tuple[Stream | None, Step | None]
 NO_DUAL = np.zeros(0)
@@ -33,38 +34,62 @@ def pushed_together(streams: Sequence[Stream | None], readings: Sequence[Reading
     kept : what solves of earlier frames left, of every stream by its number; renewed in place.
     """
     pushed: list[Pushed] = [(None, None)] * len(streams)
-    groups: dict[tuple[object, ...], list[int]] = {}
-    for number, (stream, frame) in enumerate(zip(streams, readings, strict=True)):
-        if stream is not None and (estimator := _in_batches(stream, frame)) is not None:
-            terms = tuple(type(term) for term in estimator.terms)
-            faults, first = stream.scene.faults, stream.first
-            groups.setdefault((terms, estimator.solver, estimator.bounds, faults, first, frame.partial), []).append(
-                number
-            )
-    for numbers in groups.values():
-        some, frames = [streams[number] for number in numbers], [readings[number] for number in numbers]
+    for together in _batches(streams, readings):
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            together = Together.of([one for one in some if one is not None], frames)
-            if together is not None:
-                for number, one in zip(numbers, together.pushed(kept, np.array(numbers)), strict=True):
-                    pushed[number] = one
+            for number, one in zip(together.numbers, together.pushed(kept), strict=True):
+                pushed[number] = one
     for number, (stream, frame) in enumerate(zip(streams, readings, strict=True)):
         if stream is not None and pushed[number][1] is None:
             pushed[number] = stream.push(frame)
     return pushed
 
 
+def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
+    """Every stream with its baseline; None stays None."""
+    there = [stream for stream in streams if stream is not None]
+    kept = Kept.nothing(len(streams), there[0].resting.value.size)
+    steps: list[Step | None] = [None] * len(streams)
+    resting = [there[0].resting if stream is None else stream.resting for stream in streams]
+    for together in _batches(streams, resting):
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            for number, one in zip(together.numbers, together.steps(kept), strict=True):
+                steps[number] = one
+    return [stream and stream.with_rest(step) for stream, step in zip(streams, steps, strict=True)]
+
+
+def _batches(streams: Sequence[Stream | None], readings: Sequence[Readings]) -> "Iterator[Together]":
+    """Streams that can be solved together, those of one kind of cost and one history in one batch."""
+    groups: dict[tuple[object, ...], dict[int, Estimator]] = {}
+    for number, (stream, frame) in enumerate(zip(streams, readings, strict=True)):
+        estimator = None if stream is None else _in_batches(stream, frame)
+        if stream is not None and estimator is not None:
+            terms = tuple(replace(term, weight=1.0) for term in estimator.terms)
+            faults = stream.scene.faults
+            kind = terms, estimator.solver, estimator.bounds, faults, stream.first, stream.rested, frame.partial
+            groups.setdefault(kind, {})[number] = estimator
+    for group in groups.values():
+        some = [stream for number in group if (stream := streams[number]) is not None]
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            found = Together.of(np.array(list(group)), some, list(group.values()), [readings[n] for n in group])
+            if found is not None:
+                yield found
+
+
 def _in_batches(stream: Stream, frame: Readings) -> Estimator | None:
-    """The estimator with numbers for weights where a batch may solve the frame; else None."""
-    estimator, method = stream.estimator, stream.estimator.method
+    """What a batch may minimise in a stream's frame, or in the baseline that it lacks: weights are numbers; or None."""
+    estimator, method, plain = stream.estimator, stream.estimator.method, not frame.partial
     if not isinstance(method, OptimalMethod) or method.kind not in ("reduced", "auto") or estimator.weighs_previous:
         return None
     if not isinstance(stream.scene.circuit, TwoPointReadout) or stream.scene.wiring is not None:
         return None
-    if estimator.solver.time_limit_s is not None or estimator.solver.starts is not None or not stream.rested:
+    if estimator.solver.time_limit_s is not None or estimator.solver.starts is not None:
         return None
-    if frame.partial and (stream.track is not None or not bool(frame.enough(stream.scene))):
+    if not plain and (stream.track is not None or not bool(frame.enough(stream.scene))):
         return None
+    if not stream.rested:
+        alone = stream.baseline is None and not estimator.joint_start
+        absolute = replace(estimator, terms=estimator.absolute_terms)
+        return absolute if alone and not absolute.automatic else None
     if estimator.automatic:
         if stream.weights is None or estimator.auto_weight.per == "frame" or stream.due(frame):
             return None
@@ -74,55 +99,69 @@ def _in_batches(stream: Stream, frame: Readings) -> Estimator | None:
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """streams : of one shape of panel and one kind of cost. batch : their frames."""
+    """numbers : of the streams among all, which are of one shape and one kind of cost. batch : their frames."""
 
+    numbers: NDArray[np.intp]
     streams: Sequence[Stream]
     batch: PanelBatch
+    settings: Settings
 
     @classmethod
-    def of(cls, streams: Sequence[Stream], frames: Sequence[Readings]) -> "Together | None":
-        """None where batches cannot serve the cost."""
-        first, (one, *others) = streams[0], frames
-        estimator, readings = first.estimator, one.together(*others)
+    def of(
+        cls,
+        numbers: NDArray[np.intp],
+        streams: Sequence[Stream],
+        estimators: Sequence[Estimator],
+        frames: Sequence[Readings],
+    ) -> "Together | None":
+        """estimators : with numbers for weights. None where batches cannot serve the cost."""
+        first, estimator, (one, *others) = streams[0], estimators[0], frames
         behind = Background(first.scene, first.period)
         if estimator.relative:
-            known = [stream.previous for stream in streams]
             resting = np.stack([stream.baseline_resistance for stream in streams])
+            known = (stream.previous for stream in streams)
             before = [base if one is None else one for one, base in zip(known, resting, strict=True)]
             behind = replace(behind, previous=np.stack(before), baseline=resting)
-        data = estimator.data(readings, behind)
+        data = estimator.data(one.together(*others), behind)
         cost = estimator.cost(first.scene, 1, data.partial)
         if not PanelBatch.serves(cost, data):
             return None
-        weights = [
-            [term.weight for term in stream.estimator.terms] if stream.weights is None else stream.weights
-            for stream in streams
-        ]
-        return cls(streams, PanelBatch(cost.unweighted, np.array(weights, dtype=float), data))
+        weights = np.array([[term.weight for term in each.terms] for each in estimators], dtype=float)
+        return cls(numbers, streams, PanelBatch(cost.unweighted, weights, data), estimator.solver)
 
-    def pushed(self, kept: Kept, numbers: NDArray[np.intp]) -> list[Pushed]:
+    def pushed(self, kept: Kept) -> list[Pushed]:
         """Every stream after its frame; (None, None) where the batch found no verified minimum."""
-        begin = perf_counter()
-        settings, ended, starts = self.streams[0].estimator.solver, None, self._starts()
-        for start in starts:
-            found = solve(self.batch, start, kept, numbers, settings)
-            ended = found if ended is None else _lower(ended, found)
-        assert ended is not None
-        solutions = self._solutions(ended, len(starts))
-        seconds = (perf_counter() - begin) / len(numbers)
-        return [self._after(number, solution, seconds) for number, solution in enumerate(solutions)]
+        return [self._after(number, step) for number, step in enumerate(self.steps(kept))]
 
-    def _starts(self) -> list[Array]:
-        """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else three."""
-        previous = [stream.previous for stream in self.streams]
-        near = [
-            stream.baseline_resistance if one is None else one
-            for stream, one in zip(self.streams, previous, strict=True)
+    def steps(self, kept: Kept) -> list[Step | None]:
+        """How every frame was solved, without error bars; None as above."""
+        begin, found = perf_counter(), list[Ended]()
+        for start in self._starts(kept):
+            found.append(solve(self.batch, start, kept, self.numbers, self.settings))
+        solutions = self._solutions(reduce(_lower, found), len(found))
+        seconds = (perf_counter() - begin) / len(self.numbers)
+        weights = [tuple(float(weight) for weight in each) for each in self.batch.weights]
+        return [
+            None if solution is None else Step(solution, seconds, each)
+            for solution, each in zip(solutions, weights, strict=True)
         ]
-        first = [np.stack(near)]
-        if not self.streams[0].first or not several_minima(self.batch.cost, self.batch.data):
-            return first
-        return [*first, self.batch.data.uniform_start, convex(self.batch.data, None)]
+
+    def _starts(self, kept: Kept) -> Iterator[Array]:
+        """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else up to three."""
+        cost, uniform = self.batch.cost, self.batch.data.uniform_start
+        rested = self.streams[0].rested
+        if rested:
+            near = [
+                stream.baseline_resistance if stream.previous is None else stream.previous for stream in self.streams
+            ]
+            yield np.stack(near)
+        if rested and not (self.streams[0].first and several_minima(cost, self.batch.data)):
+            return
+        yield uniform
+        if several_minima(cost, self.batch.data):
+            reads = [float(term.reads_measurement) for term in cost.terms]
+            data_alone = replace(self.batch, weights=self.batch.weights * reads)
+            yield solve(data_alone, uniform, kept, self.numbers, self.settings).points.network.cell_resistance
 
     def _solutions(self, ended: Ended, starts: int) -> list[Solution | None]:
         """The checked solutions of all panels; None where one is not verified."""
@@ -174,12 +213,12 @@ class Together:
         cost = replace(self.batch.cost, terms=terms)
         return Evaluation(cost, one.batch.data, network.cell_resistance, ended.points.reading[number][None], (alone,))
 
-    def _after(self, number: int, solution: Solution | None, seconds: float) -> Pushed:
+    def _after(self, number: int, step: Step | None) -> Pushed:
         """A stream after its frame, with error bars where it has them."""
-        if solution is None:
+        if step is None:
             return None, None
-        stream, weights = self.streams[number], tuple(float(weight) for weight in self.batch.weights[number])
-        step, track, deviation = Step(solution, seconds, weights), stream.track, None
+        stream, solution, deviation = self.streams[number], step.solution, None
+        track = stream.track
         if track is not None and solution.at is not None:
             begin = perf_counter()
             with suppress(*BROKEN):

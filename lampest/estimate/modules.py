@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.batch import pushed_together
+from lampest.estimate.batch import pushed_together, rested_together
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise.seen import NoiseSeen
-from lampest.estimate.state import Step
+from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
@@ -33,13 +33,13 @@ def begin_stream(
     if layout is None:
         return Stream.begin(estimator, scene, period, resting, noise)
     noises = (None,) * layout.count if noise is None else noise.of_modules
-    begun = [
+    unrested = [
         None
         if number in scene.dead_modules
-        else Stream.begin(estimator, own, period, resting.of_module(layout, number), told)
+        else Stream.unrested(estimator, own, period, resting.of_module(layout, number), told)
         for number, (own, told) in enumerate(zip(scene.of_modules, noises, strict=True))
     ]
-    return ModulesStream.of(scene, begun)
+    return ModulesStream.of(scene, rested_together(unrested))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class ModulesStream(Stream):
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
         modules = [
-            None if stream is None else stream.tared(resting.of_module(self._layout, number))
+            stream and stream.tared(resting.of_module(self._layout, number))
             for number, stream in enumerate(self.modules)
         ]
         return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None)._rested()
@@ -100,6 +100,17 @@ class ModulesStream(Stream):
         pairs = zip(self.modules, first.modules, strict=True)
         return replace(
             self, modules=tuple(one and other and one.restarted(other) for one, other in pairs), prepared=None
+        )
+
+    @property
+    def parts(self) -> tuple[SequenceState | None, ...]:
+        """See `SequenceState.parts`."""
+        return self.modules
+
+    def with_parts(self, parts: tuple[SequenceState | None, ...]) -> "ModulesStream":
+        """The stream with other modules."""
+        return replace(
+            self, modules=tuple(part for part in parts if part is None or isinstance(part, Stream)), first=False
         )
 
     @property

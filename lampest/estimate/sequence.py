@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.estimate.batch import rested_together
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import ModulesStream, begin_stream
+from lampest.estimate.modules import ModulesStream
 from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
@@ -85,18 +86,26 @@ def first_stream(
     if layout is not None:
         noises = (None,) * layout.count if noise is None else noise.of_modules
         streams = [
-            first_stream(module, readings.of_module(layout, number), estimator, told, period)
+            _unrested_stream(module, readings.of_module(layout, number), estimator, told, period)
             if number not in recording.scene.dead_modules
             else None
             for number, (module, told) in enumerate(zip(recording.modules, noises, strict=True))
         ]
-        return ModulesStream.of(recording.scene, streams)
+        return ModulesStream.of(recording.scene, rested_together(streams))
+    return _unrested_stream(recording, readings, estimator, noise, period).with_rest()
+
+
+def _unrested_stream(
+    recording: Recording, readings: Readings, estimator: Estimator, noise: NoiseSeen | None, period: float | None
+) -> Stream:
+    """The stream of one network before its baseline, with the weights that data choose."""
     resting, scene = resting_readings(recording, readings), recording.scene
     if estimator.automatic and estimator.auto_weight.per == "recording":
         frame = deciding_frame(recording, readings, resting)
         if frame is not None:
             estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
-    return begin_stream(estimator, scene, frame_period(recording) if period is None else period, resting, noise)
+    period = frame_period(recording) if period is None else period
+    return Stream.unrested(estimator, scene, period, resting, noise)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:

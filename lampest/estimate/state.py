@@ -129,6 +129,15 @@ class SequenceState:
         """The state without the terms that compare with an earlier frame."""
         return replace(self, estimator=self.estimator.with_terms(self.estimator.absolute_terms))
 
+    @property
+    def parts(self) -> "tuple[SequenceState | None, ...]":
+        """Of a panel of modules the state of each, None of a dead one; () of a single network."""
+        return ()
+
+    def with_parts(self, parts: "tuple[SequenceState | None, ...]") -> Self:
+        """The state with others in their place."""
+        return self
+
     def unsolved(self, status: Status) -> Step:
         """A step that was not even tried."""
         terms = self.estimator.terms
@@ -150,7 +159,12 @@ class CarriedOver:
 
     @classmethod
     def of(cls, state: SequenceState) -> "CarriedOver":
-        """The last estimate, its deviation, and what error bars look back at."""
+        """The last estimate, its deviation, and what error bars look back at; of each module of a panel of modules."""
+        if state.parts:
+            carried = {
+                _prefix(number): cls.of(part).arrays for number, part in enumerate(state.parts) if part is not None
+            }
+            return cls({before + name: values for before, arrays in carried.items() for name, values in arrays.items()})
         found: dict[str, Any] = {"previous": state.previous, "previous_deviation": state.previous_deviation}
         if (track := state.track) is not None:
             found |= {"deviation": track.deviation}
@@ -164,6 +178,10 @@ class CarriedOver:
 
     def onto(self, begun: S) -> S:
         """The state after those frames; begun : with its baseline, and with what its method prepares at first."""
+        if begun.parts:
+            return begun.with_parts(
+                tuple(part and self._of_module(number).onto(part) for number, part in enumerate(begun.parts))
+            )
         track = begun.track
         if track is not None:
             track = replace(
@@ -176,6 +194,12 @@ class CarriedOver:
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
         return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
 
+    def _of_module(self, number: int) -> "CarriedOver":
+        before = _prefix(number)
+        return CarriedOver(
+            {name.removeprefix(before): values for name, values in self.arrays.items() if name.startswith(before)}
+        )
+
     def _pair(self, first: str, second: str) -> tuple[Array, Array] | None:
         return (self.arrays[first], self.arrays[second]) if first in self.arrays else None
 
@@ -186,3 +210,8 @@ class CarriedOver:
             last, baseline, drawn = (self.arrays[f"sampled_{name}"] for name in ("last", "baseline", "drawn"))
             return SampledMemory(last, baseline, int(drawn[0]))
         return None
+
+
+def _prefix(number: int) -> str:
+    """Before the names of a module's arrays."""
+    return f"module_{number:04d}_"

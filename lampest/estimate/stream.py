@@ -57,6 +57,16 @@ class Stream(SequenceState):
     ) -> "Stream":
         """Before the first frame; an absolute method solves its baseline now. noise : what frames told of it.
 
+        Raises InputError as `unrested`.
+        """
+        return cls.unrested(estimator, scene, period, resting, noise).with_rest()
+
+    @classmethod
+    def unrested(
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+    ) -> "Stream":
+        """Before its baseline.
+
         Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
         scene's readout, or the readings are no frame of the panel.
         """
@@ -72,8 +82,7 @@ class Stream(SequenceState):
         sizes = scene.told_systematic if noise is None or noise.hidden is None else noise.hidden.sizes
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
         shared = None if noise is None else noise.frame
-        begun = cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=shared)
-        return begun._rested()
+        return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=shared)
 
     def tared(self, resting: Readings) -> "Stream":
         """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
@@ -84,13 +93,13 @@ class Stream(SequenceState):
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
         return replace(
             self, resting=resting, track=track, baseline=None, previous=None, previous_deviation=None, prepared=None
-        )._rested()
+        ).with_rest()
 
-    def _rested(self) -> "Stream":
-        """With its baseline, where that is solved alone."""
+    def with_rest(self, solved: Step | None = None) -> "Stream":
+        """With its baseline, where that is solved alone; solved : that, where it is there already."""
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
-        return self if self.estimator.joint_start else self.estimator.method.begin(self)
+        return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
 
     def restarted(self, first: "Stream") -> "Stream":
         """The stream with nothing kept for speed alone but what it began with."""

@@ -98,7 +98,7 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
         hdf5.set_attributes(file, lampest_format=CARRIED)
         group = file.create_group("carried")
         for name, values in carried.arrays.items():
-            unit = "ohm" if name == "previous" else "1"
+            unit = "ohm" if name.endswith("previous") else "1"
             hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
 
 

@@ -11,6 +11,10 @@ from lampest import InputError, Recording, Scene, Simulation, simulate
 from lampest.cli import main
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.modules import EachModule, Modules
+from lampest.runs.batch import run_batch
+from lampest.runs.config import read_run
+from lampest.runs.executors.processes import Serial
+from lampest.runs.long_case import solve_long
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -100,6 +104,44 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
     assert np.isnan(parted.cell_resistance[2, :3, :4]).all() and np.isfinite(parted.cell_resistance[2, 3:]).all()
     assert "module [0, 0]: too few" in parted.status[2] and parted.solved.all()
     np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = simulated(scene_of(SCENE + FAULTS), frames=40)
+    recording.save(tmp_path / "mat.h5")
+    terms = "{misfit: {}, relative_change: {weight: 1e-3}}"
+    (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [mat.h5]\nestimators: {{dCR: {{terms: {terms}}}}}\n")
+    monkeypatch.setattr("lampest.recording.stored.WHOLE", 10**6)
+    whole = run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "whole", Serial())
+    monkeypatch.setattr("lampest.recording.stored.WHOLE", 600)
+    monkeypatch.setattr("lampest.recording.stored.BLOCK", 1200)
+    run = read_run(tmp_path / "run.yaml")
+    [case] = run.cases
+    (tmp_path / "parts" / "cases").mkdir(parents=True)
+    assert case.stored is not None
+    written: list[Path] = []
+
+    def killed(path: Path, cases: list[lampest.CaseResult]) -> None:
+        if written:
+            raise KeyboardInterrupt
+        written.append(path)
+        lampest.write_results(path, cases)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("lampest.runs.long_case.write_results", killed)
+        solve_long(case, case.stored, tmp_path / "parts" / "cases" / f"{case.case_id}.h5")
+    before = written[0].stat().st_mtime_ns
+    monkeypatch.setattr("lampest.runs.long_case.PartFiles.clear", lambda files: None)
+    parts = run_batch(run, tmp_path / "parts", Serial())
+    assert written[0].stat().st_mtime_ns == before  # the first part was not solved again
+    assert whole.results is not None and parts.results is not None
+    [one], [other] = (lampest.read_results(each.results).cases for each in (whole, parts))
+    assert one.cell_resistance.shape == other.cell_resistance.shape == (40, 6, 12)
+    np.testing.assert_allclose(other.cell_resistance, one.cell_resistance, rtol=1e-3)
+    assert np.isnan(other.cell_resistance[:, 3:, 8:]).all() and other.solved.all()
 
 
 def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

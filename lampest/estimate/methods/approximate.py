@@ -11,7 +11,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
-from lampest.estimate.state import S
+from lampest.estimate.state import S, Step
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.solvers.linearised import LinearisedSolver
@@ -32,18 +32,18 @@ class Anchor(Protocol):
 class AnchoredMethod(Method):
     """The baseline is solved to an optimum, without the terms that compare with an earlier frame."""
 
-    def begin(self, state: S) -> S:
+    def begin(self, state: S, solved: Step | None = None) -> S:
         """The state with what is prepared; without it where the baseline has no optimum."""
         alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
-        solved = state.with_baseline(reduced.solve(alone, *reduced.given(alone, state.resting)))
-        if solved.previous is None:
-            return solved
+        found = state.with_baseline(solved or reduced.solve(alone, *reduced.given(alone, state.resting)))
+        if found.previous is None:
+            return found
         objective = state.estimator
-        background = replace(state.background, previous=solved.previous if objective.relative else None)
+        background = replace(state.background, previous=found.previous if objective.relative else None)
         data = objective.data(state.resting.alone(), background)
         cost = objective.cost(state.scene, 1, data.partial)
-        here = evaluated(cost, data, solved.previous[None])
-        return replace(solved, prepared=self.anchor(here, objective.solver))
+        here = evaluated(cost, data, found.previous[None])
+        return replace(found, prepared=self.anchor(here, objective.solver))
 
     @abstractmethod
     def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:

@@ -130,12 +130,11 @@ class Method(ABC):
             weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(solution, choice + perf_counter() - begin, weights)
 
-    def begin(self, state: S) -> S:
-        """The state after its baseline, which is solved alone."""
+    def begin(self, state: S, solved: Step | None = None) -> S:
+        """The state after its baseline, which is solved alone; solved : that, where it is there already."""
         alone = state.without_comparisons() if state.estimator.relative else state
-        settled, baseline = with_contacts(
-            alone, state.resting, self.solve(alone, *self.given(alone, state.resting)), self._elsewhere
-        )
+        first = solved or self.solve(alone, *self.given(alone, state.resting))
+        settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
         state = replace(state, scene=settled.scene, track=settled.track)
         with suppress(*BROKEN):
             model = baseline.surroundings()

@@ -91,13 +91,13 @@ class OralDiscMethod(Method):
         """Always: a disc is what has changed."""
         return True
 
-    def begin(self, state: S) -> S:
+    def begin(self, state: S, solved: Step | None = None) -> S:
         """The state with the unloaded panel that a disc's fits need."""
         begin = perf_counter()
         sequence = OralDiscTracker.of(state)
         data, cost = _judged(state, state.resting)
         solution = _fitted(cost, data, np.exp(sequence.baseline.logarithm), 0)
-        baseline = Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))
+        baseline = solved or Step(solution, perf_counter() - begin, tuple(map(float, cost.weights)))
         return replace(state.with_baseline(baseline), previous=None, prepared=sequence)
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
