@@ -1,0 +1,70 @@
+"""What holds of every preconditioner: M⁻¹ between any free cells is linear, symmetric and positive definite."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest.cost.given import Background
+from lampest.cost.terms import CellResistance, Gradient, Misfit, Term
+from lampest.estimate.estimator import Estimator
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.multistart import evaluated
+from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, Woodbury, preconditioner
+from lampest.solvers.smoothing import Smoothing
+
+SHAPE = (5, 6)
+EVERY = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)
+COSTS: dict[str, tuple[Term, ...]] = {
+    "plain": (Misfit(),),
+    "size": (Misfit(), CellResistance(weight=1e-3)),
+    "slope": (Misfit(), Gradient(weight=1e-3)),
+}
+
+
+def hessian_of(terms: tuple[Term, ...]) -> Hessian:
+    """Of a cost at cells that differ by a factor of ten."""
+    scene = Scene(Panel(*SHAPE), TwoPointReadout())
+    rng = np.random.default_rng(4)
+    cells = 3000.0 * 10 ** rng.uniform(-0.5, 0.5, SHAPE)
+    exact = scene.circuit.to_recorded(scene.circuit.exact_reading(cells[None]), scene)[0]
+    estimator = Estimator(terms, "reduced")
+    data = estimator.data(Readings.of(scene, exact).alone(), Background(scene))
+    point = evaluated(estimator.cost(scene, 1), data, cells[None])
+    return Hessian(point, Smoothing.start(point))
+
+
+def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
+    """One of a kind at a point; a kind of one's own has `of(hessian)`."""
+    hessian = hessian_of(terms)
+    if kind is Cholesky:
+        return preconditioner(hessian, EVERY)
+    kept: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)  # type: ignore[attr-defined]
+    return kept
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
+def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
+    kept = made(kind, COSTS[cost])
+    rng = np.random.default_rng(5)
+    for free in (EVERY, rng.random(EVERY.size) < 0.6):
+        solve = kept.over(free, kept.cell_resistance)
+        inverse = np.column_stack([solve(unit) for unit in np.eye(int(free.sum()))])
+        assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())  # sparse factors keep ten digits
+        assert np.linalg.eigvalsh(inverse).min() > 0
+        values = rng.standard_normal(int(free.sum()))
+        assert_allclose(solve(values), inverse @ values, atol=1e-5 * np.abs(inverse).max())
+
+
+def test_it_serves_no_other_panel() -> None:
+    kept = preconditioner(hessian_of(COSTS["plain"]), EVERY)
+    assert kept.distance(kept.cell_resistance) == 0
+    assert kept.distance(kept.cell_resistance * 2) == pytest.approx(np.log(2))
+    assert kept.distance(np.ones((1, 3, 3))) == np.inf
+    assert replace(kept).distance(kept.cell_resistance) == 0
