@@ -190,7 +190,8 @@ class Entries:
 
     cells, model : the numbers of the nonzeros between cells, and between readings. at_cells : (rows, columns) of the
     former. at_model : readings of the latter, where they stand on the diagonal alone; else None. crossed : whether any
-    stand between cells and readings.
+    stand between cells and readings. on_diagonal : numbers and places of nonzeros on the diagonal. alone : whether no
+    others are there.
     """
 
     cells: NDArray[np.intp]
@@ -198,6 +199,8 @@ class Entries:
     model: NDArray[np.intp]
     at_model: NDArray[np.intp] | None
     crossed: bool
+    on_diagonal: tuple[NDArray[np.intp], NDArray[np.intp]]
+    alone: bool
 
     @classmethod
     def of(cls, rows: NDArray[np.intp], columns: NDArray[np.intp], count: int) -> "Entries":
@@ -206,7 +209,9 @@ class Entries:
         model = np.flatnonzero((rows >= count) & (columns >= count))
         diagonal = np.array_equal(rows[model], columns[model])
         at_model = rows[model] - count if diagonal else None
-        return cls(cells, (rows[cells], columns[cells]), model, at_model, len(cells) + len(model) < len(rows))
+        own, crossed = np.flatnonzero(rows == columns), len(cells) + len(model) < len(rows)
+        at_cells, on_diagonal = (rows[cells], columns[cells]), (own, rows[own])
+        return cls(cells, at_cells, model, at_model, crossed, on_diagonal, len(own) == len(rows))
 
 
 @lru_cache(maxsize=128)

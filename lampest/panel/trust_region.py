@@ -41,10 +41,11 @@ def steihaug(
     radius : may be infinite. A direction of negative curvature is followed to the radius or to LONGEST.
     """
     step, residual = np.zeros_like(gradient), gradient
-    if not float(residual @ precondition(residual)) > 0:
-        precondition = np.copy  # M has lost its digits
     scaled = precondition(residual)
-    search, strength = -scaled, float(residual @ scaled)
+    if not (strength := float(residual @ scaled)) > 0:
+        precondition = np.copy  # M has lost its digits
+        scaled, strength = residual, float(residual @ residual)
+    search = -scaled
     goal = accuracy**2 * strength
     inner, mixed, outer = 0.0, 0.0, strength  # ‖s‖², sᵀMp, ‖p‖²
     count = 0

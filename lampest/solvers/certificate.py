@@ -91,7 +91,7 @@ class Certificate:
 
 def _deviations(hessian: Hessian, decrement: float) -> float:
     data = hessian.at.data
-    curvature = hessian.terms.diagonal()[data.measured.size :]
+    curvature = hessian.curvature
     counting = curvature > 0
     if not (data.noise_known and counting.any()):
         return float("inf")
@@ -124,7 +124,7 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None
-    curvature, reading = hessian.terms.diagonal()[hessian.at.reading.size :], hessian.at.reading.ravel()
+    curvature, reading = hessian.curvature, hessian.at.reading.ravel()
     if not np.all(curvature > 0):
         return None
     missed = hessian.by_reading.ravel() / curvature / reading
@@ -233,7 +233,7 @@ def clear_of_rounding(triangle: Array, unit: Array) -> bool:
 def _usual_curvature(hessian: Hessian) -> Array:
     """(cells) ∂²φ/∂u² from a cell's own reading, were it weighed as the others are."""
     response = np.concatenate([network.own_response().ravel() for network in hessian.at.networks])
-    weight = hessian.terms.diagonal()[response.size :]
+    weight = hessian.curvature
     return np.asarray(np.median(weight[weight > 0]) * response**2 if np.any(weight > 0) else np.ones_like(response))
 
 

@@ -89,15 +89,30 @@ class Hessian:
             matrix = matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian)
         return sparse.csr_array(matrix)
 
+    @cached_property
+    def diagonal_of_terms(self) -> Array:
+        """T's diagonal."""
+        entries, values = self._entries
+        numbers, places = entries.on_diagonal
+        diagonal = np.zeros(2 * self.at.cell_resistance.size)
+        diagonal[places] = values[numbers]
+        return diagonal
+
+    @property
+    def curvature(self) -> Array:
+        """∂²φ/∂y² of each reading alone, flat."""
+        return self.diagonal_of_terms[self.at.cell_resistance.size :]
+
     def product(self, step: Array) -> Array:
         """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells²."""
         cells = self.at.cell_resistance
         change, second = np.empty_like(cells), np.empty_like(cells)
         for frame, part in enumerate(step.reshape(cells.shape)):
             change[frame], second[frame] = self._second_orders[frame].products(part)
-        force = self.terms @ np.concatenate([cells.ravel() * step, change.ravel()])
-        direct, through = np.split(force, 2)
-        whole: Array = cells.ravel() * direct + self.adjoint(through.reshape(cells.shape))
+        move = np.concatenate([cells.ravel() * step, change.ravel()])
+        force = self.diagonal_of_terms * move if self._entries[0].alone else self.terms @ move
+        through = self.adjoint(force[step.size :].reshape(cells.shape))
+        whole: Array = cells.ravel() * force[: step.size] + through
         return whole + second.ravel() + (self.direct - self.through) * step
 
     def gauss_newton_product(self, step: Array) -> Array:
@@ -108,9 +123,7 @@ class Hessian:
     @cached_property
     def reading_weight(self) -> Array:
         """W = max(∂²φ/∂y², 0), (frames, rows, columns)."""
-        size = self.at.cell_resistance.size
-        weight = np.maximum(self.terms.diagonal()[size:], 0.0)
-        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
+        return np.asarray(np.maximum(self.curvature, 0.0).reshape(self.at.cell_resistance.shape))
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
@@ -179,7 +192,7 @@ class Hessian:
             cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
             matrix += cross + cross.T
 
-    @property
+    @cached_property
     def _entries(self) -> tuple[Entries, Array]:
         """Where the nonzeros of T stand, and their values."""
         functions = self.at.cost.functions

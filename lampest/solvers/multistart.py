@@ -13,9 +13,7 @@ from itertools import chain, islice
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Term
 from lampest.files.interrupts import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
@@ -61,10 +59,12 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
             break
         if count and data.overdue:
             break
-        found = solved_from(solver, _near_squares(solver, start))
+        found = solved_from(solver, start)
         count += 1
         if best is None or _lower(found, best):
             best = found
+        if solver.settings.starts is None and found.strict and found.convex:
+            break
     return _broken(solver.cost, data) if best is None else replace(best, starts=count)
 
 
@@ -139,25 +139,6 @@ def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evalu
             point = evaluated(cost, data, start)
             if np.isfinite(point.objective):
                 yield point
-
-
-def _near_squares(solver: Solver, start: Evaluation) -> Evaluation:
-    """Where the cost with squared losses of the readings ends, if that is lower.
-
-    Beyond its corner a loss pulls but does not curve: from afar, where all readings lie there, Newton's method takes a
-    hundred steps for what squares reach in five.
-    """
-    squared = tuple(replace(term, loss=Squared()) if _has_corner(term) else term for term in solver.cost.terms)
-    if squared == solver.cost.terms or not isinstance(solver, ProjectedNewton):
-        return start
-    near = ProjectedNewton(replace(solver.cost, terms=squared), solver.settings)
-    found = solved_from(near, evaluated(near.cost, start.data, start.cell_resistance))
-    reached = list(evaluable(solver.cost, start.data, [found.cell_resistance])) if found.solved else []
-    return min((*reached, start), key=lambda point: point.objective)
-
-
-def _has_corner(term: Term) -> bool:
-    return term.reads_measurement and not term.loss.squared and term.loss.enters == "split"
 
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:

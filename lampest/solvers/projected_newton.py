@@ -91,18 +91,22 @@ class ProjectedNewton:
 class Iterate:
     """A point with its derivatives; objective : φ, smoothed. kept : M, or None.
 
-    gauss_newton : how many more steps with JᵀWJ may avoid negative curvature.
+    gauss_newton : how many more steps with JᵀWJ may avoid negative curvature. convex : whether no direction on the way
+    here had any.
     """
 
     hessian: Hessian
     objective: float
     kept: Preconditioner | None = None
     gauss_newton: int = GAUSS_NEWTON
+    convex: bool = True
 
     @classmethod
-    def of(cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None) -> "Iterate":
+    def of(
+        cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None, convex: bool = True
+    ) -> "Iterate":
         """Where a solve begins."""
-        return cls(Hessian(at, smoothing), smoothing.objective(at), kept=kept)
+        return cls(Hessian(at, smoothing), smoothing.objective(at), kept=kept, convex=convex)
 
     @property
     def at(self) -> Evaluation:
@@ -128,7 +132,7 @@ class Iterate:
     def sharpened(self) -> "Iterate":
         """The same place with a tenth of the smoothing."""
         smoothing = self.hessian.smoothing
-        return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10))
+        return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -143,7 +147,7 @@ class Iterate:
             kept = found.factor
             if found.settled and not len(dual) and float(np.abs(found.step).max()) <= NEAR:
                 cells = np.exp(self.at.position + found.step.reshape(cells.shape))
-        return Outcome(cells, dual, status, iterations, found, kept)
+        return Outcome(cells, dual, status, iterations, found, kept, self.convex)
 
     def unsmoothed(self, iterations: int) -> Outcome | None:
         """The minimum nearby without any smoothing; None where there are no absolute losses, or none is found."""
@@ -151,7 +155,7 @@ class Iterate:
         if found is None:
             return None
         at, dual, certified = found
-        return Outcome(at.cell_resistance, dual, Status.OPTIMUM, iterations + 1, certified)
+        return Outcome(at.cell_resistance, dual, Status.OPTIMUM, iterations + 1, certified, convex=self.convex)
 
     def at_step(self, step: Array) -> "Iterate | None":
         """The point after a step of u (flat), within the bounds; None where its network cannot be solved."""
@@ -161,7 +165,8 @@ class Iterate:
             at = self.at.elsewhere(np.clip(cells, data.lower, data.upper))
         except np.linalg.LinAlgError:
             return None
-        return Iterate(Hessian(at, smoothing.moved(self.at, at)), smoothing.objective(at), kept=self.kept)
+        hessian = Hessian(at, smoothing.moved(self.at, at))
+        return Iterate(hessian, smoothing.objective(at), kept=self.kept, convex=self.convex)
 
     def accepts(self, trial: "Iterate | None", predicted: float) -> float:
         """The ratio of actual to predicted decrease; where rounding hides it, 1 or −1: did the gradient halve?"""
@@ -198,12 +203,13 @@ def advanced(point: Iterate) -> Iterate | None:
     free, kept = free_cells(point.at, hessian.gradient), point.kept
     if kept is None or kept.distance(cells) > MOVED:
         kept = preconditioner(hessian, free)
-    radius, patience = inf, point.gauss_newton
+    radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
     product = exact
     for _ in range(MOST_REJECTIONS):
         found = direction(point, kept, free, product, radius)
+        convex = convex and not found.negative
         if found.negative and patience and product is exact:
             product, patience = hessian.gauss_newton_product, patience - 1
             found = direction(point, kept, free, product, radius)
@@ -212,7 +218,7 @@ def advanced(point: Iterate) -> Iterate | None:
         if trial is not None and ratio >= ACCEPTED:
             worn = found.products > WORN[hessian.dense]
             patience = patience if found.negative or product is not exact else GAUSS_NEWTON
-            return replace(trial, kept=None if worn else kept, gauss_newton=patience)
+            return replace(trial, kept=None if worn else kept, gauss_newton=patience, convex=convex)
         radius = SHORTER * found.length
         if not radius > 0:
             break
@@ -285,7 +291,7 @@ def escaped(point: Iterate) -> Iterate | None:
     if found.definiteness is not Definiteness.INDEFINITE or found.descent is None:
         return None
     lower = downhill(point.at, found.descent)
-    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower))
+    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
 
 
 def least_squares_step(point: Iterate) -> Iterate | None:

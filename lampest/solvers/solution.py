@@ -115,6 +115,7 @@ class Outcome:
 
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
     these cells, where the solver asked for one. kept : a preconditioner that serves a frame like this one, or None.
+    convex : whether the cost curved upwards along every direction from the start to here, as far as anybody looked.
     """
 
     cell_resistance: Array
@@ -123,6 +124,7 @@ class Outcome:
     iterations: int
     certificate: Certificate | None = None
     kept: Preconditioner | None = None
+    convex: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +134,8 @@ class Solution:
     cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
     costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
-    kept : of the outcome, for the next frame. starts : from how many points it was sought; it is the lowest minimum
-    that they reached.
+    kept, convex : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they
+    reached.
     """
 
     cell_resistance: Array
@@ -148,6 +150,7 @@ class Solution:
     at: Evaluation | None = None
     dual: Array | None = None
     kept: Preconditioner | None = None
+    convex: bool = False
     starts: int = 1
 
     @property
@@ -268,6 +271,7 @@ def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status:
         evaluation,
         outcome.dual,
         outcome.kept,
+        outcome.convex,
     )
 
 

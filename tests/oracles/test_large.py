@@ -119,32 +119,56 @@ def test_lines_stand_for_the_square_of_the_stencil() -> None:
     assert_allclose(matrix, np.diag(parts.own.ravel()) + across @ parts.mixed @ across.T, rtol=1e-10)
 
 
-@pytest.mark.slow
-def test_the_interior_point_method_ends_where_stops_at_bounds_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a large panel with noise, a third of the cells at their bound; begun inside, and stopped one by one."""
+def crowded(deviations: float) -> Recording:
+    """A large panel with so much noise that a third of its cells, or nearly all, end at their bound."""
     generator = np.random.default_rng(8)
     truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
     truth[4:9, 5:9] *= 0.1
     readout = TwoPointReadout()
     exact = two_point_resistance(truth)
-    resistance = exact + 100 * readout.sigma(exact) * generator.standard_normal(exact.shape)
-    recorded = Recording(Scene(Panel(18, 20), readout), resistance[None], np.zeros(1), np.ones(1, dtype=np.uint8))
-    estimator = Estimator((Misfit(),), formulation="reduced")
+    resistance = exact + deviations * readout.sigma(exact) * generator.standard_normal(exact.shape)
+    resistance = np.maximum(resistance, 10.0)
+    return Recording(Scene(Panel(18, 20), readout), resistance[None], np.zeros(1), np.ones(1, dtype=np.uint8))
+
+
+@pytest.fixture
+def begun_inside(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Evaluation, int]]:
+    """What every interior-point solve ended at, and its steps."""
     taken = []
 
     def watched(start: Evaluation) -> tuple[Evaluation, int]:
-        found, steps = by_interior_point(start)
-        taken.append(steps)
-        return found, steps
+        taken.append(by_interior_point(start))
+        return taken[-1]
 
     monkeypatch.setattr(projected_newton, "by_interior_point", watched)
+    return taken
+
+
+@pytest.mark.slow
+def test_the_interior_point_method_ends_where_stops_at_bounds_end(
+    begun_inside: list[tuple[Evaluation, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a large panel with noise, a third of the cells at their bound; begun inside, and stopped one by one."""
+    recorded, estimator = crowded(100), Estimator((Misfit(),), formulation="reduced")
     inside = reconstruct(recorded, estimator).steps[0].solution
-    assert max(taken) > 5
+    assert max(steps for _, steps in begun_inside) > 5
     monkeypatch.setattr(projected_newton, "by_interior_point", lambda start: (start, 0))
     stopped = reconstruct(recorded, estimator).steps[0].solution
     assert np.sum(inside.open_cell) > 38
     assert inside.status is stopped.status is Status.HELD
     assert inside.objective == pytest.approx(stopped.objective, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_the_interior_point_method_leaves_no_search_for_the_bounds(
+    begun_inside: list[tuple[Evaluation, int]],
+) -> None:
+    """Where nine of ten cells end at a bound, it puts those there that belong there."""
+    solution = reconstruct(crowded(1000), Estimator((Misfit(),), formulation="reduced")).steps[0].solution
+    assert np.mean(solution.open_cell) > 0.9
+    for found, steps in begun_inside:
+        assert steps > 5
+        assert np.array_equal(found.cell_resistance >= found.data.upper, solution.open_cell)
 
 
 def pressed_patch() -> Evaluation:
