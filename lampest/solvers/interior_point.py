@@ -26,15 +26,11 @@ CENTRED, ASIDE = 0.2, 0.4  # of the mean force times room: μ of the next step, 
 FREELY = 0.9  # of a step: not cut short. 0.2 alone took 69 steps where both take 53, 0.4 alone 30 where both take 20
 BOUNDARY = 0.99  # of the way to the next bound
 ACCURACY = 0.1  # of a step by conjugate gradients, where bounds add as much as the cost itself
-FORCING = 0.25  # power of that share with which steps grow exact: at bounds, cells' own residuals hide what others leave
+FORCING = 0.25  # power of that share with which steps grow exact: residuals of cells at bounds hide those of others
 DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 MOST_STEPS = 90
-NEAR = (
-    1e-3  # of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance
-)
-# Of a bound, from it, and of the cost: cells whose own reading says nothing may still matter to others, and 200 of them
-# put at bounds from far away cost 1 % at 200 × 200.
-CLOSE, DEARER = 0.01, 1e-3
+# Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
+NEAR = 1e-3
 NOTHING = 1e-8  # of the cost: what the bounds still add to it where the last steps are left to Newton's method
 
 
@@ -193,20 +189,12 @@ class _Barrier:
         return _Barrier(found, self.below + length * below, self.above + length * above, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
-        """The cost with cells at the bound that bends their way more than the readings do; where that costs more than
-        it may, only with those that are CLOSE to it.
-        """
-        found = self._put(np.inf)
-        return found if found.objective <= (1 + DEARER) * self.at.objective else self._put(CLOSE)
-
-    def _put(self, close: float) -> Evaluation:
+        """The cost with cells at the bound that bends their way more than the readings do."""
         data = self.at.data
         own = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
-        (low, high), (below, above) = _bounds(self.at), self.rooms
-        opened = (_over(self.below, below) > own) & (below <= close * low)
-        shorted = (_over(self.above, above) > own) & (above <= close * high)
-        cells = np.where(opened, data.upper[0], self.at.cell_resistance[0])
-        return self.at.elsewhere(np.where(shorted, data.lower[0], cells)[None])
+        below, above = (_over(*pair) > own for pair in zip((self.below, self.above), self.rooms, strict=True))
+        cells = np.where(below, data.upper[0], self.at.cell_resistance[0])
+        return self.at.elsewhere(np.where(above, data.lower[0], cells)[None])
 
 
 def _bounds(at: Evaluation) -> tuple[Array, Array]:

@@ -48,10 +48,6 @@ class Squares:
 
     def step(self, damping: float) -> Array:
         """argmin |b + A s|² + damping·|s·size|²."""
-        if len(self.size) > ORTHOGONAL_UNKNOWNS:
-            square = self.matrix.T @ self.matrix
-            square.flat[:: len(square) + 1] += max(damping, len(square) * EPSILON)
-            return np.asarray(-linalg.solve(square, self.matrix.T @ self.right, assume_a="pos") / self.size)
         if not damping:
             upper, turned, order = self._orthogonal
         else:

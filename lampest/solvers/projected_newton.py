@@ -118,11 +118,12 @@ class Iterate:
         """The projected gradient, relative to the cost's scale."""
         return self.at.projected_gradient(self.hessian.gradient.reshape(self.at.cell_resistance.shape))
 
-    @property
+    @cached_property
     def gap(self) -> float:
         """What the smoothing of absolute losses may still cost, relative to the cost's scale."""
-        slope = self.hessian.smoothing.slope(self.at.rough)
-        return self.at.dual_gap(slope) / self.at.cost_scale if len(slope) else 0.0
+        if not len(self.at.rough):
+            return 0.0
+        return self.at.dual_gap(self.hessian.smoothing.slope(self.at.rough)) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
         """Whether the smoothing costs no more than a share of the cost, and is not mere rounding."""

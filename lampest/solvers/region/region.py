@@ -12,22 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.given import Given
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.network import Block, Network
-from lampest.panel.panel import Array, Panel
-from lampest.solvers.hessian import Hessian, weighted_square
-from lampest.solvers.multistart import best_solution
+from lampest.panel.panel import Array
+from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import OPEN_FRACTION, Outcome, Settings, Solution, Status, approximation
+from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
 
 DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
 MOST_GROWTHS, SWEEPS = 6, 2
 LARGEST_SHARE, MOST_CELLS = 0.5, 600
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-MOST_STEPS, SMALL_STEP, UNSEEN, LONGEST_STEP, LARGEST_DAMPING = 40, 1e-6, 1e-4, 2.5, 1e8
 HALF = 0.5  # of what a load would do: nearer to all of it than to nothing
 UNSURE = 0.2  # of the same, a median's standard deviation: beyond, noise hides which of both it is
 
@@ -74,7 +70,11 @@ class RegionSolver:
                 network = data.readout.fitted_block(network, block, *given)
         measured = np.where(outliers, network.reading(), data.measured[0])[None]
         used = replace(data, given=replace(data.given, measured=measured))
-        return self._minimised(cost, data, used, previous, network, blocks)
+        inside = covered_by(blocks, plain.shape)
+        resting, ways = self.baseline.cell_resistance, (network.cell_resistance, previous)
+        starts = (evaluated(cost, used, np.where(inside, cells, resting)) for cells in ways)
+        begun = min(starts, key=lambda point: point.objective)
+        return self._minimised(cost, data, used, begun.cell_resistance, inside)
 
     @cached_property
     def _exact(self) -> Network:
@@ -118,143 +118,19 @@ class RegionSolver:
         excess = np.where(apart > self.significance * np.maximum(noise, spread), apart, 0.0)
         return np.asarray(excess > SHARE * excess.max())
 
-    def _minimised(
-        self, cost: Cost, data: Data, used: Data, previous: Array, fit: Network, blocks: tuple[Block, ...]
-    ) -> Solution:
-        """The minimum over the cells of each block in turn, all others fixed. used : the data without outliers."""
-        network, steps = self.baseline.networks[0], 0
-        for block in blocks:
-            network = network.changed(block, fit.conductance[block])
-        for block in blocks:
-            problem = BlockProblem(cost, used, network, block)
-            starts = [problem.at(np.log(cells[block]).ravel()) for cells in (1 / fit.conductance, previous)]
-            network, taken = problem.minimum(min(starts, key=lambda point: point.objective))
-            steps += taken
-        cells, dual = network.cell_resistance[None], np.zeros(len(cost.slope))
-        if np.any(network.reading() <= 0):  # changes have lost digits: solved once more
-            return approximation(cost, data, Outcome(cells, dual, Status.APPROXIMATE, steps))
-        at = Evaluation(cost, data, cells, network.reading()[None], (network,))
-        low, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        found = (at.kkt_residual(dual), low, open_cell, Status.APPROXIMATE, steps)
-        return Solution(cells, at.reading, at.costs, at.objective, *found)
-
-
-@dataclass(frozen=True, eq=False)
-class BlockPoint:
-    """A point of a block: u = log r, the whole panel's network, every part of the cost there, and φ."""
-
-    position: Array
-    network: Network
-    parts: list[Evaluation]
-    objective: float
-
-
-@dataclass(frozen=True, eq=False)
-class BlockProblem:
-    """φ, without what the block cannot move, as a function of its cells' u = log r; all others stay as `resting`."""
-
-    cost: Cost
-    data: Data
-    resting: Network
-    block: Block
-
-    @cached_property
-    def numbers(self) -> NDArray[np.intp]:
-        """(rows, columns) of the panel's cells."""
-        return np.arange(self.resting.conductance.size).reshape(self.resting.conductance.shape)
-
-    @cached_property
-    def readings(self) -> NDArray[np.intp]:
-        """The numbers of all cells in the block's lines."""
-        return np.union1d(self.numbers[self.block[0]], self.numbers[:, self.block[1]])
-
-    @cached_property
-    def parts(self) -> list[tuple[Cost, Data, NDArray[np.intp]]]:
-        """The misfit on the readings, as a panel of one row, and the penalties round the block; with cell numbers."""
-        around = self.numbers[widened(self.block, 2, self.numbers.shape)]  # all that gradients inside it read
-        misfit = tuple(term for term in self.cost.terms if term.reads_measurement)
-        penalty = tuple(term for term in self.cost.terms if not term.reads_measurement)
-        faulty = tuple(np.flatnonzero(np.isin(around, self.cost.faulty)).tolist())
-        return [
-            (replace(self.cost, panel=Panel(*cells.shape), terms=terms, faulty=left_out), _of(self.data, cells), cells)
-            for cells, terms, left_out in ((self.readings[None], misfit, ()), (around, penalty, faulty))
-            if terms
-        ]
-
-    @cached_property
-    def bounds(self) -> tuple[Array, Array]:
-        """Of u."""
-        low, high = (np.log(bound[0][self.block]).ravel() for bound in (self.data.lower, self.data.upper))
-        return low, high
-
-    def at(self, position: Array) -> BlockPoint:
-        """The point nearest to u within the bounds."""
-        position = np.clip(position, *self.bounds)
-        network = self.resting.changed(self.block, np.exp(-position).reshape(self.numbers[self.block].shape))
-        cells, model = 1 / network.conductance[None], network.reading()[None]
-        parts = [Evaluation(cost, data, _at(cells, of), _at(model, of), ()) for cost, data, of in self.parts]
-        return BlockPoint(position, network, parts, sum(part.objective for part in parts))
-
-    def minimum(self, here: BlockPoint) -> tuple[Network, int]:
-        """(network, steps) of damped, projected Gauss–Newton steps that lower φ until they are small."""
-        damping, (low, high) = 0.0, self.bounds
-        for count in range(MOST_STEPS):
-            gradient, matrix = self._model(here, min(count, 4))
-            at_low, at_high = here.position <= low, here.position >= high
-            free = (low < high) & ~((at_low & (gradient > 0)) | (at_high & (gradient < 0)))
-            size = np.diag(matrix) + 1e-12 * np.abs(np.diag(matrix)).max(initial=1e-300)
-            while True:
-                step = np.zeros(len(gradient))
-                system = matrix[np.ix_(free, free)] + np.diag((damping + 1e-12) * size[free])
-                step[free] = np.clip(np.linalg.solve(system, -gradient[free]), -LONGEST_STEP, LONGEST_STEP)
-                there = self.at(here.position + step)
-                if there.objective < here.objective:
-                    break
-                damping = max(10 * damping, 1e-3)
-                if damping > LARGEST_DAMPING or np.abs(step).max(initial=0) < SMALL_STEP:
-                    return here.network, count
-            moved, here = np.abs(there.position - here.position).max(initial=0), there
-            damping = damping / 10 if damping > 1e-3 else 0.0
-            # A step by a hundredth of the standard deviation lowers φ by 1e-4 of a reading's share of it.
-            if moved < SMALL_STEP or -float(gradient @ step) < UNSEEN * here.objective / len(self.readings):
-                return here.network, count + 1
-        return here.network, MOST_STEPS
-
-    def _model(self, here: BlockPoint, sharpness: int) -> tuple[Array, Array]:
-        """(∇φ, its Hessian without that of the readings) in u; absolute losses are smoothed, less with sharpness."""
-        own, cells = self.numbers[self.block].ravel(), np.exp(here.position)
-        gradient, matrix = np.zeros(len(own)), np.zeros((len(own), len(own)))
-        for (cost, _, numbers), at in zip(self.parts, here.parts, strict=True):
-            width = Smoothing.start(at).width / 10**sharpness
-            dual = Smoothing(width, at.rough).slope(at.rough)
-            direct, through = (side.ravel() for side in at.partials(dual))
-            second = Hessian(at, Smoothing(width, dual)).terms
-            if cost.terms[0].reads_measurement:
-                jacobian = here.network.sensitivity(own, self.readings)
-                gradient += jacobian.T @ through
-                matrix += weighted_square(jacobian, second.diagonal()[numbers.size :])
-            else:
-                place = np.flatnonzero(np.isin(numbers, own))
-                gradient += (slope := direct[place] * cells)
-                matrix += second[place][:, place].toarray() * np.outer(cells, cells) + np.diag(np.maximum(slope, 0))
-        return gradient, matrix
+    def _minimised(self, cost: Cost, data: Data, used: Data, start: Array, inside: NDArray[np.bool_]) -> Solution:
+        """The minimum over the cells `inside`, all others fixed at the start. used : the data without outliers."""
+        fixed = replace(used, lower=np.where(inside, data.lower, start), upper=np.where(inside, data.upper, start))
+        found = solved_from(ProjectedNewton(cost, self.settings), Evaluation.at(cost, fixed, start))
+        cells = found.cell_resistance if found.solved else start
+        outcome = Outcome(cells, np.zeros(len(cost.slope)), Status.APPROXIMATE, found.iterations)
+        return approximation(cost, data, outcome)
 
 
 def _apart(change: Array) -> Array:
     """By how much a change differs from those of its row and column, either way."""
     rest = change - np.nanmedian(change, axis=1, keepdims=True)
     return np.asarray(np.abs(rest - np.nanmedian(rest, axis=0, keepdims=True)))
-
-
-def _at(values: Array, numbers: NDArray[np.intp]) -> Array:
-    """Values (..., rows, columns) of the cells with these numbers, in their shape."""
-    return np.asarray(values.reshape(*values.shape[:-2], -1)[..., numbers])
-
-
-def _of(data: Data, numbers: NDArray[np.intp]) -> Data:
-    """The data of these cells."""
-    given = Given(**{name: _at(value, numbers) for name, value in data.given.named()})
-    return Data(given, _at(data.lower, numbers), _at(data.upper, numbers), data.readout, data.wiring)
 
 
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
@@ -289,13 +165,6 @@ def covered_by(blocks: tuple[Block, ...], shape: tuple[int, ...]) -> NDArray[np.
     for block in blocks:
         covered[block] = True
     return covered
-
-
-def widened(block: Block, by: int, shape: tuple[int, ...]) -> Block:
-    """The block with so many more cells on every side, as far as the panel goes."""
-    sides = zip(block, shape, strict=True)
-    down, across = (slice(max(side.start - by, 0), min(side.stop + by, n)) for side, n in sides)
-    return down, across
 
 
 def isolated(values: Array, share: float) -> NDArray[np.bool_]:
