@@ -17,7 +17,7 @@ from lampest.panel.readouts import Readout
 from lampest.solvers.linearised import LinearisedSolver
 from lampest.solvers.multistart import BROKEN, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.region.region import RegionSolver
+from lampest.solvers.region import RegionSolver
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
 

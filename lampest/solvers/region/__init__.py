@@ -1,1 +1,0 @@
-"""Only what changed is unknown."""
