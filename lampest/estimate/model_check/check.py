@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
-from lampest.recording.readings import Readings, changes, strongest_frame
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
@@ -51,28 +52,34 @@ def recording_check(recording: Recording) -> ModelCheck:
     """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     measured = np.flatnonzero(recording.role == MEASURED)
-    if recording.scene.panel.modules is not None:
-        return _of_modules(recording, recording.scene.panel.modules, measured)
     return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured, recording.number)
 
 
-def _of_modules(recording: Recording, layout: Modules, measured: NDArray[np.intp]) -> ModelCheck:
+def _of_modules(
+    scene: Scene,
+    layout: Modules,
+    recorded: Array,
+    sigma: Array | None,
+    unloaded: NDArray[np.intp],
+    measured: NDArray[np.intp],
+    number: NDArray[np.intp] | None,
+) -> ModelCheck:
     """Of the modules whose readings move most, MOST_MODULES of them: one circuit after the other takes its time."""
-    dead = recording.scene.dead_modules
-    moved = []
-    for number, module in enumerate(recording.modules):
-        readings = module.readings()
-        resting = readings[
-            np.flatnonzero(recording.role == UNLOADED) if np.any(recording.role == UNLOADED) else [0]
-        ].mean()
-        change = changes(readings.plain_values[measured], resting.value)
-        moved.append(-1.0 if number in dead else float(change.max(initial=0.0)))
-    chosen = sorted(np.argsort(moved)[::-1][: min(MOST_MODULES, layout.count - len(dead))].tolist())
-    found = [(number, recording_check.__wrapped__(recording.modules[number])) for number in chosen]
+    values = layout.split(Readings.of(scene, recorded, sigma).plain_values)
+    with catch_warnings(), np.errstate(all="ignore"):
+        simplefilter("ignore")  # of a module that says nothing
+        resting = np.nanmean(values[unloaded if len(unloaded) else [0]], axis=0)
+        moved = np.nan_to_num(np.nanmean(np.abs(np.log(values[measured] / resting)), axis=(2, 3))).max(0, initial=0.0)
+    living = [one for one in np.argsort(moved)[::-1].tolist() if one not in scene.dead_modules]
+    chosen, found = sorted(living[:MOST_MODULES]), []
+    for one in chosen:
+        inside = (..., *layout.cells(one))
+        known = None if sigma is None else sigma[inside]
+        found.append((one, model_check(scene.of_modules[one], recorded[inside], known, unloaded, measured, number)))
     explains = [check.explains for _, check in found]
     verdict = False if False in explains else True if True in explains else None
-    said = [(number, check) for number, check in found if check.explains is verdict]
-    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in said)
+    said = [(one, check) for one, check in found if check.explains is verdict]
+    sentence = "; ".join(f"module {list(layout.place(one))}: {check.sentence}" for one, check in said)
     if len(chosen) < layout.count:
         sentence += f"; {len(chosen)} of {layout.count} modules were checked, those that move most"
     noise = max(check.noise for _, check in found)
@@ -94,6 +101,8 @@ def model_check(
     mean and the frame that differs most from it are explained by cells alone, every frame is held against the circuit's
     inequalities, and other circuits are tried on the same two. Raises InputError as `Readings.of`.
     """
+    if scene.panel.modules is not None:
+        return _of_modules(scene, scene.panel.modules, recorded, sigma, unloaded, measured, number)
     readings = Readings.of(scene, recorded, sigma)
     if readings.sigma is None:
         return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
@@ -160,7 +169,7 @@ def _unexplained(found: Explanation, question: Question) -> str:
     if found.holds:
         return ""
     worst = int(np.argmin([fit.tail for fit in found.fits]))
-    fit, what = found.fits[worst], ("the unloaded panel", question.loaded)[worst]
+    fit, what = found.fits[worst], question.loaded if worst else "the unloaded panel"
     return (
         f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
         f"be noise, {fit.worst_line()}"

@@ -234,7 +234,10 @@ def _centre(message: Message) -> list[float] | None:
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
-    return {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}
+    about: dict[str, Any] = {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}
+    if panel.modules is not None:
+        about |= {"modules": [panel.modules.each.rows, panel.modules.each.columns], "seam_mm": panel.modules.seam_mm}
+    return about
 
 
 def _line(content: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.modules import begin_stream
 from lampest.estimate.noise.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
@@ -94,9 +95,16 @@ class PanelState:
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, hasty: bool = False
     ) -> "PanelState":
-        """Against the unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`."""
-        begun = cls(Stream.begin(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
-        return begun.in_haste() if hasty else begun
+        """Against the unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`.
+
+        Frames of many modules are solved together, and leave nothing to second looks; they get error bars if asked for.
+        """
+        several = scene.panel.modules is not None
+        if several and estimator.error_bars == "auto":
+            estimator = replace(estimator, error_bars=False)
+        stream = begin_stream(estimator, scene, period, resting)
+        begun = cls(stream, PressureTrack.begin(scene, tare=estimator.tare))
+        return begun.in_haste() if hasty and not several else begun
 
     def in_haste(self) -> "PanelState":
         """Frames take no longer than they must, and leave the rest open for a second look.
@@ -138,6 +146,8 @@ class PanelState:
 
     def without_outliers(self, readings: Readings) -> tuple["PanelState", Readings, int]:
         """With a frame among those before the next; the frame without its outliers, and how many there are."""
+        if self.stream.parts:
+            return self, readings, 0
         stream, after = self.stream, replace(self, before=self.before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
         return after, *self.before.without_outliers(readings, *known)
@@ -145,7 +155,7 @@ class PanelState:
     def ratio(self, step: Step) -> Array | None:
         """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
         baseline = self.stream.baseline_resistance
-        if not step.solution.solved or np.isnan(baseline).any():
+        if not step.solution.solved or np.isnan(baseline[~self.stream.scene.broken]).any():
             return None
         return np.asarray(step.solution.cell_resistance[-1] / baseline)
 
@@ -179,7 +189,7 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
         return state, replace(picture, status=str(error))
     look = state.second_look(picture.number, picture.time, readings, step)
     here, solution = replace(state, stream=stream, look=look), step.solution
-    picture = replace(picture, status=solution.status.value, seconds=step.seconds)
+    picture = replace(picture, status=step.status, seconds=step.seconds)
     ratio = here.ratio(step)
     if ratio is not None:
         pressed, force = read_load(here.load, ratio, step.bars, picture.time)
