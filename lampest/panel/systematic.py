@@ -18,9 +18,11 @@ from lampest.panel.readouts.wired import contact_responses
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene, Systematic
 
-BENDS = 4  # sines that a converter's curve is made of; between them they are as large as told, in the mean square
-# Two channels of a CD74HC4067, 70 ohm each typically and 160 at most: singles lie between 50 and 110.
-USUAL_SERIES_OHM = 20.0
+SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square
+# Two channels of a CD74HC4067, 70 ohm each typically and 160 at most, lie within 50 ohm of what is typical; resistors of
+# the series E24 within 5 %. So large that 95 % intervals cover both at once.
+USUAL_SERIES_OHM = 35.0  # standard deviation
+USUAL_REFERENCE = 0.06  # tolerance, as a fraction
 USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
 USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
 
@@ -51,7 +53,11 @@ def usual(scene: Scene) -> Systematic | None:
         return None
     series = USUAL_SERIES_OHM if scene.circuit.series_name else None
     return Systematic(
-        series_ohm=series, inl_lsb=USUAL_INL_LSB, wire_ohm_per_cell=USUAL_WIRE_OHM, response_sd=USUAL_RESPONSE_SD
+        reference_tolerance=USUAL_REFERENCE,
+        series_ohm=series,
+        inl_lsb=USUAL_INL_LSB,
+        wire_ohm_per_cell=USUAL_WIRE_OHM,
+        response_sd=USUAL_RESPONSE_SD,
     )
 
 
@@ -85,8 +91,8 @@ def _curve(measured: Array, scene: Scene, lsb: float) -> Array:
     """Of sines over the converter's range."""
     circuit = scene.circuit
     volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
-    size = lsb * circuit.lsb_volt * np.sqrt(2 / BENDS)
-    waves = size * np.sin(np.pi * (np.arange(BENDS)[:, None, None] + 1) * volt / circuit.supply_volt)
+    size = lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
+    waves = size * np.sin(np.pi * (np.arange(SINES)[:, None, None] + 1) * volt / circuit.supply_volt)
     ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
     return np.asarray(ends[0] - ends[1])
 

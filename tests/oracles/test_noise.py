@@ -187,6 +187,18 @@ def test_scenes_that_say_nothing_leave_usual_errors_possible_and_none_leaves_non
     assert not noise_seen(none).sentence
 
 
+@pytest.mark.parametrize(("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)])
+def test_every_recording_covers_a_series_resistance_and_a_reference_that_are_off(
+    series: float, reference: float
+) -> None:
+    """Each moves all cells together, so that a recording is covered or not as a whole."""
+    for seed in (31, 32, 33):
+        wrong, cells = recorded(
+            seed, scene_of(0.7, None), lambda exact, rng: converted(exact + series, rng, 0.7) * (1 + reference)
+        )
+        assert min(held(reconstruct(wrong, LSM), cells)) > 0.9
+
+
 def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> None:
     def static(exact: Array, rng: np.random.Generator) -> Array:
         return converted(exact * np.exp(0.01 * rng.standard_normal(exact.shape[1:])), rng, 0.7)

@@ -17,7 +17,7 @@ from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import BENDS, Possible, usual
+from lampest.panel.systematic import SINES, Possible, usual
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
@@ -252,7 +252,7 @@ def _sizes_in_words(hidden: Possible) -> str:
     parts, row = [], 0
     for name, unit, size, count in (
         ("series", "ohm", sizes.series_ohm, 1),
-        ("curve", "LSB", sizes.inl_lsb, BENDS),
+        ("curve", "LSB", sizes.inl_lsb, SINES),
         ("wire", "ohm a cell", sizes.wire_ohm_per_cell, 2),
     ):
         if size:

@@ -232,7 +232,11 @@ def possible(moves: Moves, size: float, still: Chosen) -> Array:
     part = columns[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
     mean = weight.T @ moves.change[still]
-    second = np.eye(columns.shape[1]) - part.T @ weight + np.outer(mean, mean)
+    left = np.eye(columns.shape[1]) - part.T @ weight
+    # What cells share counts as open as before: noise in the cells and other errors hide as much as they show.
+    shared = moves.a.shape[1]
+    left[:shared], left[:, :shared] = np.eye(len(left))[:shared], np.eye(len(left))[:, :shared]
+    second = left + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
     # Lower triangular: the columns behind the common errors' are what each reading's own leaves beside them.
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
