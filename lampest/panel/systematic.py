@@ -19,7 +19,7 @@ from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene, Systematic
 
 SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square
-# Two channels of a CD74HC4067, 70 ohm each typically and 160 at most, lie within 50 ohm of what is typical; resistors of
+# Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of what is typical; resistors of
 # the series E24 within 5 %. So large that 95 % intervals cover both at once.
 USUAL_SERIES_OHM = 35.0  # standard deviation
 USUAL_REFERENCE = 0.06  # tolerance, as a fraction
