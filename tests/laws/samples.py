@@ -26,6 +26,7 @@ NUMBERS: dict[type, tuple[Any, ...]] = {
 }
 # Names, and words that YAML would take for something else than a text.
 TEXTS = ("LSM", "a b", "yes", "null", "1e-3", "007", "12:30", "~", "a: b # c", "λ", "", " led", "two\nlines", "'\"")
+DECIDED = {"modules": ("rows", "columns", "pitch_mm", "cells")}  # a field → those that follow from it
 TRIES = 2000
 
 
@@ -104,9 +105,10 @@ def is_settled(hint: Any) -> bool:
 
 
 def varied(first: Any, name: str, hint: Any, rng: np.random.Generator) -> Any:
-    """The same with another value of one field."""
+    """The same with another value of one field, and of those that it decides."""
+    rest = {field.name: field.default for field in dataclasses.fields(first) if field.name in DECIDED.get(name, ())}
     return attempted(
-        lambda: dataclasses.replace(first, **{name: value(hint, rng)}),
+        lambda: dataclasses.replace(first, **rest, **{name: value(hint, rng)}),
         lambda made: getattr(made, name) != getattr(first, name),
     )
 
