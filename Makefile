@@ -1,6 +1,6 @@
 # lampest: what a user and a tester type.
 #
-#   make run       set-up, then two lampreys with five methods: table on screen; table, results, pictures in results/table1/
+#   make run       set-up, then two lampreys, with weights that the data choose and with the paper's: table on screen; results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
 #   make test-all  all tests: those of `make test`, then the others, which carry the mark `slow`
@@ -27,7 +27,7 @@ SPREAD = --numprocesses auto --maxprocesses 4
 install: $(VENV)/.installed
 
 run: install
-	@$(BIN)/lampest run configs/table1.yaml --out $(OUT)
+	@$(BIN)/lampest run configs/lampreys.yaml --out $(OUT)
 	@$(BIN)/lampest compare $(OUT)/results.h5 --csv $(OUT)/table.csv
 	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
 

@@ -15,7 +15,6 @@ from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
 from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ending_signals
 from lampest.files.log import libraries_to_the_log
-from lampest.files.memory import allow_memory
 from lampest.files.whole import refuse_inputs, sparing
 from lampest.runs.executors import ONE_THREAD
 
@@ -25,7 +24,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-_MEMORY = typer.Option("--memory", metavar="SIZE", help="Memory it may take, such as 8GB; else most of what is free.")
 
 
 def _print_version(asked: bool) -> None:
@@ -47,22 +45,17 @@ def _about(
 
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --memory; it writes over no file that it reads."""
+    """The command; it writes over no file that it reads."""
     signature = inspect.signature(command, eval_str=True)
     outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 
     @wraps(command)
-    def called(memory: str | None = None, **options: Any) -> None:
-        if memory is not None:
-            allow_memory(memory)
+    def called(**options: Any) -> None:
         places = {name: _paths(value) for name, value in options.items()}
         with sparing([path for name, paths in places.items() if name not in outputs for path in paths]):
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
-    kind = Annotated[str | None, _MEMORY]
-    memory = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-    signature = signature.replace(parameters=[*signature.parameters.values(), memory])
     called.__signature__ = signature  # type: ignore[attr-defined]
     return called
 
@@ -75,7 +68,7 @@ def _paths(value: object) -> list[Path]:
 def _renamed(old: str, new: str) -> Callable[..., None]:
     """A command of the release before, which says its new name; a flag of that name is set."""
     name, _, flag = new.partition(" --")
-    command = COMMANDS[name][0]
+    command = COMMANDS[name][1]
 
     @wraps(command)
     def called(**options: Any) -> None:
@@ -128,16 +121,30 @@ def _add(group: typer.Typer, word: str, command: Callable[..., None], example: s
 
 
 def _build() -> None:
-    """All commands, the groups after them, then the hidden words of the release before."""
-    groups = {name: typer.Typer(no_args_is_help=True, help=about) for name, about in GROUPS.items()}
-    for name, (command, example) in COMMANDS.items():
+    """All commands and groups of them in the parts of the help, then the hidden words of the release before."""
+    groups: dict[str, typer.Typer] = {}
+    for name, (part, command, example) in COMMANDS.items():
         group, _, word = name.rpartition(" ")
-        _add(groups.get(group, app), word, command, f"{name} {example}")
-    for name, group_app in groups.items():
-        first = next(each for each in COMMANDS if each.startswith(f"{name} "))
-        app.add_typer(group_app, name=name, epilog=f"Example: lampest {first} {COMMANDS[first][1]}".rstrip())
+        if group and group not in groups:
+            groups[group] = typer.Typer(no_args_is_help=True, help=GROUPS[group])
+            epilog = f"Example: lampest {name} {example}".rstrip()
+            app.add_typer(groups[group], name=group, epilog=epilog, rich_help_panel=part)
+        _add(groups.get(group, app), word, command, f"{name} {example}", rich_help_panel=None if group else part)
     for old, new in OLD.items():
         _add(app, old, _renamed(old, new), new, hidden=True)
+
+
+def _program() -> Any:
+    """The program, whose help names no type for options that take no value."""
+    program = typer.main.get_command(app)
+    waiting = [program]
+    while waiting:
+        command = waiting.pop()
+        waiting += getattr(command, "commands", {}).values()
+        for parameter in command.get_params(command.context_class(command)):
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+    return program
 
 
 _build()
@@ -148,7 +155,7 @@ def main() -> None:
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
     try:
         with ending_signals(), libraries_to_the_log(), extra():
-            app()
+            _program()()
     except InputError as error:
         say(f"lampest: {error}", to=sys.stderr)
         sys.exit(WRONG_INPUT)

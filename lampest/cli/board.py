@@ -30,7 +30,8 @@ Port = Annotated[
     typer.Option("--port", help="Such as /dev/ttyACM0, or a URL; else the Arduino."),
 ]
 SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
-Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames, such as 600.")]
+Count = Annotated[int | None, typer.Option("--count", min=1, help="End after so many frames, such as 600.")]
+OldCount = Annotated[int | None, typer.Option("--frames", min=1, hidden=True)]
 TOKEN = "What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up."
 Token = Annotated[str | None, typer.Option("--token", envvar="LAMPEST_TOKEN", help=TOKEN)]
 PUBLISH = "lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest. Repeatable."
@@ -41,7 +42,7 @@ Period = Annotated[float | None, typer.Option("--period", help="Seconds between 
 def record(
     out: Annotated[Path | None, written("--out", "The recording that is written; must not exist.")] = None,
     port: Port = None,
-    frames: Frames = None,
+    count: Count = None,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds, such as 60.")] = None,
     scene: SceneFile = None,
     assign: AssignToScene = None,
@@ -50,6 +51,7 @@ def record(
     ] = 0,
     period: Period = None,
     listed: Annotated[bool, typer.Option("--list", help="List the serial ports, likely ones first, and end.")] = False,
+    frames: OldCount = None,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
     if listed:
@@ -66,8 +68,9 @@ def record(
     from lampest.recording.board.port import pressed_keys
     from lampest.recording.board.record import record as record_board
 
-    if frames is not None and seconds is not None:
-        raise InputError("--frames and --seconds: give one of them")
+    count = _count(count, frames)
+    if count is not None and seconds is not None:
+        raise InputError("--count and --seconds: give one of them")
     check_positive("--seconds", seconds)
     check_positive("--period", period)
     agreed = scene_of(scene, assign)
@@ -75,7 +78,7 @@ def record(
         done = record_board(
             port,
             out,
-            frames=frames,
+            frames=count,
             seconds=seconds,
             scene=agreed,
             baseline=baseline,
@@ -84,6 +87,13 @@ def record(
             keys=keys,
         )
     report_recorded(done)
+
+
+def _count(count: int | None, frames: int | None) -> int | None:
+    """--count, or what the release before called --frames, which elsewhere names frames."""
+    if frames is not None:
+        say("lampest: --frames is now: --count; the old word answers for one release more", to=sys.stderr)
+    return frames if count is None else count
 
 
 def calibrate(
@@ -162,7 +172,7 @@ def live(
     port: Port = None,
     recording: Annotated[Path | None, typer.Option("--recording", help="A recording to replay instead.")] = None,
     estimator: Annotated[
-        str | None, typer.Option("--estimator", help="LSR-gCR by default; with --config its first.")
+        str | None, typer.Option("--estimator", help="smooth by default; with --config its first.")
     ] = None,
     config: Annotated[Path | None, typer.Option("--config", help="A run's YAML file with estimators.")] = None,
     assign: Assign = None,
@@ -171,7 +181,7 @@ def live(
         str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
     token: Token = None,
-    frames: Frames = None,
+    count: Count = None,
     baseline: Annotated[
         int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
     ] = 3,
@@ -179,6 +189,7 @@ def live(
     period: Period = None,
     out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
     publish: Publish = None,
+    frames: OldCount = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
     from lampest.files.interrupts import ending_signals
@@ -200,7 +211,7 @@ def live(
             estimator,
             config,
             http,
-            frames,
+            _count(count, frames),
             token,
             lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
             tuple(assign or ()),

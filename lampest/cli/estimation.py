@@ -23,14 +23,28 @@ def init(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Made where it is not there; nothing is replaced.")
     ] = Path(),
+    readout: Annotated[
+        str, typer.Option("--readout", metavar="CIRCUIT", help="Yours: two_mux, pull_ups, grounded or amplifiers.")
+    ] = "two_mux",
+    rows: Annotated[int, typer.Option("--rows", min=1, help="Of your panel, such as 16.")] = 10,
+    columns: Annotated[int, typer.Option("--columns", min=1, help="Of your panel, such as 16.")] = 10,
 ) -> None:
-    """Write files to begin with: a run, a scene, a simulated recording and how it was made, the schema for editors."""
-    from lampest.runs.starter import RUN, write_starter
+    """Write files to begin with for your circuit: a scene, a run, a simulated recording and how it was made."""
+    from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
 
-    for path in write_starter(folder):
+    circuit = circuit_called(readout)
+    for path in write_starter(folder, readout, rows, columns):
         say(path)
-    run = folder / RUN
-    say_text(f"\nnow: lampest run {run}\n     lampest plot results/{run.stem}/results.h5")
+    run, scene = folder / RUN, folder / SCENE
+    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); if yours is another, see docs/howto/readouts.md:")
+    say_text(circuit.sketch)
+    say(f"software: {circuit.software}")
+    say_text(
+        f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
+        f"\n     lampest plot results/{run.stem}/results.h5"
+        f"\nthen, with the numbers of your circuit in {scene}:"
+        f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 in {run}"
+    )
 
 
 def run(
@@ -51,8 +65,11 @@ def run(
 
     cases = read_run(config, tuple(assign or ()))
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
+    for name, text in cases.assumed:
+        say(f"lampest: {name}: {text} assumed; the scene does not say", to=sys.stderr)
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
     bar = progress("cases")
+    bar.begin(f"{counted(len(cases.cases), 'case')} to solve, first frames take longest; what is done is kept")
     with bar as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"

@@ -40,8 +40,9 @@ def compare(
     ] = None,
     each: Annotated[bool, typer.Option("--each", help="A block for each recording, however many there are.")] = False,
     frames: FramesNamed = None,
+    published: Annotated[bool, typer.Option("--published", help="Figures that the run's file quotes, too.")] = False,
 ) -> None:
-    """Table over methods and recordings: times, data errors, cell errors, published figures."""
+    """Table over methods and recordings: frames solved, time, data error, and cell error where the truth is known."""
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
     with progress("recordings") as on_recording:
@@ -52,7 +53,7 @@ def compare(
             from lampest.report.page.page import write_report
 
             write_report(results, report, on_recording, _frames(frames))
-    blocks = screen_blocks(rows, each)
+    blocks = screen_blocks(rows, each, published)
     for block in blocks:
         say(block.title)
         print_table(block)
@@ -210,14 +211,23 @@ def schema() -> None:
     say_text(json.dumps(json_schema(), indent=2))
 
 
-def info(file: Annotated[Path, typer.Argument(help="A recording or a results file.")]) -> None:
-    """Say what a file holds and draw the first frame as a small map."""
+def info(
+    file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
+    picture: Annotated[
+        Path | None, written("--picture", "Draw the strongest frame into this .png, .svg or .pdf.")
+    ] = None,
+) -> None:
+    """Say what a file holds and draw the frame with the strongest change as a small map."""
     from lampest.report.info import describe
 
     with progress("reading"):
         lines = describe(file)
     for line in lines:
         say(line)
+    if picture is not None:
+        from lampest.report.plots import plot_file
+
+        say(plot_file(file, picture))
 
 
 def check(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-LINE_SECONDS = 30.0  # between lines of progress where there is no terminal
+LINE_SECONDS = 10.0  # between lines of progress where there is no terminal
 
 
 def written(name: str, text: str) -> Any:
@@ -102,7 +102,7 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every half minute."""
+    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every ten seconds."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
@@ -112,6 +112,11 @@ class progress:  # noqa: N801
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
         self._what, self._said = what, monotonic()
+
+    def begin(self, text: str) -> None:
+        """Say what takes time, where no bar shows it."""
+        if self._bar.disable:
+            say(f"lampest: {text}", to=sys.stderr)
 
     def __enter__(self) -> Any:
         self._bar.__enter__()

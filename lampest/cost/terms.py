@@ -10,6 +10,7 @@ import casadi
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
+from lampest.files.errors import meant
 from lampest.files.tagged import ByKind, members_by_kind
 from lampest.panel.panel import Panel
 
@@ -107,7 +108,11 @@ class Term(ABC):
     loss: AnyLoss = Squared()
 
     def __post_init__(self) -> None:
-        if self.weight != "auto" and not (isfinite(self.weight) and self.weight >= 0):
+        if self.weight == "auto":
+            return
+        if isinstance(self.weight, str):
+            raise ValueError(f"weight must be a number or 'auto', not {self.weight!r}{meant(self.weight, ('auto',))}")
+        if not (isfinite(self.weight) and self.weight >= 0):
             raise ValueError("weight must be zero or positive, and finite")
 
     @abstractmethod

@@ -10,7 +10,7 @@ import psutil
 
 from lampest.files.errors import InputError
 
-TOLD = "LAMPEST_MEMORY"  # bytes; what a command is told by --memory, and the processes that it starts
+ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
 SHARE = 0.9  # of what is free: the rest is for what was not counted
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
@@ -27,24 +27,22 @@ def check_memory(needed: float, what: str) -> None:
     """
     if needed > (there := memory_limit()):
         raise InputError(
-            f"{what}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(there)}; --memory allows more"
+            f"{what}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(there)}; {ALLOWED} allows more"
         )
 
 
 def memory_limit() -> float:
-    """Bytes that may be taken: what was told, else most of what the machine, a container and `ulimit -v` leave."""
-    told = os.environ.get(TOLD)
-    if told:
-        return float(told)
+    """Bytes that may be taken: what the user says, else most of what the machine, a container and `ulimit -v` leave.
+
+    Raises InputError where what the user says is no size.
+    """
+    said = os.environ.get(ALLOWED)
+    if said:
+        size = SIZE.fullmatch(said.strip())
+        if size is None or not float(size[1]):
+            raise InputError(f"{ALLOWED}: {said!r} is no size such as 8GB")
+        return float(size[1]) * UNITS[size[2].upper()]
     return SHARE * min(float(psutil.virtual_memory().available), _left_in_container(), _left_of_addresses())
-
-
-def allow_memory(text: str) -> None:
-    """Take '8GB' or '500 MB' for what there is, here and in processes that are started. Raises InputError."""
-    size = SIZE.fullmatch(text.strip())
-    if size is None or not float(size[1]):
-        raise InputError(f"--memory: {text!r} is no size such as 8GB")
-    os.environ[TOLD] = str(int(float(size[1]) * UNITS[size[2].upper()]))
 
 
 def large_arrays_apart() -> None:

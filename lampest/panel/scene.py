@@ -185,6 +185,7 @@ class Scene:
     film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
     response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
         pressures.
+    assumed : entries that its file left open, such as readout.readings: their values are lampest's.
     subject, experiment : who was measured and for what; None: not told. No estimate depends on them.
     modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
@@ -207,6 +208,7 @@ class Scene:
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
     modules: tuple[OwnOfModule, ...] | None = None
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.faults is not None:
@@ -315,6 +317,16 @@ class Scene:
         parts = np.stack([scene._of_faults(mask) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
         return layout.joined(parts)
+
+    @property
+    def assumed_text(self) -> str:
+        """'readings: 20, adc_bits: 10' of the entries that the scene's file left open."""
+        parts = []
+        for path in self.assumed:
+            room, _, name = path.partition(".")
+            value = getattr(getattr(self, room, None), name, None)
+            parts += [] if value is None else [f"{name}: {value:g}" if isinstance(value, float) else f"{name}: {value}"]
+        return ", ".join(parts)
 
     @property
     def circuit(self) -> Readout:

@@ -25,10 +25,11 @@ UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
 AT_ONCE = 1000  # frames of an unfinished file that are looked at together
+FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """Frames of one panel in the order of time.
 
@@ -92,6 +93,14 @@ class Recording:
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
 
+    def __repr__(self) -> str:
+        """In one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
+        unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
+        span = f"{self.time.min():g} to {self.time.max():g} s"
+        return (
+            f"Recording({self.name}: {len(self.role)} frames ({unloaded} unloaded) of {rows} × {columns} cells, {span})"
+        )
+
     @property
     def _group(self) -> str:
         return f"/entry/{group_of(self.scene.circuit)}"
@@ -122,6 +131,8 @@ class Recording:
     def load_up_to(cls, path: str | Path, most: int | None, part: slice = hdf5.ALL) -> "Recording | None":
         """The same; None where it holds more than so many readings."""
         path = Path(path)
+        if path.suffix.lower() in FOREIGN:
+            raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
         with hdf5.existing_file(path) as file:
             scene, group, signal = head_of(file, path)
             if most is not None and prod(hdf5.shape_of(file, f"{group}/{signal}")) > most:

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
+from lampest.report.page.template import counted
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
-from lampest.solvers.solution import VERIFIED
 
 Steps = Literal["all", "initial", "following"]
 Chosen = NDArray[np.bool_]
@@ -55,7 +55,7 @@ class Row:
 
     Parameters
     ----------
-    source, recording, estimator : results file, recording's stem, estimator's name.
+    source, recording, estimator : results file, recording's stem, estimator's name. label : as tables show the name.
     steps : 'all'; or 'initial' and 'following' where the first frame was solved together with the baseline.
     frames, solved : number of frames, and how many of them were solved.
     solve_time : of the solved frames, in s.
@@ -86,6 +86,7 @@ class Row:
     model_mark: str = ""
     model_sentence: str = ""
     noise_sentence: str = ""
+    label: str = ""
 
 
 def spread(values: Array) -> Spread | None:
@@ -119,7 +120,11 @@ def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> l
 
 def compare(results: Results, source: str = "") -> list[Row]:
     """The rows of one results file: one for each case, two where its first frame was solved with the baseline."""
-    return [row for case in results.cases for row in _rows(case, results.published.get(case.estimator), source)]
+    return [
+        replace(row, label=results.label(case))
+        for case in results.cases
+        for row in _rows(case, results.published.get(case.estimator), source)
+    ]
 
 
 def _rows(case: CaseResult, published: PublishedFigures | None, source: str) -> list[Row]:
@@ -197,15 +202,19 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     write_whole(Path(path), csv_text(rows))
 
 
-def screen_blocks(rows: Sequence[Row], each: bool = False) -> list[Table]:
-    """A table for each recording; of more than six recordings one that sums them up, unless `each` is asked for."""
+def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = False) -> list[Table]:
+    """A table for each recording; of more than six recordings one that sums them up, unless `each` is asked for.
+
+    published : with the figures that a run's file quotes.
+    """
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.source, row.recording), []).append(row)
     if len(groups) > MOST_BLOCKS and not each:
         return [_summary(rows, len(groups))]
     several = len({source for source, _ in groups}) > 1
-    return [_table(_title(group, several), group, COLUMNS) for group in groups.values()]
+    columns = COLUMNS + PUBLISHED * published
+    return [_table(_title(group, several), group, columns) for group in groups.values()]
 
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
@@ -221,11 +230,12 @@ def _title(group: Sequence[Row], several: bool) -> str:
     """'lamprey_35mm: 21 frames, 12 readings missing'."""
     own = [row for row in group if row.estimator == group[0].estimator]
     counts = [
-        (sum(row.frames for row in own), "frames"),
-        (sum(row.missing_readings for row in own), "readings missing"),
-        (sum(row.bound_readings for row in own), "readings only bounds"),
+        (sum(row.frames for row in own), "frame", ""),
+        (sum(row.missing_readings for row in own), "reading", " missing"),
+        (sum(row.bound_readings for row in own), "reading", " at a bound"),
     ]
-    words = ", ".join(f"{count} {what}" for number, (count, what) in enumerate(counts) if count or not number)
+    parts = [f"{counted(count, noun)}{more}" for count, noun, more in counts if count or not more]
+    words = ", ".join(parts)
     return f"{own[0].source + ': ' if several else ''}{own[0].recording}: {words}"
 
 
@@ -279,11 +289,6 @@ def _published(figures: StepFigures | None, mean: str, sd: str) -> str:
     return f"{getattr(figures, mean):g}" + ("" if deviation is None else f" ± {deviation:g}")
 
 
-def _residual(residual: float | None) -> str:
-    """Where it alone does not show an optimum, and a Newton step had to."""
-    return "" if residual is None or residual <= VERIFIED else f"{residual:.0e}"
-
-
 def _median(values: Sequence[float], factor: float = 1.0) -> str:
     return _joined([factor * float(np.median(values))]) if values else ""
 
@@ -293,19 +298,18 @@ def _range(values: Sequence[float]) -> str:
 
 
 COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("estimator", lambda row: row.estimator),
+    ("estimator", lambda row: row.label),
     ("solved", lambda row: f"{row.solved}/{row.frames}{STEPS[row.steps]}"),
     ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
     ("data error [%]", lambda row: _plus_minus(row.data_error)),
     ("cell error [%]", lambda row: _median_and_worst(row.cell_error)),
-    ("open cells", lambda row: str(row.open_cells or "")),
-    ("worst KKT", lambda row: _residual(row.worst_kkt_residual)),
-    ("model", lambda row: "" if row.model_mark in SOUND else row.model_mark),
+)
+PUBLISHED: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
     ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
 )
 OVER_ALL: tuple[tuple[str, Callable[[Sequence[Row]], str]], ...] = (
-    ("estimator", lambda group: group[0].estimator),
+    ("estimator", lambda group: group[0].label),
     (
         "solved",
         lambda group: f"{sum(row.solved for row in group)}/{sum(row.frames for row in group)}{STEPS[group[0].steps]}",
@@ -314,8 +318,6 @@ OVER_ALL: tuple[tuple[str, Callable[[Sequence[Row]], str]], ...] = (
     ("data error [%], mean", lambda group: _median([row.data_error.mean for row in group if row.data_error])),
     ("cell error [%], median", lambda group: _median([row.cell_error.median for row in group if row.cell_error])),
     ("least … most of them", lambda group: _range([row.cell_error.median for row in group if row.cell_error])),
-    ("open cells", lambda group: str(sum(row.open_cells for row in group) or "")),
-    ("worst KKT", lambda group: _residual(max((row.worst_kkt_residual or 0.0 for row in group), default=None))),
 )
 CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
     ("results", lambda row: row.source),

@@ -19,16 +19,17 @@ from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
+from lampest.report.shades import shaded_map, text_map
+from lampest.report.strongest import mean_reading, strongest_index, strongest_readings
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
-MOST_ROWS, MOST_COLUMNS = 24, 12  # of a map, which a terminal of 100 × 40 signs shows
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
 
 
 def describe(path: str | Path) -> list[str]:
-    """Lines on a file: format, frames, panel, scene, times, roles, range of resistance, and the first frame as a map.
+    """Lines on a file: format, frames, panel, scene, times, roles, range of readings, and the strongest change.
 
     Raises InputError where the file is neither a recording nor results, or is damaged.
     """
@@ -81,7 +82,6 @@ def _recording_lines(recording: Recording) -> list[str]:
         ("sums of ADC codes", recording.raw_sums),
     ]
     held = ", ".join(name for name, values in extras if values is not None)
-    first = "unloaded" if role[0] == UNLOADED else "measured"
     return [
         f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
         *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
@@ -90,9 +90,17 @@ def _recording_lines(recording: Recording) -> list[str]:
         f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",
         *(f"{'':9} {sentence}" for sentence in _holes(recording)),
         f"besides   {held or 'nothing'}",
-        f"readings of frame 0 ({first}) in {circuit.unit}:",
-        *text_map(recorded[0]),
+        *_map_lines(recording),
     ]
+
+
+def _map_lines(recording: Recording) -> list[str]:
+    """The frame that changed most against the unloaded ones; numbers of the first one where there are none."""
+    found = strongest_readings(recording)
+    if found is None:
+        return [f"readings of frame 0 in {recording.scene.circuit.unit}:", *text_map(recording.recorded[0])]
+    where = f"frame {found[0]} at {recording.time[found[0]]:g} s"
+    return [f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(found[1])]
 
 
 def _noise_lines(recording: Recording) -> list[str]:
@@ -112,7 +120,7 @@ def _noise_lines(recording: Recording) -> list[str]:
             ]
     with suppress(InputError):
         learned = frame_noise_seen(recording).learned
-        lines += [f"noise     {learned}"] if learned else []
+        lines += [f"noise     {_plain(learned)}"] if learned else []
     return lines
 
 
@@ -121,6 +129,7 @@ def _scene_lines(scene: Scene) -> list[str]:
     texts: list[tuple[str, object]] = [
         ("panel", f"{panel.rows} rows × {panel.columns} columns, pitch {panel.pitch_mm:g} mm"),
         ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),
+        ("assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"),
         ("series", scene.circuit.unit == "ohm" and scene.series_text),
     ]
     if wire is not None:
@@ -187,7 +196,7 @@ def _results_lines(results: Results) -> list[str]:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
         if first.film_sentence:
             lines.append(f"film      {first.film_sentence}")
-        said = (first.noise_learned, first.noise_sentence)
+        said = (_plain(first.noise_learned), first.noise_sentence)
         lines += [f"{head:9} {line}" for head, line in zip(("noise", ""), filter(None, said), strict=False)]
         width = max(len(case.estimator) for case in cases)
         for case in cases:
@@ -199,11 +208,17 @@ def _results_lines(results: Results) -> list[str]:
                 lines.append(f"  {'':{width}}  {case.error_words} (standard deviations, medians)")
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
-    if results.cases:
-        case = results.cases[0]
-        lines.append(f"cell resistance of {case.recording} × {case.estimator}, frame {case.frame[0]}, in ohm:")
-        lines += text_map(case.cell_resistance[0])
+    for case in results.cases[:1]:
+        place = strongest_index([case])
+        where = f"frame {case.frame[place]} at {case.time[place]:g} s"
+        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against the unloaded panel:")
+        lines += shaded_map(case.relative_change[place])
     return lines
+
+
+def _plain(sentence: str) -> str:
+    """As a screen shows what files hold in ASCII."""
+    return sentence.replace("+-", "±")
 
 
 def _starts(case: CaseResult) -> str:
@@ -259,34 +274,12 @@ def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
 
     Rows and columns that were swapped or turned show in the map.
     """
-    counted = np.isfinite(recording.recorded)
-    total = np.where(counted, recording.recorded, 0.0).sum(axis=0)
-    mean = np.where(counted.any(axis=0), total / np.maximum(counted.sum(axis=0), 1), np.nan)
-    return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean)]
+    return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
 
 
 def _range(values: Array, unit: str) -> str:
     known = values[np.isfinite(values)]
     return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"
-
-
-def text_map(values: Array) -> list[str]:
-    """A matrix (rows, columns) as text, row 0 on top and columns to the right; what is cropped is said below."""
-    rows, columns = values.shape
-    shown = values[:MOST_ROWS, :MOST_COLUMNS]
-    texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in shown]
-    width = max(len(text) for row in texts for text in row)
-    width = max(width, len(str(shown.shape[1] - 1))) + 2
-    labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    heads = [str(column) for column in range(shown.shape[1])]
-    left = max(len(label) for label in labels)
-    lines = [
-        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line)
-        for label, line in zip(labels, [heads, *texts], strict=True)
-    ]
-    if shown.shape != values.shape:
-        lines.append(f"(the first {shown.shape[0]} of {rows} rows and {shown.shape[1]} of {columns} columns)")
-    return lines
 
 
 def checked_sentence(path: Path) -> str:

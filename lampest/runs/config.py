@@ -84,11 +84,15 @@ class Case:
 
 @dataclass(frozen=True)
 class Run:
-    """The cases of a run's file in its order, figures published elsewhere, and where the cases run (None: not said)."""
+    """The cases of a run's file in its order, figures published elsewhere, and where the cases run (None: not said).
+
+    assumed : (recording, what its scene leaves open, with the values that stand for it), where it leaves anything open.
+    """
 
     cases: tuple[Case, ...]
     published: dict[str, PublishedFigures]
     executor: Executor | None = None
+    assumed: tuple[tuple[str, str], ...] = ()
 
 
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
@@ -116,7 +120,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     faults = [source.fault for source in recordings.values()]
     if faults[0] is not None and all(faults):
         raise faults[0]
-    return Run(_distinct(cases), published, executor)
+    scenes = {file.stem: source.scene.assumed_text for file, source in recordings.items() if source.scene is not None}
+    return Run(_distinct(cases), published, executor, tuple((name, text) for name, text in scenes.items() if text))
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,6 +178,10 @@ WRONG: dict[str, tuple[Callable[[Recording], object], str]] = {
         lambda recording: lampest.reconstruct(recording, [Misfit]),
         "terms must hold objects such as Misfit(), not the class Misfit",
     ),
+    "a table for a recording": (
+        lambda recording: Recording.load("mine.csv"),
+        "mine.csv: is no recording; lampest.import_file (lampest import) makes one of it",
+    ),
     "one term": (
         lambda recording: lampest.reconstruct(recording, Misfit()),
         "terms must be a list such as [Misfit(), Gradient()], not a Misfit",
@@ -224,6 +228,15 @@ def test_wrong_use_is_one_sentence(lamprey: Recording, name: str) -> None:
     with pytest.raises(InputError) as raised:
         use(lamprey)
     assert isinstance(raised.value, ValueError) and str(raised.value).startswith(sentence)
+
+
+def test_a_misspelt_weight_is_one_sentence() -> None:
+    with pytest.raises(ValueError, match="weight must be a number or 'auto', not 'autos'; did you mean auto"):
+        Gradient(weight="autos")  # type: ignore[arg-type]
+
+
+def test_a_recording_in_one_line(lamprey: Recording) -> None:
+    assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
 
 
 def test_yaml_says_the_same(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]) -> None:

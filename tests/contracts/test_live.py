@@ -20,7 +20,7 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
         ),
         (("--recording", LAMPREY, "--speed", "0"), "--speed must be positive and finite"),
         (("--recording", LAMPREY, "--speed", "nan"), "--speed must be positive and finite"),
-        (("--recording", LAMPREY, "--estimator", "best"), "no estimator is called 'best'; there are LSR-gCR, LSM"),
+        (("--recording", LAMPREY, "--estimator", "best"), "no estimator is called 'best'; there are smooth, LSM"),
         (("--recording", LAMPREY, "--http", "here"), "not of the form HOST:PORT"),
         (("--port", "/nowhere/port", "--http", "127.0.0.1:0"), "/nowhere/port: cannot be opened"),
     ],

@@ -12,7 +12,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.simulation import simulate
-from lampest.report.plots.plot import likely_change, strongest_index
+from lampest.report.strongest import likely_change, strongest_index
 
 ROOT = Path(__file__).parents[2]
 

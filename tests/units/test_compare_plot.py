@@ -17,8 +17,8 @@ from lampest.report.compare import Table, compare, compare_files, csv_text, lege
 from lampest.report.info import describe
 from lampest.report.plots import plot_results
 from lampest.report.plots.contours import ContourPlot
-from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.style import save
+from lampest.report.strongest import strongest_index
 from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
 
 PUBLISHED = {
@@ -55,7 +55,9 @@ def test_a_joint_start_is_told_apart() -> None:
 def test_the_table_on_screen() -> None:
     cases = [invented_case(name, failed=(0, 1, 2) if name == "LSR-CR" else ()) for name in METHODS]
     rows = compare(Results(tuple(cases), PUBLISHED))
-    (block,) = screen_blocks(rows)
+    assert screen_blocks(rows)[0].headers[:2] == ("estimator", "solved")
+    assert not any("published" in header for header in screen_blocks(rows)[0].headers)
+    (block,) = screen_blocks(rows, published=True)
     table = block
     assert block.title == "mouth: 3 frames"
     assert all(len(line) == len(table.headers) for line in table.cells) and len(table.cells) == 7

@@ -76,8 +76,8 @@ def of_every_frame(name: str) -> Estimator:
 
 
 def test_weights_live_follow_the_strongest_frame_so_far(lamprey: Recording) -> None:
-    ends = live_pictures(METHODS["LSR-gCR"], 3, lambda engine: from_recording(engine, lamprey, 1e9, None))
-    batch = reconstruct(lamprey, METHODS["LSR-gCR"])
+    ends = live_pictures(METHODS["smooth"], 3, lambda engine: from_recording(engine, lamprey, 1e9, None))
+    batch = reconstruct(lamprey, METHODS["smooth"])
     last = ends[-1].relative_change
     assert np.median(np.abs(last - batch.relative_change[-1])) < 0.1 * np.median(np.abs(batch.relative_change[-1]))
 
@@ -89,10 +89,10 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
     """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
-    (waited,) = live_pictures(METHODS["LSR-gCR"], 3, lambda engine: from_recording(engine, lies, 1e9, None))[-1:]
-    batch = reconstruct(lies, METHODS["LSR-gCR"])
+    (waited,) = live_pictures(METHODS["smooth"], 3, lambda engine: from_recording(engine, lies, 1e9, None))[-1:]
+    batch = reconstruct(lies, METHODS["smooth"])
     assert batch.pressure_errors is not None and batch.pressure is not None
-    with Engine("test", "test", METHODS["LSR-gCR"], 3, beside=True) as engine:
+    with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
 
         def found(seconds: float) -> None:
             until(lambda: engine.shown.thing.deviation_of == engine.shown.thing.frames)
@@ -108,7 +108,7 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
 
 
 def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
-    with Engine("test", "test", METHODS["LSR-gCR"], 3, beside=True) as engine:
+    with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
 
         def kill(seconds: float) -> None:
             settle(engine)
@@ -136,7 +136,7 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
 
 
 @pytest.mark.parametrize(
-    "method", [of_every_frame("LSR-gCR"), of_every_frame("LSR-dCR"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
+    "method", [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
 )
 def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     # Without outliers: only a batch sees the frames after one, which tell it from a change.
@@ -198,8 +198,8 @@ def test_where_a_reading_hears_its_own_cell_alone_nothing_is_taken_for_a_leap() 
 
 def test_the_first_frames_are_the_baseline_where_none_is_said_to_be(lamprey: Recording) -> None:
     unsaid = dataclasses.replace(lamprey, role=np.full(9, MEASURED))
-    found = pictures(METHODS["LSR-gCR"], unsaid)
-    said = pictures(METHODS["LSR-gCR"], lamprey)
+    found = pictures(METHODS["smooth"], unsaid)
+    said = pictures(METHODS["smooth"], lamprey)
     np.testing.assert_array_equal(
         [picture.relative_change for picture in found], [picture.relative_change for picture in said]
     )
@@ -271,7 +271,7 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
 
 
 def test_a_solver_that_gives_up_shows_its_sentence(lamprey: Recording) -> None:
-    hasty = dataclasses.replace(METHODS["LSR-gCR"], solver=Settings(max_iterations=1))
+    hasty = dataclasses.replace(METHODS["smooth"], solver=Settings(max_iterations=1))
     given_up = [picture for picture in pictures(hasty, lamprey) if picture.status != "optimum verified"]
     assert given_up
     for picture in given_up:
@@ -579,8 +579,8 @@ def test_the_page_loads_nothing_from_elsewhere() -> None:
 
 
 def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
-    assert chosen(None, None) == ("LSR-gCR", METHODS["LSR-gCR"])
-    assert METHODS["LSR-gCR"].formulation == "reduced"
+    assert chosen(None, None) == ("smooth", METHODS["smooth"])
+    assert METHODS["smooth"].formulation == "reduced"
     assert chosen(None, disk.run())[0] == "LSM"
     name, found = chosen("LSR-dCR", disk.run())
     assert (name, found.formulation, found.relative) == ("LSR-dCR", "auto", True)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +148,7 @@ def import_file(
         scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
     )
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
-    return recording, tuple(map(printable, notes))
+    return recording, tuple(map(printable, filter(None, notes)))
 
 
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
@@ -159,7 +160,18 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     if isinstance(document.content, dict) and "scene" in document.content:
         document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
     scene: Scene = validated(document, Scene)
-    return scene
+    return dataclasses.replace(scene, assumed=scene.assumed or _left_open(scene, document.content))
+
+
+def _left_open(scene: Scene, content: dict[str, Any]) -> tuple[str, ...]:
+    """Entries of panel and readout that a file does not name, and that stand for something nevertheless."""
+    rooms = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
+    return tuple(
+        f"{name}.{entry.name}"
+        for name, room in rooms.items()
+        for entry in dataclasses.fields(room)
+        if entry.name not in ("kind", *content[name]) and getattr(room, entry.name) is not None
+    )
 
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
@@ -254,9 +266,11 @@ def _refuse_missing(blank: NDArray[np.bool_], place: Place) -> None:
 
 def _assumed(scene: Scene, given: bool) -> str:
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
-    pitch = f"pitch {scene.panel.pitch_mm:g} mm"
+    pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     both = " and ".join(filter(None, (series, pitch)))
-    return f"{both}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
+    said = both and f"{both}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
+    assumed = scene.assumed_text and f"{scene.assumed_text} assumed: the scene does not say"
+    return "; ".join(filter(None, (said, assumed)))
 
 
 def _summary(recording: Recording) -> Iterator[str]:

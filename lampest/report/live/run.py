@@ -27,14 +27,14 @@ from lampest.report.live.publish.publish import publishing
 from lampest.report.live.server import Asks, address, serving
 from lampest.runs.config import RunFile, resolve
 
-METHODS = {
+METHODS = {  # with weights that the data choose, under other names than the paper's
     name: Estimator((Misfit(), *penalties), "reduced", tare=Tare())
     for name, penalties in {
-        "LSR-gCR": (Gradient(),),
+        "smooth": (Gradient(),),
         "LSM": (),
-        "LSR-CR": (CellResistance(),),
-        "LSR-dCR": (RelativeChange(),),
-        "LSR-gdCR": (GradientOfRelativeChange(),),
+        "changes": (GradientOfRelativeChange(),),
+        "cell_resistance": (CellResistance(),),
+        "relative_change": (RelativeChange(),),
     }.items()
 }
 

@@ -12,6 +12,7 @@ from lampest.report.page.template import between, counted, digits, listed, signe
 
 FEW, MOST_NAMED = 5, 4  # units whose intervals are rough, estimators that a sentence names
 FASTER = 1.1  # times of two estimators are the same below this ratio
+PRACTICAL = 0.05  # of the smallest criterion: nobody sees a difference below a twentieth in a map or in a force
 LARGEST_SPREAD = 1.5  # of residuals in units of the noise, up to which they are taken for noise
 LEAST_COVERAGE = 90.0  # percent of true values in 95 % intervals, below which a warning is due
 
@@ -27,10 +28,11 @@ class Advice:
 
 
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
-    """The fastest of those that do not differ significantly from the one with the smallest criterion.
+    """Error first, then time: of those with practically the smallest criterion the fastest.
 
-    It must be faster than that one by a tenth at least. Where nothing but the data error is known nothing is
-    recommended: a smaller one only means a weaker penalty.
+    Practically the same is what lies within a twentieth of the smallest one, however sure that difference is; one that
+    is larger is not made up for by speed. Where nothing but the data error is known nothing is recommended: a smaller
+    one only means a weaker penalty.
     """
     if comparison is None:
         return Advice(None, "There is nothing to choose from.", _alone(batch), _left_out(matched(batch.subjects)))
@@ -39,13 +41,22 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         headline = "These results do not tell which estimator is nearest to the cells."
         return Advice(None, headline, _untold(comparison), warnings)
     best = comparison.standings[0]
-    tied = [row for row in comparison.standings[1:] if not row.against_best.told_apart]
-    taken = min((best, *tied), key=lambda row: comparison.milliseconds(row.estimator))
+    alike = [row for row in comparison.standings if row.mean.value <= (1 + PRACTICAL) * best.mean.value]
+    taken = min(alike, key=lambda row: comparison.milliseconds(row.estimator))
     if comparison.milliseconds(best.estimator) < FASTER * comparison.milliseconds(taken.estimator):
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
-    headline = f"On these data take {taken.estimator}{f' ({weights})' if weights else ''}."
-    return Advice(taken.estimator, headline, _reasons(comparison, taken, tied), warnings)
+    named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
+    headline = f"On these data take {named}."
+    if len(alike) > 1:
+        why = "the smallest error" if taken is best else "the fastest"
+        headline = f"No practical difference between {listed(_named(alike))}; {named} is {why} of them."
+    return Advice(taken.estimator, headline, _reasons(comparison, taken, alike), warnings)
+
+
+def _named(rows: Sequence[Standing]) -> list[str]:
+    names = [row.estimator for row in rows[:MOST_NAMED]]
+    return names + ([f"{len(rows) - MOST_NAMED} more"] if len(rows) > MOST_NAMED else [])
 
 
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
@@ -66,26 +77,24 @@ def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _reasons(comparison: Comparison, taken: Standing, tied: Sequence[Standing]) -> tuple[str, ...]:
+def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> tuple[str, ...]:
     best, criterion = comparison.standings[0], comparison.criterion
     unit, points = criterion.unit, criterion.difference_unit
     found = [f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, unit)}, {_basis(comparison)}."]
+    others = [f"{row.estimator} ({signed(row.against_best.difference, points)})" for row in alike if row is not best]
+    if others:
+        found.append(f"Within a twentieth of it: {listed(others)}.")
     if taken is not best:
         slow, fast = (comparison.milliseconds(row.estimator) for row in (best, taken))
-        found.append(
-            f"{taken.estimator} cannot be told from it (difference {signed(taken.against_best.difference, points)}) "
-            f"and is {digits(slow / fast, 2)} times as fast: {digits(fast, 2)} ms a frame instead of "
-            f"{digits(slow, 2)} ms."
-        )
-    others = [f"{row.estimator} ({signed(row.against_best.difference, points)})" for row in tied if row is not taken]
-    if others:
-        end = ", and none of them is faster by a tenth" if taken is best else " either"
-        found.append(f"The data cannot tell {listed(others)} from {best.estimator}{end}.")
-    worse = [row for row in comparison.standings[1:] if row.against_best.told_apart]
+        found.append(f"{taken.estimator} takes {digits(fast, 2)} ms a frame, {best.estimator} {digits(slow, 2)} ms.")
+    worse = [row for row in comparison.standings if row not in alike]
+    unsure = [row.estimator for row in worse if not row.against_best.told_apart]
     if worse:
         texts = [f"{row.estimator} by {signed(row.against_best.difference)}" for row in worse[:MOST_NAMED]]
         texts += [f"{len(worse) - MOST_NAMED} more by more than that"] if len(worse) > MOST_NAMED else []
         found.append(f"Larger than that of {best.estimator}, in {points}: {listed(texts)}.")
+    if unsure:
+        found.append(f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger.")
     if criterion is PREDICTION:
         found.append(
             "The truth is unknown, so this rests on how well fresh readings would be predicted: the misfit, charged "

@@ -10,15 +10,18 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.tagged import installed
-from lampest.recording.stored import too_long
+from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
+from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
-from lampest.report.plots.style import SUFFIXES, verbatim, write_all
+from lampest.report.plots.style import SUFFIXES, save, verbatim, write_all
+from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
-from lampest.runs.results import CaseResult, Results, read_results, stored_cases
+from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
 PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot())
@@ -84,8 +87,32 @@ def plot_results(
         )
     ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
-    drawn = [partial(plot.draw, cases) for _, cases in pictures]
+    drawn = [
+        partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
+        for _, cases in pictures
+    ]
     return write_all(drawn, files, on_picture, here=not isinstance(show, str))
+
+
+def plot_file(path: Path, picture: Path) -> Path:
+    """The strongest frame of a recording or of results as one picture; returns its file.
+
+    Raises InputError where the file cannot be read or has nothing to compare, or the place cannot be written.
+    """
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+    if form == FORMAT:
+        return plot_results(path, picture, recordings=[stored_cases(path)[0].recording])[0]
+    recording = opened(path)
+    if isinstance(recording, StoredRecording):
+        recording = recording.part(recording.blocks()[0])
+    found = strongest_readings(recording)
+    if found is None:
+        raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
+    frame, change = found
+    tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
+    save(maps_figure([tile], recording.scene.panel, banded_scale([change], "change [%]")), picture)
+    return picture
 
 
 def _check_form(target: Path | None, form: str | None) -> None:

@@ -33,6 +33,7 @@ from lampest.report.plots.style import (
     shared_labels,
     short_title,
 )
+from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
 MOST_ACROSS = 7  # maps side by side, an inch wide each
@@ -41,10 +42,10 @@ LEAST_ERROR, MOST_ERROR = 3.0, 5.0  # standard deviations at the ends of the sca
 
 @dataclass(frozen=True)
 class ContourPlot(Plot):
-    """Maps of one frame side by side: measured two-point resistance, each estimator's cell resistance, the truth.
+    """Maps of one frame side by side: measured readings, each estimator's cell resistance, the truth.
 
-    All show 100·(R/R₀ − 1) in percent on one scale that is symmetric about zero. `frame` is an index into the
-    recording; without it `strongest_index` chooses. Source: paper, figure 8.
+    All show the change against the unloaded panel in percent on one scale that is symmetric about zero. `frame` is an
+    index into the recording; without it `strongest_index` chooses. Source: paper, figure 8.
     """
 
     kind: ClassVar[str] = "contours"
@@ -72,14 +73,10 @@ class ContourPlot(Plot):
         return figure
 
 
-def percent_change(resistance: Array, baseline: Array) -> Array:
-    """100·(R/R₀ − 1), any shape, in percent."""
-    return 100 * (resistance / baseline - 1)
-
-
 def _tiles(cases: Sequence[CaseResult], index: int) -> list[Tile]:
     first = cases[0]
-    tiles = [_tile("measured two-point", percent_change(first.measured[index], first.measured_baseline))]
+    kind = "measured two-point" if first.scene.circuit.unit == "ohm" else "measured voltage"
+    tiles = [_tile(kind, percent_change(first.measured[index], first.measured_baseline))]
     for case in cases:
         shown = _tile(case.estimator, case.relative_change[index], case.open_cell[index] != 0)
         tiles.append(shown if case.solved[index] else Tile(case.estimator, None))

@@ -16,10 +16,9 @@ from lampest.loads.recognition.candidates import KINDS
 from lampest.panel.panel import Array
 from lampest.report.detect.detection import Detection
 from lampest.report.detect.events import events
-from lampest.report.plots.contours import percent_change
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
-from lampest.report.plots.plot import strongest_index
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, write_all
+from lampest.report.strongest import percent_change, strongest_index
 from lampest.runs.case import SHARED
 from lampest.runs.results import CaseResult, Results
 
