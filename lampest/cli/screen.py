@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from threading import Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-LINE_SECONDS = 10.0  # between lines of progress where there is no terminal
+LINE_SECONDS = 8.0  # between lines of progress where there is no terminal
 
 
 def written(name: str, text: str) -> Any:
@@ -102,7 +103,7 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every ten seconds."""
+    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every eight seconds."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
@@ -112,11 +113,14 @@ class progress:  # noqa: N801
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
         self._what, self._said = what, monotonic()
+        self._first: Timer | None = None
 
     def begin(self, text: str) -> None:
-        """Say what takes time, where no bar shows it."""
+        """Say what takes time, once it does, where no bar shows it."""
         if self._bar.disable:
-            say(f"lampest: {text}", to=sys.stderr)
+            self._first = Timer(LINE_SECONDS, say, (f"lampest: {text}", sys.stderr))
+            self._first.daemon = True
+            self._first.start()
 
     def __enter__(self) -> Any:
         self._bar.__enter__()
@@ -138,4 +142,6 @@ class progress:  # noqa: N801
             say(f"lampest: {text}", to=sys.stderr)
 
     def __exit__(self, *error: Any) -> None:
+        if self._first is not None:
+            self._first.cancel()
         self._bar.__exit__(*error)

@@ -121,7 +121,7 @@ def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> l
 def compare(results: Results, source: str = "") -> list[Row]:
     """The rows of one results file: one for each case, two where its first frame was solved with the baseline."""
     return [
-        replace(row, label=results.label(case))
+        replace(row, label=results.label(case).replace("lambda", "λ"))
         for case in results.cases
         for row in _rows(case, results.published.get(case.estimator), source)
     ]

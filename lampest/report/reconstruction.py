@@ -5,15 +5,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
+
+import numpy as np
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
+from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.runs.columns import Column
+from lampest.report.shades import shaded_map
+from lampest.report.strongest import strongest_index
+from lampest.runs.columns import FIGURES, Column
 from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
 
@@ -38,6 +44,29 @@ class Reconstruction(Estimates):
         """Every measured frame of a recording, solved. Raises InputError where the two do not fit."""
         estimates = reconstruct(recording, estimator)
         return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
+
+    @property
+    def weights(self) -> dict[str, Array]:
+        """Term → (frames) λ of every penalty, the number that was given or the one that the data chose."""
+        values: dict[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
+        return {term: weight for term, weight in values.items() if term != "misfit"}
+
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """Sentences on what speaks against the estimates: failed frames, the circuit, the noise; none is good."""
+        failed = int(np.sum(~self.solved))
+        said = f"{failed} of {len(self.solved)} frames are not solved: {self.status[int(np.argmin(self.solved))]}"
+        circuit = "" if self.model_check.mark in ("yes", "not checked") else self.model_check.sentence
+        return tuple(filter(None, (said if failed else "", circuit, self.noise.sentence)))
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what was found, and a small map of the strongest frame."""
+        place = strongest_index([self.result()])
+        weights = [f"λ of {term}: {float(np.median(values)):.3g}" for term, values in self.weights.items()]
+        where = f"change of the cells in frame {self.frame[place]} at {self.time[place]:g} s:"
+        lines = "<br>".join(escape(line) for line in (repr(self), *weights, *self.checks, where))
+        drawn = escape("\n".join(shaded_map(self.relative_change[place])))
+        return f'<p>{lines}</p><pre style="line-height: 1">{drawn}</pre>'
 
     def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
         """The case that results files keep; several may go into one file with `write_results`.

@@ -321,7 +321,7 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
 
     What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column.
     """
-    with extra():
+    with extra("tables"):
         from pandas import DataFrame  # takes 0.3 s
 
     held = dict(_held(case, columns))

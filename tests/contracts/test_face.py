@@ -258,6 +258,13 @@ def test_a_reconstruction_in_one_line(found: Reconstruction) -> None:
     )
 
 
+def test_a_result_says_what_was_chosen_and_what_speaks_against_it(found: Reconstruction) -> None:
+    assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
+    assert found.noise.learned and isinstance(found.checks, tuple)
+    shown = found._repr_html_()
+    assert "λ of gradient: 0.001" in shown and "█" in shown and "in frame 6 at 6 s" in shown
+
+
 def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
     found.save(tmp_path / "r.h5", name="mine")
     (case,) = lampest.read_results(tmp_path / "r.h5").cases

@@ -208,7 +208,7 @@ def sheets_of(path: Path, wanted: str | None, least: int) -> dict[str, Rows]:
 
 @contextmanager
 def _workbook(path: Path) -> Iterator[Any]:
-    with extra():
+    with extra("tables"):
         import openpyxl  # takes 0.2 s
 
     try:

@@ -97,7 +97,8 @@ def _tile(title: str, change: Array, open_cells: NDArray[np.bool_] | None = None
 def _lettered(number: int, tile: Tile, across: int) -> Tile:
     """With a letter before its title, and that as wide as the map."""
     letter = f"({chr(ord('a') + number)}) " if number < 26 else ""
-    return replace(tile, title=fill(letter + tile.title, max(10, int(17 * _width(across)))))
+    title = tile.title.replace("paper's lambda", "paper's λ")
+    return replace(tile, title=fill(letter + title, max(10, int(17 * _width(across)))))
 
 
 def _maps_across(maps: int, panel: Panel) -> int:

@@ -48,9 +48,9 @@ class Results:
         return tuple(dict.fromkeys(case.estimator for case in self.cases))
 
     def label(self, case: CaseResult) -> str:
-        """The estimator's name; of one with published figures and weights of its own `LSR-CR, paper's λ`."""
+        """The estimator's name; of one with published figures and weights of its own `LSR-CR, paper's lambda`."""
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
-        return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's λ"
+        return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's lambda"
 
     def named(self, what: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
         """The results of these recordings or estimators, in the file's order; all where none is named.

@@ -53,7 +53,7 @@ def write_starter(folder: Path, circuit: str = "two_mux", rows: int = 10, column
     for path in paths.values():
         if path.exists():
             raise InputError(f"{path}: is there already; name another folder, and nothing of yours is replaced")
-    texts = {SCENE: scene_text(chosen, rows, columns), RUN: (TEMPLATES / RUN).read_text(encoding="utf-8")}
+    texts = {SCENE: starter_scene(chosen, rows, columns), RUN: (TEMPLATES / RUN).read_text(encoding="utf-8")}
     texts[SIMULATION] = simulation_text(texts[SCENE], rows, columns)
     texts[SCHEMA] = json.dumps(json_schema(), indent=2) + "\n"
     recording = simulate(validated(parse_document(texts[SIMULATION], SIMULATION), Simulation), paths[RECORDING].stem)
@@ -65,7 +65,7 @@ def write_starter(folder: Path, circuit: str = "two_mux", rows: int = 10, column
     return tuple(paths.values())
 
 
-def scene_text(circuit: StarterCircuit, rows: int, columns: int) -> str:
+def starter_scene(circuit: StarterCircuit, rows: int, columns: int) -> str:
     """The scene's file: wiring, panel and readout."""
     values = {
         "page": circuit.page,
