@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
     from lampest.panel.response import PowerResponse as PowerResponse
+    from lampest.panel.response import PublishedResponse as PublishedResponse
     from lampest.panel.response import TableResponse as TableResponse
     from lampest.panel.scene import Scene as Scene
     from lampest.panel.scene import SeriesPerLine as SeriesPerLine
@@ -174,6 +175,10 @@ def reconstruct(
 
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
     Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
+
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    >>> found.cell_resistance.shape
+    (2, 2, 3)
     """
     from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
     from lampest.estimate.objective import checked_terms

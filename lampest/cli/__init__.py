@@ -78,26 +78,29 @@ def _renamed(old: str, new: str) -> Callable[..., None]:
     return called
 
 
-COMMANDS: dict[str, tuple[Callable[..., None], str]] = {  # name → (command, example)
-    "init": (estimation.init, "mine"),
-    "run": (estimation.run, "run.yaml --set formulation=reduced --jobs 2"),
-    "simulate": (estimation.simulate, "simulation.yaml --set seed=2 --out second.h5"),
-    "import": (estimation.import_, "mine.csv --scene scene.yaml --baseline 3 --out mine.h5"),
-    "tare": (estimation.tare, "mine.h5 --frames 40:50 --out tared.h5"),
-    "compare": (results.compare, "results/run/results.h5 --report page.html"),
-    "plot": (results.plot, "results/run/results.h5 --frame 12 --estimator LSM --out one.svg"),
-    "export": (results.export, "results/run/results.h5 --to csv"),
-    "detect": (results.detect, "results/run/results.h5 --depth 50"),
-    "info": (results.info, "mine.h5"),
-    "check": (results.check, "mine.h5 results/run/results.h5"),
-    "record": (board.record, "--out today.h5 --scene scene.yaml --baseline 3 --seconds 60"),
-    "calibrate": (board.calibrate, "known.h5 --known known.csv --out scene.yaml"),
-    "live": (board.live, "--recording example.h5 --speed 2"),
-    "show terms": (results.terms, ""),
-    "show schema": (results.schema, "> lampest.schema.json"),
-    **{f"study {word}": (studies.study_command(word), f"{word}.yaml --out results/mine") for word in studies.STUDIES},
-    "study paper": (studies.paper, "--out results/paper"),
-    "study starts": (studies.starts, "run.yaml --random 50"),
+COMMANDS: dict[str, tuple[str, Callable[..., None], str]] = {  # name → (part of the help, command, example)
+    "init": ("Begin", estimation.init, "mine"),
+    "import": ("Begin", estimation.import_, "mine.csv --scene scene.yaml --baseline 3 --out mine.h5"),
+    "simulate": ("Begin", estimation.simulate, "simulation.yaml --set seed=2 --out second.h5"),
+    "tare": ("Begin", estimation.tare, "mine.h5 --frames 40:50 --out tared.h5"),
+    "run": ("Reconstruct", estimation.run, "run.yaml --set formulation=reduced --jobs 2"),
+    "detect": ("Reconstruct", results.detect, "results/run/results.h5 --depth 50"),
+    "info": ("Look", results.info, "mine.h5 --picture mine.png"),
+    "compare": ("Look", results.compare, "results/run/results.h5 --report page.html"),
+    "plot": ("Look", results.plot, "results/run/results.h5 --frame 12 --estimator LSM --out one.svg"),
+    "export": ("Look", results.export, "results/run/results.h5 --to csv"),
+    "check": ("Look", results.check, "mine.h5 results/run/results.h5"),
+    "show terms": ("Look", results.terms, ""),
+    "show schema": ("Look", results.schema, "> lampest.schema.json"),
+    "record": ("Board", board.record, "--out today.h5 --scene scene.yaml --baseline 3 --seconds 60"),
+    "live": ("Board", board.live, "--recording example.h5 --speed 2"),
+    "calibrate": ("Board", board.calibrate, "known.h5 --known known.csv --out scene.yaml"),
+    **{
+        f"study {word}": ("Study", studies.study_command(word), f"{word}.yaml --out results/mine")
+        for word in studies.STUDIES
+    },
+    "study paper": ("Study", studies.paper, "--out results/paper"),
+    "study starts": ("Study", studies.starts, "run.yaml --random 50"),
 }
 OLD = {  # word of the release before → new name
     "ports": "record --list",

@@ -68,6 +68,9 @@ class Loss(ABC):
     second derivative jumps, and an interior-point method takes `lowered` instead. 'dual': it is Σ |x|, and its duals z
     stand for its derivative. squared : whether it is Σ x², so that the cost is one of least squares. convex : whether ρ
     is; where it is not the cost may have several minima, and an estimate is one of them.
+
+    >>> issubclass(lampest.Huber, lampest.Loss)
+    True
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -142,7 +145,11 @@ def _derivatives(loss: Loss) -> casadi.Function:
 
 @dataclass(frozen=True)
 class Squared(Loss):
-    """Σ x²; the loss of the paper's equations (11)-(24)."""
+    """Σ x²; the loss of the paper's equations (11)-(24).
+
+    >>> lampest.Misfit().loss == lampest.Squared()
+    True
+    """
 
     squared: ClassVar[bool] = True
     kind: Literal["squared"] = "squared"
@@ -175,6 +182,9 @@ class Huber(Loss):
 
     corner has the unit of the term's residual. Raises ValueError unless it is positive and finite.
     Source: Huber, Ann. Math. Statist. 35, 1964.
+
+    >>> lampest.Misfit(loss=lampest.Huber(corner=3.0)).loss.corner
+    3.0
     """
 
     enters: ClassVar[Entry] = "split"
@@ -211,7 +221,11 @@ class Huber(Loss):
 
 @dataclass(frozen=True)
 class Absolute(Loss):
-    """Σ |x|; has no derivative at 0, so solvers replace it by its dual form max over |z| ≤ 1 of Σ z·x."""
+    """Σ |x|; has no derivative at 0, so solvers replace it by its dual form max over |z| ≤ 1 of Σ z·x.
+
+    >>> lampest.Misfit(loss=lampest.Absolute()).loss.kind
+    'absolute'
+    """
 
     enters: ClassVar[Entry] = "dual"
     kind: Literal["absolute"] = "absolute"
@@ -258,6 +272,9 @@ class Student(Loss):
     beyond the corner, and brings local minima. corner has the unit of the term's residual. Raises ValueError unless it
     is positive and finite.
     Source: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989.
+
+    >>> lampest.Misfit(loss=lampest.Student(corner=3.0)).loss.corner
+    3.0
     """
 
     convex: ClassVar[bool] = False

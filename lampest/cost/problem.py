@@ -31,6 +31,8 @@ class Data:
     readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
     whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. first : whether no frame before
     this one was solved, so that the solve begins at several places. parts : see `Scene.parts`.
+
+    >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
 
     given: Given

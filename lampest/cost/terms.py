@@ -28,6 +28,9 @@ class State(Given):
     reading : y = f(r) as the model has it, in the readout's unit (ohm or volt).
 
     and all that `Given` declares: what was measured, and what is known from earlier frames.
+
+    >>> [field.name for field in dataclasses.fields(lampest.State)][:2]
+    ['measured', 'sigma']
     """
 
     panel: Panel
@@ -96,6 +99,9 @@ class Term(ABC):
     how well the previous frame is known, so that its variance is that of the change and of the previous frame's error
     together. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless the weight
     is finite and not negative.
+
+    >>> issubclass(lampest.Misfit, lampest.Term)
+    True
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -122,7 +128,11 @@ class Term(ABC):
 
 @dataclass(frozen=True)
 class Misfit(Term):
-    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11)."""
+    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11).
+
+    >>> lampest.Misfit().unit
+    'ohm'
+    """
 
     reads_measurement: ClassVar[bool] = True
     unit: ClassVar[str] = "ohm"
@@ -141,7 +151,11 @@ class Misfit(Term):
 
 @dataclass(frozen=True)
 class CellResistance(Term):
-    """r in ohm; LSR-CR, paper, equation (13)."""
+    """r in ohm; LSR-CR, paper, equation (13).
+
+    >>> lampest.CellResistance(weight=1e-3).unit
+    'ohm'
+    """
 
     unit: ClassVar[str] = "ohm"
     kind: Literal["cell_resistance"] = "cell_resistance"
@@ -154,7 +168,11 @@ class CellResistance(Term):
 
 @dataclass(frozen=True)
 class RelativeChange(Term):
-    """100·(r − r0)/r0 in percent; LSR-ΔCR, paper, equations (15) and (17)."""
+    """100·(r − r0)/r0 in percent; LSR-ΔCR, paper, equations (15) and (17).
+
+    >>> lampest.RelativeChange(weight=10.0).weight
+    10.0
+    """
 
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent"
@@ -168,7 +186,11 @@ class RelativeChange(Term):
 
 @dataclass(frozen=True)
 class Gradient(Term):
-    """∇r in ohm per cell, row part and column part; LSR-∇CR, paper, equation (19)."""
+    """∇r in ohm per cell, row part and column part; LSR-∇CR, paper, equation (19).
+
+    >>> lampest.Gradient().weight
+    'auto'
+    """
 
     unit: ClassVar[str] = "ohm per cell"
     kind: Literal["gradient"] = "gradient"
@@ -181,7 +203,11 @@ class Gradient(Term):
 
 @dataclass(frozen=True)
 class GradientOfRelativeChange(Term):
-    """∇(100·(r − r0)/r0) in percent per cell; LSR-∇ΔCR, paper, equations (21) and (23)."""
+    """∇(100·(r − r0)/r0) in percent per cell; LSR-∇ΔCR, paper, equations (21) and (23).
+
+    >>> lampest.GradientOfRelativeChange(weight=10.0).unit
+    'percent per cell'
+    """
 
     needs_previous: ClassVar[bool] = True
     unit: ClassVar[str] = "percent per cell"
@@ -200,6 +226,9 @@ class TotalVariation(Term):
     With its absolute loss this is the anisotropic total variation of log r. In log r a fall to a tenth and a rise to
     tenfold are edges of one height, and forward differences see a cell that stands out alone, which central ones do
     not. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+
+    >>> lampest.TotalVariation().loss.kind
+    'absolute'
     """
 
     convex_in_log: ClassVar[bool] = True
@@ -218,6 +247,9 @@ class LogGradient(Term):
     """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch: divided by their distance in units of the pitch.
 
     Scale-free, and open cells cost no more than their neighbours make them: for panels whose unloaded cells are open.
+
+    >>> lampest.LogGradient().weight
+    'auto'
     """
 
     unit: ClassVar[str] = "1 per pitch"
@@ -236,6 +268,9 @@ class LogRatio(Term):
     Convex in log r, which the relative change is not. Against the baseline and squared it is a Gaussian prior of log r
     with the baseline as its mean; with its absolute loss few cells change, by any amount. Source: Tarantola, Inverse
     Problem Theory, 2005 (positive parameters by their logarithms).
+
+    >>> lampest.LogRatio(weight=1.0).kind
+    'log_ratio'
     """
 
     needs_previous: ClassVar[bool] = True
@@ -257,6 +292,9 @@ class TotalVariationOfChange(Term):
 
     With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60,
     1992.
+
+    >>> lampest.TotalVariationOfChange().loss.kind
+    'absolute'
     """
 
     needs_previous: ClassVar[bool] = True
@@ -286,6 +324,9 @@ class Arrival(Term):
     is positive and finite.
     Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Huber, Ann. Math. Statist. 35,
     1964; Masreliez & Martin, IEEE Trans. Automat. Contr. 22, 1977 (robust Kalman filter).
+
+    >>> lampest.Arrival(weight=1.0).kind
+    'arrival'
     """
 
     needs_previous: ClassVar[bool] = True
@@ -329,5 +370,9 @@ def term_kind(term: Term) -> str:
 
 
 def term_types() -> dict[str, type[Term]]:
-    """kind → class, for every member of the union, in its order; then those of installed packages."""
+    """kind → class, for every member of the union, in its order; then those of installed packages.
+
+    >>> sorted(lampest.term_types())[:2]
+    ['arrival', 'cell_resistance']
+    """
     return members_by_kind(AnyTerm)

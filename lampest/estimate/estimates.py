@@ -124,6 +124,9 @@ class Estimates:
     joint_start : whether the first frame was solved together with the baseline.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
     asked : of a part of a long recording, the frames that its noise and its circuit were asked of; None of a whole one.
+
+    >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
+    (True, (2, 2, 3))
     """
 
     recording: Recording

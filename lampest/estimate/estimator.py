@@ -30,6 +30,9 @@ class Estimator(Objective):
 
     Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a
     term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
+
+    >>> lampest.Estimator((lampest.Misfit(),), formulation="reduced").relative
+    False
     """
 
     terms: tuple[Term, ...]

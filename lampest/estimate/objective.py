@@ -38,6 +38,9 @@ class Bounds:
     where double precision sees no difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
 
     Raises ValueError where a number is not positive and finite.
+
+    >>> lampest.Bounds(lower=100.0, upper="none").lower
+    100.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -94,6 +97,9 @@ class AutoWeight:
     rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
     of every reading from all others. By default risk, or press where the noise of the readings is unknown.
     per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
+
+    >>> lampest.AutoWeight().per
+    'recording'
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -28,6 +28,10 @@ class Step:
 
     weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
     disc : what the cells follow from, where that is a disc.
+
+    >>> step = found.steps[0]
+    >>> step.cell_resistance.shape, step.status
+    ((2, 3), 'optimum verified')
     """
 
     solution: Solution

@@ -14,6 +14,9 @@ class InputError(ValueError):
 
     The sentence stays one printable line whatever a file's names and keys hold: other signs are written as escapes, and
     what is too long is cut in its middle.
+
+    >>> issubclass(lampest.InputError, ValueError)
+    True
     """
 
     def __init__(self, sentence: str) -> None:

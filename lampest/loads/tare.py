@@ -35,6 +35,9 @@ class Tare:
     drift_per_minute : standard deviation of ln r of a cell at rest for each minute since the last zero.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Tare().frames
+    20
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -21,6 +21,9 @@ class Faults:
     dead_modules : modules by (row, column) that are not read at all: nothing is known of their cells.
     joined_rows, joined_columns : groups of lines that touch each other at their terminals: they are one node, either is
         read alike, and of their cells on one crossing only the sum of conductances is ever seen.
+
+    >>> lampest.Faults(dead_rows=(1,)).open_cells(lampest.Panel(2, 3)).sum()
+    np.int64(3)
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -49,6 +49,9 @@ class Film:
     curvature_per_m : of the bent panel, the same in all frames; 0: flat.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Film(hysteresis=0.1).hysteresis
+    0.1
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -33,6 +33,9 @@ class Panel:
         None: all have one, at their pitch.
 
     Raises ValueError where a number is out of range, or two cells have one crossing or one place.
+
+    >>> lampest.Panel(2, 3, pitch_mm=8.0).shape
+    (2, 3)
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

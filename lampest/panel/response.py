@@ -110,6 +110,9 @@ class TableResponse(Response):
     Example: {kind: table, pressure_kpa: [0, 1, 5, 20], resistance_ohm: [30000, 9000, 2500, 800]}
 
     Raises ValueError where points do not rise, fall or agree in number.
+
+    >>> lampest.TableResponse(pressure_kpa=(0.0, 5.0), resistance_ohm=(3000.0, 900.0)).told_kpa
+    (0.0, 5.0)
     """
 
     kind: Literal["table"] = "table"
@@ -173,6 +176,9 @@ class PowerResponse(Response):
     Example: {kind: power, exponent: 0.8, scale_kpa: 1.5}
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.PowerResponse(exponent=1.0, scale_kpa=1.0).pressure(np.log(0.5)).round(6)
+    np.float64(1.0)
     """
 
     kind: Literal["power"] = "power"
@@ -226,6 +232,9 @@ class PublishedResponse(Response):
     to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and figure 1-e.
 
     Example: {kind: published}
+
+    >>> np.exp(lampest.PublishedResponse().logarithm(2.5)).round(6)
+    np.float64(0.52)
     """
 
     kind: Literal["published"] = "published"

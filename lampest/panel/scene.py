@@ -29,6 +29,9 @@ class Water:
     """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
 
     Raises ValueError where the depth is out of range.
+
+    >>> lampest.Water(top_row_depth_mm=50.0).top_row_depth_mm
+    50.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -54,6 +57,9 @@ class Temperature:
     baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Temperature(-0.003, baseline_celsius=20.0, measured_celsius=12.0).difference_kelvin
+    -8.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -99,6 +105,9 @@ class Systematic:
         that differ); widens pressures alone.
 
     None: absent. Raises ValueError where a number is out of range.
+
+    >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
+    0.01
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -132,6 +141,10 @@ class SeriesPerLine:
     """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
 
     rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
+
+    >>> lampest.SeriesPerLine(rows=(70.0, 72.0), columns=(69.0, 71.0)).ohm(lampest.Panel(2, 2))
+    array([[139., 141.],
+           [141., 143.]])
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -190,6 +203,9 @@ class Scene:
     modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0).series_text
+    '140 ohm'
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -14,6 +14,9 @@ class MeasuredSubject:
     note : what else there is to say.
 
     Empty or None: not told. Raises ValueError where a number is not positive.
+
+    >>> lampest.MeasuredSubject(species="Petromyzon marinus").species
+    'Petromyzon marinus'
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -40,6 +43,9 @@ class Experiment:
         around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
 
     Empty or None: not told. Raises ValueError where the water is no water.
+
+    >>> lampest.Experiment(title="attachment").title
+    'attachment'
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -99,6 +99,9 @@ class Readings:
     value : positive; where nothing is seen, what its row and column let expect stands in (see `StandIn`), 1 in a frame
     that shows nothing. sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
     side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where it is missing.
+
+    >>> lampest.Readings.of(recording.scene, recording.recorded).value.shape
+    (4, 2, 3)
     """
 
     value: Array

@@ -51,6 +51,9 @@ class Recording:
 
     A missing reading is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
     counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
+
+    >>> recording
+    Recording(mine: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
     """
 
     scene: Scene

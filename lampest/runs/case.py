@@ -75,6 +75,9 @@ class CaseResult:
     extra : name → values of the columns that installed packages or scripts add.
 
     Raises InputError where a name is unfit, shapes disagree, or a value is impossible.
+
+    >>> found.result().estimator
+    'misfit'
     """
 
     recording: str

@@ -100,6 +100,10 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 
     Raises InputError for any fault, before any solve. One of several recordings that is there and cannot be read is
     none: its cases fail when their turn comes, so that it costs no other.
+
+    >>> _ = Path("run.yaml").write_text("{schema: 1, recordings: [mine.h5], estimators: {LSM: {terms: {misfit: {}}}}}")
+    >>> len(lampest.read_run(Path("run.yaml")).cases)
+    1
     """
     document = read_document(path, settings)
     recordings: dict[Path, _Source] = {}

@@ -27,7 +27,11 @@ SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its 
 
 
 class Status(Enum):
-    """Sentences; only the first six stand for an estimate."""
+    """Sentences; only the first six stand for an estimate.
+
+    >>> found.steps[0].solution.status.value
+    'optimum verified'
+    """
 
     OPTIMUM = "optimum verified"
     HELD = (
@@ -90,6 +94,9 @@ class Settings:
     begun, the lowest minimum is taken; None: three for a first frame, one for each that follows another.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Settings(max_iterations=50).max_iterations
+    50
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -116,6 +123,10 @@ class Outcome:
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
     these cells, where the solver asked for one. kept : a preconditioner that serves a frame like this one, or None.
     convex : whether the cost curved upwards along every direction from the start to here, as far as anybody looked.
+
+    >>> cells, dual = found.cell_resistance, np.zeros(0)
+    >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
+    1
     """
 
     cell_resistance: Array
@@ -136,6 +147,9 @@ class Solution:
     at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
     kept, convex : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they
     reached.
+
+    >>> found.steps[0].solution.solved
+    True
     """
 
     cell_resistance: Array
@@ -170,7 +184,11 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What a sequence asks of a solver."""
+    """What a sequence asks of a solver.
+
+    >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
+    ['cost', 'prepare', 'settings', 'solve']
+    """
 
     @property
     def cost(self) -> Cost:
@@ -249,7 +267,12 @@ def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Sta
 
 
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """What a method short of an optimum found, with its cost and its KKT residual."""
+    """What a method short of an optimum found, with its cost and its KKT residual.
+
+    >>> import inspect
+    >>> list(inspect.signature(lampest.approximation).parameters)
+    ['cost', 'data', 'outcome']
+    """
     if not np.all(np.isfinite(outcome.cell_resistance)):
         return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
     evaluation = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))

@@ -60,7 +60,11 @@ class AnchoredMethod(Method):
 
 @dataclass(frozen=True)
 class LinearisedMethod(AnchoredMethod):
-    """log r = log r_b − H_b⁻¹ ∇φ(r_b): one Newton step from the baseline, whose factor serves the whole recording."""
+    """log r = log r_b − H_b⁻¹ ∇φ(r_b): one Newton step from the baseline, whose factor serves the whole recording.
+
+    >>> lampest.LinearisedMethod().kind
+    'linearised'
+    """
 
     kind: Literal["linearised"] = "linearised"
 
@@ -75,6 +79,9 @@ class RegionMethod(AnchoredMethod):
 
     The region is the rectangle round the readings that stand out from the baseline's by more than `significance` times
     their noise; it grows until what is left outside is noise. Raises ValueError unless significance is positive.
+
+    >>> lampest.RegionMethod().kind
+    'region'
     """
 
     kind: Literal["region"] = "region"
@@ -94,6 +101,9 @@ class TruncatedMethod(Method):
     """The first `steps` Newton steps of the reduced formulation from the previous frame.
 
     Raises ValueError unless there is at least one.
+
+    >>> lampest.TruncatedMethod().kind
+    'truncated'
     """
 
     kind: Literal["truncated"] = "truncated"
@@ -114,6 +124,9 @@ class TruncatedMethod(Method):
 class UncorrectedMethod(Method):
     """naive : each reading as if its cell were alone (r = R_m, or what a naive divider gives). scaled : as if all were
     alike (r = R_m·MN/(M + N − 1) of two-point readings). Costs nothing.
+
+    >>> lampest.UncorrectedMethod().kind
+    'naive'
     """
 
     kind: Literal["naive", "scaled"] = "naive"

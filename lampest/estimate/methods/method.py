@@ -37,6 +37,9 @@ class Method(ABC):
     that compares frames solves its baseline together with the first frame. delays : whether it keeps
     Ctrl-C itself where that would be taken for a failed evaluation, and not where only machine code runs. together :
     whether it needs all frames of a recording at once.
+
+    >>> issubclass(lampest.RegionMethod, lampest.Method)
+    True
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

@@ -26,6 +26,9 @@ class OptimalMethod(Method):
 
     joint : whether terms that compare frames solve the baseline together with the first frame (paper, equations 15 and
     21), rather than the baseline alone and the first frame against it.
+
+    >>> lampest.Estimator((lampest.Misfit(),), lampest.OptimalMethod(kind="reduced")).method.kind
+    'reduced'
     """
 
     optimum: ClassVar[bool] = True

@@ -69,7 +69,11 @@ class OralDiscTracker:
 
 @dataclass(frozen=True)
 class OralDiscMethod(Method):
-    """The unknowns are the numbers of an oral disc, not the cells; wrong wherever something else is attached."""
+    """The unknowns are the numbers of an oral disc, not the cells; wrong wherever something else is attached.
+
+    >>> lampest.OralDiscMethod().kind
+    'oral_disc'
+    """
 
     kind: Literal["oral_disc"] = "oral_disc"
 

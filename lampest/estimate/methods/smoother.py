@@ -50,6 +50,9 @@ class SmootherMethod(Method):
     alone, in the median; frames may tell that it is more.
     jump : so many walks a jump costs at most. lag : of how many frames before.
     Raises ValueError where a number is out of range.
+
+    >>> lampest.SmootherMethod().kind
+    'smoother'
     """
 
     optimum: ClassVar[bool] = True

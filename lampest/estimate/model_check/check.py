@@ -32,6 +32,9 @@ class ModelCheck:
     explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
     no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably.
+
+    >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
+    'yes'
     """
 
     explains: bool | None

@@ -36,6 +36,9 @@ class Rod(RoundShape):
     diameter_mm, mass_g : of the rod.
 
     Example: {kind: rod, centre_mm: [45, 45], diameter_mm: 40, mass_g: 680}
+
+    >>> lampest.Rod(centre_mm=(10, 10), diameter_mm=20, mass_g=100).diameter_mm
+    20
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -74,6 +77,9 @@ class Ring(RoundShape):
     inner_diameter_mm, outer_diameter_mm, mass_g : of the ring.
 
     Example: {kind: ring, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, mass_g: 850}
+
+    >>> lampest.Ring(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850).mass_g
+    850
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -116,6 +122,10 @@ class SuctionCup(RoundShape):
     pressure_kpa : suction against the surroundings, negative.
 
     Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, pressure_kpa: -10}
+
+    >>> cup = lampest.SuctionCup(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10)
+    >>> cup.pressure_kpa
+    -10
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -160,6 +170,9 @@ class OralDisc(RoundShape):
 
     Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16, e0247884, 2021.
     Example: {kind: oral_disc, centre_mm: [45, 45], diameter_mm: 35, rim_width_mm: 6, pressure_kpa: -12, rim_kpa: 90}
+
+    >>> lampest.OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12).kind
+    'oral_disc'
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -234,6 +247,9 @@ class Block(Shape):
     angle_deg : direction of the length; 0 along the rows, towards higher columns, 90 towards higher rows.
 
     Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg: 30}
+
+    >>> lampest.Block(centre_mm=(45, 45), length_mm=50, width_mm=20, mass_g=500).width_mm
+    20
     """
 
     positive: ClassVar[tuple[str, ...]] = ("length_mm", "width_mm", "mass_g")

@@ -136,6 +136,9 @@ class Shape(ABC):
     tilt_direction_deg : where the contact is strongest; 0 towards higher columns, 90 towards higher rows.
 
     Raises ValueError where a number is out of range.
+
+    >>> issubclass(lampest.Rod, lampest.Shape)
+    True
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

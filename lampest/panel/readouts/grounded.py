@@ -170,6 +170,9 @@ class GroundedReadout(IdleGroundedReadout):
     The network's reading is the voltage across the load, for either polarity. No bound but r > 0 holds: other cells
     raise and lower a reading. Raises ValueError where a number is out of range. Source: node analysis with Z =
     (L(g) + diag(t))⁻¹.
+
+    >>> lampest.GroundedReadout(load_ohm=1000.0).unit
+    'volt'
     """
 
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm")
@@ -228,6 +231,9 @@ class VirtualGroundReadout(IdleGroundedReadout):
 
     No bound but r > 0 holds: other cells raise and lower a reading. Raises ValueError where a number is out of range.
     Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed lines.
+
+    >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit
+    'volt'
     """
 
     of_sensed: ClassVar[tuple[str, ...]] = ("feedback_ohm", "sense_ohm")

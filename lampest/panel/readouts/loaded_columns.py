@@ -39,6 +39,9 @@ class Diode:
         to the drop; 2.303 s is a decade's.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Diode(drop_volt=0.6, at_ampere=1e-3, slope_volt=0.05).drop_volt
+    0.6
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -107,6 +110,9 @@ class LoadedColumnsReadout(DrivenReadout):
 
     The network's reading is the voltage across the load, for either polarity. Raises ValueError where a number is out
     of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.
+
+    >>> lampest.LoadedColumnsReadout(load_ohm=10000.0).unit
+    'volt'
     """
 
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)

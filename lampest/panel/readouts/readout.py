@@ -73,6 +73,9 @@ class Readout(Converter, ABC):
     without noise has one minimum; where it does not, the reduced solver searches and others go on from what it finds.
     in_series : whether the scene's series resistance adds to every reading. mirrored : whether loads lead to the
     supply, so that the converter sees Vcc minus the network's reading.
+
+    >>> issubclass(lampest.GroundedReadout, lampest.Readout)
+    True
     """
 
     unit: ClassVar[str] = "volt"

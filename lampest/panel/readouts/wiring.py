@@ -31,6 +31,9 @@ class Lines:
     columns_leave : the side at which the columns' terminals are; at the bottom, the last row is the nearest.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Lines(row_ohm_per_cell=1.0).resist
+    True
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -60,6 +63,9 @@ class ContactPrior:
     mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.ContactPrior(mean_ohm=5.0, sd_ohm=2.0).sd_ohm
+    2.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -78,6 +84,9 @@ class Contacts:
     Parameters
     ----------
     rows, columns : of the lines of either side.
+
+    >>> lampest.Contacts(rows=lampest.ContactPrior(5.0, 2.0)).rows.mean_ohm
+    5.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

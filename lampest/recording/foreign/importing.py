@@ -123,6 +123,11 @@ def import_file(
     missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
 
     Raises InputError with file and place where anything does not fit.
+
+    >>> _ = Path("mine.csv").write_text("500,510,490\n505,515,250\n")
+    >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3)
+    >>> mine.recorded[1]
+    array([[505., 515., 250.]])
     """
     path = Path(path)
     if missing not in MISSING:
@@ -155,6 +160,10 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
 
     Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
+
+    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
+    >>> lampest.read_scene("scene.yaml").panel.shape
+    (2, 3)
     """
     document = read_document(Path(path), assigned)
     if isinstance(document.content, dict) and "scene" in document.content:

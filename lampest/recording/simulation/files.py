@@ -63,6 +63,10 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
 
     settings : PATH=VALUE entries that override the file's.
     Raises InputError with line and column.
+
+    >>> _ = Path("simulation.yaml").write_text("{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}")
+    >>> len(lampest.read_simulations(Path("simulation.yaml")))
+    1
     """
     document = read_document(path, settings)
     found = []

@@ -36,6 +36,9 @@ class Course:
     release_at_s, release_s : when the release begins, and how long it takes; None: never.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Course(start_s=1.0).start_s
+    1.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

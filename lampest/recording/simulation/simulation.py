@@ -33,6 +33,9 @@ class Cells:
     """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Cells(resistance_ohm=3000.0).resistance_ohm
+    3000.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -69,6 +72,9 @@ class Simulation:
     output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2).frames
+    2
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -134,6 +140,9 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 
     on_frame : called after each frame was converted.
     Raises ValueError where a cell's or a measured resistance leaves its range.
+
+    >>> lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)).recorded.shape
+    (5, 2, 3)
     """
     frames, passes = simulation.all_frames, sum(simulation.scene.panel.networks[0].shape)
     copies = COPIES + (passes if simulation.unmodelled.load_speed_mm_s else 0)

@@ -43,6 +43,9 @@ class Unmodelled:
     response_spread : standard deviation of the logarithm of a factor on each cell's answer, likewise in the logarithm.
 
     Raises ValueError where a number is out of range.
+
+    >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
+    3.0
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}

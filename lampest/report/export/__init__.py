@@ -52,6 +52,9 @@ def export_results(
 
     Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
     be written, and where a library is missing.
+
+    >>> lampest.export_results("results.h5", "mat")[0].name
+    'results.mat'
     """
     export = export_of(to) if isinstance(to, str) else to
     source = Path(results)

@@ -18,6 +18,10 @@ class Export(ABC):
 
     kind : the word that asks for it. suffix : of its files. beside : the suffix of a second file for what the first
     cannot hold; '' for none.
+
+    >>> from lampest.report.export.tables import CsvExport
+    >>> issubclass(CsvExport, lampest.Export)
+    True
     """
 
     kind: ClassVar[str]

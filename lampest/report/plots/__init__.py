@@ -64,6 +64,9 @@ def plot_results(
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
+
+    >>> lampest.plot_results("results.h5", "one.png")[0].name
+    'one.png'
     """
     plot = _chosen(show, frame)
     path, target = Path(path), None if out is None else Path(out)

@@ -46,6 +46,9 @@ class ContourPlot(Plot):
 
     All show the change against the unloaded panel in percent on one scale that is symmetric about zero. `frame` is an
     index into the recording; without it `strongest_index` chooses. Source: paper, figure 8.
+
+    >>> lampest.ContourPlot(frame=2).kind
+    'contours'
     """
 
     kind: ClassVar[str] = "contours"
@@ -131,6 +134,9 @@ class CertaintyPlot(Plot):
 
     standard deviation of the cells [%], resolution, and, where the truth is known, the error in units of the
     standard deviation. `frame` is an index into the recording; without it `strongest_index` chooses.
+
+    >>> lampest.CertaintyPlot().needs
+    ('cell_resistance_errors', 'resolution')
     """
 
     kind: ClassVar[str] = "certainty"

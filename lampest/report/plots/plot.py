@@ -20,6 +20,9 @@ class Plot(ABC):
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
     apart : whether every estimator has a picture of its own; else all of a recording share one.
     frame : index into the recording of what is shown; None: `strongest_index` chooses.
+
+    >>> issubclass(lampest.ContourPlot, lampest.Plot)
+    True
     """
 
     kind: ClassVar[str]

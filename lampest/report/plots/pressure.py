@@ -36,6 +36,9 @@ class PressurePlot(Plot):
 
     `frame` is an index into the recording; without it `strongest_index` chooses. Crosses mark cells whose pressure the
     response leaves open.
+
+    >>> lampest.PressurePlot().apart
+    True
     """
 
     kind: ClassVar[str] = "pressure"

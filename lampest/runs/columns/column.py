@@ -97,6 +97,10 @@ class Column:
     flags : what each value means where values are no amounts: (value, a word of ASCII letters and _).
 
     Raises InputError where the name, the axes or a flag's word are unfit.
+
+    >>> force = lampest.Column("force", ("time",), "newton", "total force", value=lambda estimates: estimates.time)
+    >>> found.result(columns=[force]).extra["force"].shape
+    (2,)
     """
 
     name: str

@@ -25,7 +25,11 @@ NONE = slice(0, 0)
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The cases of one file in the order they were given, and published figures by estimator."""
+    """The cases of one file in the order they were given, and published figures by estimator.
+
+    >>> lampest.Results((found.result("LSM"),)).estimators()
+    ('LSM',)
+    """
 
     cases: tuple[CaseResult, ...]
     published: Mapping[str, PublishedFigures] = field(default_factory=dict)
@@ -71,6 +75,9 @@ def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range
 
     frames : of the recordings, those that are read; None: all. A recording that has none of them is left out.
     Raises InputError with the dataset's path where something is wrong, or no recording has any of the frames.
+
+    >>> lampest.read_results("results.h5").recordings()
+    ('mine',)
     """
     path, table = Path(path), all_columns(columns)
     with _results_file(path) as file:

@@ -104,6 +104,9 @@ class StepFigures:
     """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
 
     Raises ValueError where a figure is negative or not finite.
+
+    >>> lampest.StepFigures(error_percent=1.33).error_percent
+    1.33
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -120,7 +123,11 @@ class StepFigures:
 
 @dataclass(frozen=True)
 class PublishedFigures:
-    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline."""
+    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline.
+
+    >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
+    16.45
+    """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     all: StepFigures | None = None

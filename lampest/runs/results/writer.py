@@ -30,6 +30,8 @@ def write_results(
     columns : of what the cases hold as `extra`, besides those of installed packages. Raises InputError where a case
     appears twice, where two different recordings share a name, where an extra has no column or does not fit it, or
     where the place cannot be written.
+
+    >>> lampest.write_results("results.h5", [found.result("LSM")])
     """
     table = all_columns(columns)
     groups: dict[str, list[CaseResult]] = {}

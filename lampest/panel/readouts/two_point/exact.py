@@ -23,6 +23,10 @@ def two_point_resistance(cell_resistance: Array) -> Array:
     exact_two_point_resistance. That also knows open cells (infinite), shorts (zero) and lines that nothing connects
     (R infinite). Raises ValueError where a cell is negative or no number.
     Source: paper, equations (5)-(10).
+
+    >>> lampest.two_point_resistance(np.full((2, 2), 1000.0)).round(6)
+    array([[750., 750.],
+           [750., 750.]])
     """
     if cell_resistance.ndim == 3:
         return np.stack([two_point_resistance(frame) for frame in cell_resistance])

@@ -34,6 +34,9 @@ class TwoPointReadout(Readout):
     Recorded is what the divider equation gives, as if the converter took no current, the series resistance of the scene
     included. Raises ValueError where a number is out of range. Source: paper, equation (1) (across the sensor) and
     section V.B (across the reference).
+
+    >>> lampest.TwoPointReadout(adc_bits=12).unit
+    'ohm'
     """
 
     unit: ClassVar[str] = "ohm"
