@@ -1,6 +1,9 @@
 """Recordings and files that travel with lampest: examples to try it on, the runs and scenes that made them.
 
 In a checkout they are the folders `configs/` and `data/`; a wheel carries the same two in `lampest/shipped/`.
+
+>>> lampest.datasets.names()[-2:]
+('ring', 'rod')
 """
 
 from pathlib import Path

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.page.template import counted
+from lampest.report.strongest import counted
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
 Steps = Literal["all", "initial", "following"]

@@ -3,7 +3,7 @@
 `Estimates` stands floors below, where neither results files nor pictures are known; what needs those is here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
@@ -51,7 +51,7 @@ class Reconstruction(Estimates):
     @property
     def weights(self) -> dict[str, Array]:
         """Term → (frames) λ of every penalty, the number that was given or the one that the data chose."""
-        values: dict[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
+        values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
     @property

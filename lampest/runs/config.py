@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -296,5 +297,7 @@ def _distinct(cases: list[Case]) -> tuple[Case, ...]:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a run's file, for editors."""
-    return adapter(RunFile).json_schema()
+    """JSON schema of a run's file, for editors; examples in Python are none of YAML and are left out."""
+    text = json.dumps(adapter(RunFile).json_schema())
+    schema: dict[str, Any] = json.loads(re.sub(r"\\n\\n>>> (?:[^\"\\]|\\.)*", "", text))
+    return schema

@@ -374,7 +374,7 @@ def known() -> dict[str, object]:
     }
 
 
-@pytest.mark.parametrize("name", [name for name in lampest.__all__ if not isinstance(getattr(lampest, name), int)])
+@pytest.mark.parametrize("name", [name for name in lampest.__all__ if name not in ("Array", "UNLOADED", "MEASURED")])
 def test_examples_in_docstrings_run(
     name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

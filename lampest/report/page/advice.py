@@ -8,7 +8,8 @@ import numpy as np
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.compared import PREDICTION, Comparison, Standing
 from lampest.report.page.measures import Measures
-from lampest.report.page.template import between, counted, digits, listed, signed, weights_text
+from lampest.report.page.template import between, digits, listed, signed, weights_text
+from lampest.report.strongest import counted
 
 FEW, MOST_NAMED = 5, 4  # units whose intervals are rough, estimators that a sentence names
 FASTER = 1.1  # times of two estimators are the same below this ratio

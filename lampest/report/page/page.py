@@ -13,8 +13,9 @@ from lampest.report.page.compared import Comparison, compared
 from lampest.report.page.measures import DRAWS, Measures, measures
 from lampest.report.page.section import Section, section, standing_section
 from lampest.report.page.tables import batch_sheet
-from lampest.report.page.template import SHARED, counted, filled, listed
+from lampest.report.page.template import SHARED, filled, listed
 from lampest.report.plots.style import verbatim
+from lampest.report.strongest import counted
 from lampest.runs.executors import each_of
 
 SEED = 20190604  # of the bootstrap: the same files give the same page

@@ -13,7 +13,7 @@ from lampest.report.page.batch import Subject
 from lampest.report.page.compared import Comparison, Standing
 from lampest.report.page.measures import Disagreement, Measures, disagreements, weighted_residual
 from lampest.report.page.tables import failures, pair_sheet, recording_sheet, standing_sheet, unit_sheet
-from lampest.report.page.template import Illustration, Sheet, counted, digits
+from lampest.report.page.template import Illustration, Sheet, digits
 from lampest.report.plots.contours import ContourPlot
 from lampest.report.plots.curves import (
     Forest,
@@ -24,7 +24,7 @@ from lampest.report.plots.curves import (
 )
 from lampest.report.plots.maps import Scale, Tile, maps_figure, positive_scale, resolution_scale, signed_scale
 from lampest.report.plots.style import data_uri, short_title
-from lampest.report.strongest import percent_change, strongest_index
+from lampest.report.strongest import counted, percent_change, strongest_index
 from lampest.runs.case import CaseResult
 
 MOST_UNITS = 200  # whose figures are listed one by one

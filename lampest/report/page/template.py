@@ -124,8 +124,3 @@ def frames_text(frames: Sequence[int]) -> str:
 def listed(names: Sequence[str]) -> str:
     """'A', 'A and B', 'A, B and C'."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def counted(number: int, noun: str) -> str:
-    """'1 recording', '30 recordings', '1,200 frames'."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -15,8 +15,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.files import run as simulated
 from lampest.report.compare import Steps, compare, spread
-from lampest.report.plots.contours import percent_change
-from lampest.report.strongest import furthest
+from lampest.report.strongest import furthest, percent_change
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
