@@ -4,7 +4,9 @@ import csv
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import pytest
@@ -68,8 +70,11 @@ def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
         ("baseline_frames: 5", "baseline_frames: 1", "small.yaml"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(tmp_path: Path, old: str, new: str, place: str) -> None:
-    done = audit(tmp_path, FILE.replace(old, new))
-    assert done.returncode == 2
-    assert place in done.stderr and len(done.stderr.strip().splitlines()) == 1
+def test_what_is_wrong_is_one_sentence(
+    tmp_path: Path, lampest: Callable[..., SimpleNamespace], old: str, new: str, place: str
+) -> None:
+    (tmp_path / "small.yaml").write_text(FILE.replace(old, new))
+    done = lampest("study", "audit", tmp_path / "small.yaml", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert place in done.err and len(done.err.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()

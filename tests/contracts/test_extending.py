@@ -201,9 +201,19 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
     ("groups", "sentence"),
     [
         ({"terms": "Even"}, "lampest.terms: Even of an installed package is no Term"),
-        ({"methods": "Leash"}, "lampest.methods: Leash of an installed package is no Method"),
-        ({"terms": "contrast"}, "lampest.terms: extra = addon:contrast of an installed package is no type"),
-        ({"terms": "lampest.Misfit"}, "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
+        pytest.param(
+            {"methods": "Leash"}, "lampest.methods: Leash of an installed package is no Method", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            {"terms": "contrast"},
+            "lampest.terms: extra = addon:contrast of an installed package is no type",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {"terms": "lampest.Misfit"},
+            "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, groups: dict[str, str], sentence: str) -> None:

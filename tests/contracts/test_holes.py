@@ -91,6 +91,7 @@ def test_a_file_that_is_not_there_stops_the_run_before_anything_is_solved(batch:
     assert ended.code == 2 and "no such file" in ended.err and not (batch / "out").exists()
 
 
+@pytest.mark.slow
 def test_counts_stand_in_info_table_and_page(batch: Path, lampest: Command) -> None:
     said = lampest("info", batch / "holes.h5").out
     assert "27 readings missing (19 %), 3 at a rail, zero or below the series resistance (2.1 %), in 4 of 7 " in said
@@ -123,6 +124,7 @@ def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> 
     assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in said
 
 
+@pytest.mark.slow
 def test_a_loop_of_ones_own_goes_on() -> None:
     values = with_holes()
     resting = lampest.Readings.of(SCENE, values[:2]).mean()

@@ -9,6 +9,7 @@ import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -778,12 +779,19 @@ def test_the_command_ends_with_a_map(tmp_path: Path) -> None:
         (["--scene", "scene.yaml", "--variable", "R"], "m.csv: holds nothing by name; --variable is for .mat, .npz"),
     ],
 )
-def test_the_command_refuses_with_one_sentence(tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_the_command_refuses_with_one_sentence(
+    tmp_path: Path,
+    lampest: Callable[..., SimpleNamespace],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.yaml").write_text("panel: {rows: 3, columns: 5}\n")
     (tmp_path / "m.csv").write_text("\n".join(wide(FRAMES)))
-    ended = command(tmp_path, "m.csv", "--out", "m.h5", *arguments)
-    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
-    assert message in ended.stderr and not (tmp_path / "m.h5").exists()
+    ended = lampest("import", "m.csv", "--out", "m.h5", *arguments)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert message in ended.err and not (tmp_path / "m.h5").exists()
 
 
 def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
