@@ -35,6 +35,7 @@ def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
     """|F/F_true − 1| of two or three touches in each of so many frames that no calibration has seen."""
     rng = np.random.default_rng(bench.seed + 1000)
     fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(count)]
+    scene = replace(scene, response=scene.response or PUBLISHED)
     recording = bench.recorded(fresh, "fresh", scene)
     pressure, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")).pressure, recording.truth_pressure
     assert pressure is not None and truth is not None

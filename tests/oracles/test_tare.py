@@ -19,6 +19,7 @@ from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
@@ -37,7 +38,7 @@ ARRIVES, LEAVES = 30, 70
 def made(load: Shape, seed: int = 1, film: Film | None = FILM, drift: float = 0.01, approach: float = 1.0) -> Recording:
     """130 frames of 6 × 6 cells that drift; the load is there from ARRIVES to LEAVES."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film)
+    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     unmodelled = Unmodelled(drift_per_minute=drift)
     return simulate(
         Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film, unmodelled=unmodelled)

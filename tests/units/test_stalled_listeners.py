@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from paho.mqtt.client import Client
 
+from lampest.loads.force import Force
 from lampest.panel.panel import Panel
 from lampest.report.live.message import Message, Picture, View
 from lampest.report.live.publish import publish_at, websocket
@@ -32,7 +33,9 @@ def message(number: int) -> Message:
     panel = Panel(64, 64)
     cells, no = np.full(panel.shape, 1000.123 + number), np.zeros(panel.shape, dtype=bool)
     status, saturated = "optimum verified", np.zeros(panel.shape, dtype=np.uint8)
-    picture = Picture(number, 0.0, 0.0, cells, cells, no, 1.0, status, 0.0, 0, cells, cells, saturated, "pressing")
+    picture = Picture(
+        number, 0.0, 0.0, cells, cells, no, Force(1.0, 0.1), status, 0.0, 0, cells, cells, saturated, "pressing"
+    )
     return Message(panel, picture, View("here", "LSM", "receiving", panel))
 
 
