@@ -17,6 +17,7 @@ simulation:
   seed: 3
   scene:
     panel: {rows: 6, columns: 5}
+    response: {kind: published}
     readout: {kind: two_point, adc_bits: 12, noise_lsb: 1}
     series_resistance_ohm: 140
   baseline_frames: 5

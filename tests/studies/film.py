@@ -24,6 +24,7 @@ from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
@@ -58,7 +59,9 @@ def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, 
         diameter_mm=across,
         mass_g=kpa * np.pi / 4 * across**2 / 9.81,
     )
-    scene = Scene(PANEL, READOUT, 140.0, systematic=Systematic(response_sd=0.05), film=told)
+    scene = Scene(
+        PANEL, READOUT, 140.0, systematic=Systematic(response_sd=0.05), film=told, response=PublishedResponse()
+    )
     course = Course(approach_s=15, release_at_s=45, release_s=15)
     return simulate(Simulation(1, seed, scene, frames=110, loads=(rod,), course=course, film=film))
 

@@ -10,6 +10,7 @@ see only samples. `held` is how many pressures of touched cells lie within their
 """
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from lampest.loads.known_loads import KnownLoads
 from lampest.loads.shapes import Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array
-from lampest.panel.response import PowerResponse
+from lampest.panel.response import PowerResponse, PublishedResponse
 from lampest.panel.scene import Scene
 from tests.known_loads import RESTING, Bench, forces, moved_over, touches
 
@@ -33,7 +34,7 @@ COLUMNS = ("mean", "median", "90 %", "weight", "held")
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
     """(touches and figures): |error| of the force, the same against the weight; and the share of pressures held."""
-    recording = bench.recorded(groups, "fresh", scene)
+    recording = bench.recorded(groups, "fresh", replace(scene, response=scene.response or PublishedResponse()))
     found, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")), recording.truth_pressure
     assert truth is not None and found.pressure is not None
     assert found.pressure_lower is not None and found.pressure_upper is not None

@@ -85,7 +85,7 @@ def test_the_table_fits_a_hundred_columns_with_whole_names(capsys: pytest.Captur
     names = next(line.index("solved") for line in lines if "solved" in line)
     assert long in "".join(line[:names].strip() for line in lines)
     for name in METHODS:
-        assert any(line.startswith(f" {name} ") for line in lines)
+        assert any(line.startswith((f" {name} ", f" {name}, paper's λ ")) for line in lines)
 
 
 def test_many_recordings_are_summed_up() -> None:
@@ -205,9 +205,15 @@ def test_describe(tmp_path: Path) -> None:
         "300 to 400 ohm",
         "140 ohm",
         "10 bits",
-        "24 of 30 rows and 12 of 14",
+        "readings of frame 2 at 2 s, the strongest change",
+        "rises by . ",
     ):
         assert part in text
+    assert [line[:2] for line in text.splitlines() if line.endswith("#" * 28)][-1:] == ["29"], "all columns are shown"
+    wide = np.full((2, 60, 300), 300.0)
+    wide[1, 0, 0] = np.nan
+    Recording(Scene(Panel(60, 300)), wide, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(tmp_path / "wide.h5")
+    assert describe(tmp_path / "wide.h5")[-1] == "(the first 48 of 60 rows and 97 of 300 columns)"
     (tmp_path / "text.h5").write_text("text", encoding="utf-8")
     with pytest.raises(InputError, match="not a readable HDF5 file"):
         describe(tmp_path / "text.h5")
