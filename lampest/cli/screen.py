@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-LINE_SECONDS = 8.0  # between lines of progress where there is no terminal
+FIRST_SECONDS, LINE_SECONDS = (
+    8.0,
+    15.0,
+)  # until the first line and between lines of progress, where there is no terminal
 
 
 def written(name: str, text: str) -> Any:
@@ -103,7 +106,7 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line every eight seconds."""
+    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line now and then."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
@@ -118,7 +121,7 @@ class progress:  # noqa: N801
     def begin(self, text: str) -> None:
         """Say what takes time, once it does, where no bar shows it."""
         if self._bar.disable:
-            self._first = Timer(LINE_SECONDS, say, (f"lampest: {text}", sys.stderr))
+            self._first = Timer(FIRST_SECONDS, say, (f"lampest: {text}", sys.stderr))
             self._first.daemon = True
             self._first.start()
 
