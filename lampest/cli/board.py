@@ -161,6 +161,8 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
     from lampest.recording.recording import Recording
 
     found = calibrate_loads([Recording.load(file) for file in files], read_known_loads(loads), tolerance)
+    for warning in found.warnings:
+        say(f"lampest: {warning}", to=sys.stderr)
     if out is None:
         say_text(found.text().removesuffix("\n"))
         return

@@ -4,32 +4,44 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise.outliers import TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
-from lampest.loads.calibration import Fitted, Loaded, fit_loads, response_of
+from lampest.loads.calibration import Fitted, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import NORMAL_95, water_pressure
 from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
+from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 
 FILM_SHARE = 0.6  # of the pitch: the edge of a cell's film where nobody says
 MOST_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
+CLEARLY = 5.0  # standard deviations of a cell's change
+FEWEST_JUDGED, MOST_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
+ALIKE = 0.02  # of ln of an answer: so well films repeat at best
+UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
+CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
 
 
 @dataclass(frozen=True, eq=False)
 class LoadCalibration:
-    """scene : with the response found. fitted : what it was made from. loads : how many took part."""
+    """scene : with the response found. fitted : what it was made from. loads : how many took part.
+
+    warnings : what may be wrong with the loads, a sentence each.
+    """
 
     scene: Scene
     fitted: Fitted
     loads: int
+    warnings: tuple[str, ...] = ()
 
     def summary(self) -> str:
         """What was found, in one line."""
@@ -66,14 +78,17 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     parts = [_answers(recording, [known.loads[number] for number in numbers]) for recording, numbers in of_each]
     order = [number for _, numbers in of_each for number in numbers]
     change, sd = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
-    pressure, pressure_sd = _told([known.loads[number] for number in order], known, scene)
+    pressure, pressure_sd = _specified([known.loads[number] for number in order], known, scene)
     for number, felt in zip(order, pressure, strict=True):
         if not felt.any():
             raise InputError(f"load {number + 1}: its foot misses the film of every cell")
+    for numbers in (numbers for _, numbers in of_each):
+        _check_apart([(number, known.loads[number].frames, pressure[order.index(number)]) for number in numbers])
     water = water_pressure(scene.panel, scene.water)
     base = scene.response or PUBLISHED
     flat = [values.reshape(len(order), -1) for values in (change, sd, pressure, pressure_sd)]
-    fitted = fit_loads(Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base))
+    loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
+    fitted = fit_loads(loaded)
     if not fitted.touched.any():
         raise InputError("no cell under a load has an estimate with error bars: is the readout's noise in the scene?")
     if fitted.scatter > MOST_SCATTER:
@@ -81,8 +96,92 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             f"the loads do not explain the cells: answers scatter by {100 * fitted.scatter:.0f} % about any common "
             "curve; are frames, places (x along columns, y along rows) and weights right?"
         )
-    response = response_of(fitted, base, scene.panel.shape, tolerance)
-    return LoadCalibration(replace(scene, response=response), fitted, len(order))
+    try:
+        with np.errstate(over="ignore"):
+            response = response_of(fitted, base, scene.panel.shape, tolerance)
+    except ValueError as error:
+        raise InputError(
+            f"the loads make a curve that no film has ({error}): is mass_g in gram, force_newton in newton, and "
+            "diameter_mm the diameter in mm?"
+        ) from error
+    within = np.concatenate([part[2] for part in parts])
+    warnings = (
+        *_named("{} answers otherwise than the others let expect: is its weight right?", order, _odd_ones(loaded)),
+        *_unlike_first_guess(fitted, pressure, base),
+        *_named(
+            "readings change within the frames of {}: were they put on or taken off then?", order, within > CHANGED
+        ),
+        *_named(
+            "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?",
+            order,
+            _beside(change, pressure, pressure_sd, [known.loads[number] for number in order]) > BESIDE,
+        ),
+    )
+    return LoadCalibration(replace(scene, response=response), fitted, len(order), warnings)
+
+
+def _check_apart(loads: Sequence[tuple[int, tuple[int, int], Array]]) -> None:
+    """Raise InputError where two loads of one recording, (number, frames, pressure), lie on the same cell at once."""
+    for at, (number, frames, pressure) in enumerate(loads):
+        for other, others, pressed in loads[:at]:
+            together = max(frames[0], others[0]) <= min(frames[1], others[1])
+            if together and np.any((pressure != 0) & (pressed != 0)):
+                raise InputError(
+                    f"loads {other + 1} and {number + 1} lie on the same cells in the same frames: give one line"
+                )
+
+
+def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
+    """(loads) which answer otherwise than all others let expect, by many times what the others do."""
+    if not FEWEST_JUDGED <= len(loaded.change) <= MOST_JUDGED:
+        return np.zeros(len(loaded.change), dtype=bool)
+    away = answers_by_others(loaded)
+    if np.isnan(away).all():
+        return np.zeros(len(away), dtype=bool)
+    away -= np.nanmedian(away)
+    usual = TO_SIGMA * float(np.nanmedian(np.abs(away)))
+    return np.asarray(np.nan_to_num(np.abs(away)) > CLEARLY * max(usual, ALIKE))
+
+
+def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> list[str]:
+    """Where the film answers many times more or less than the first guess."""
+    felt = np.abs(pressure[pressure != 0])
+    middle = np.array([float(np.median(felt))])
+    found, guess = fitted.curve(middle, base)[0][0], float(base.logarithm(middle)[0])
+    ratio = found / guess
+    if abs(np.log(ratio)) <= UNLIKE:
+        return []
+    times = f"{ratio:.2g} times as much" if ratio > 1 else f"{1 / ratio:.2g} times less"
+    return [
+        f"at {middle[0]:.3g} kPa the film answers {times} than the first guess: is mass_g in gram, force_newton in "
+        "newton, and diameter_mm the diameter in mm?"
+    ]
+
+
+def _beside(change: Array, pressure: Array, pressure_sd: Array, loads: Sequence[KnownLoad]) -> Array:
+    """(loads) the largest answer of cells beside a foot over the median one under it; 0 where nothing is beside."""
+    found = np.zeros(len(loads))
+    for number, load in enumerate(loads):
+        same = [
+            other.recording == load.recording
+            and max(other.frames[0], load.frames[0]) <= min(other.frames[1], load.frames[1])
+            for other in loads
+        ]
+        beside = ((pressure[same] == 0) & (pressure_sd[same] == 0)).all(axis=0)
+        under = np.nanmedian(np.abs(change[number][pressure[number] != 0]))
+        if beside.any() and under > 0:
+            found[number] = float(np.nanmax(np.abs(change[number][beside]))) / under
+    return found
+
+
+def _named(sentence: str, order: Sequence[int], which: NDArray[np.bool_]) -> list[str]:
+    """The sentence with the loads that it is about; none where it is about none."""
+    numbers = sorted(order[int(at)] + 1 for at in np.flatnonzero(which))
+    if not numbers:
+        return []
+    more = f" and {len(numbers) - 5} more" if len(numbers) > 5 else ""
+    name = f"load {numbers[0]}" if len(numbers) == 1 else f"loads {', '.join(map(str, numbers[:5]))}{more}"
+    return [sentence.format(name)]
 
 
 def _by_recording(recordings: Sequence[Recording], known: KnownLoads) -> list[tuple[Recording, list[int]]]:
@@ -99,8 +198,11 @@ def _by_recording(recordings: Sequence[Recording], known: KnownLoads) -> list[tu
     return [(recordings[index], numbers) for index, numbers in sorted(found.items())]
 
 
-def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, Array]:
-    """ln(r/r0) (loads, rows, columns), mean over each load's frames, and its standard deviation."""
+def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, Array, Array]:
+    """ln(r/r0) (loads, rows, columns), mean over each load's frames, its standard deviation, and (loads) its change.
+
+    Change within the frames is that of the cell that answers most, over its answer.
+    """
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
@@ -117,9 +219,14 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, A
         if not solved.any():
             raise InputError(f"{recording.name}: no frame from {load.frames[0]} to {load.frames[1]} was solved")
         # What frames share is in the error bars: their mean is no better than one of them.
-        parts.append((logarithm[solved].mean(axis=0), np.sqrt((sd[solved] ** 2).mean(axis=0))))
-    change, error = (np.stack([part[index] for part in parts]) for index in (0, 1))
-    return change, error
+        mean = logarithm[solved].mean(axis=0)
+        row, column = divmod(int(np.argmax(np.abs(mean))), mean.shape[1])
+        moved = float(np.ptp(logarithm[solved, row, column]))
+        noticed = moved > CLEARLY * float(np.median(sd[solved, row, column]))
+        within = np.array(moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0)
+        parts.append((mean, np.sqrt((sd[solved] ** 2).mean(axis=0)), within))
+    change, error, within_frames = (np.stack([part[index] for part in parts]) for index in (0, 1, 2))
+    return change, error, within_frames
 
 
 def _logarithms(found: Estimates) -> tuple[Array, Array]:
@@ -137,7 +244,7 @@ def _logarithms(found: Estimates) -> tuple[Array, Array]:
     return ratio - (0.0 if warmth is None else warmth.logarithm), width / (2 * NORMAL_95)
 
 
-def _told(loads: Sequence[KnownLoad], known: KnownLoads, scene: Scene) -> tuple[Array, Array]:
+def _specified(loads: Sequence[KnownLoad], known: KnownLoads, scene: Scene) -> tuple[Array, Array]:
     """(loads, rows, columns) kPa of the loads, and by how much their places leave it open."""
     panel, away = scene.panel, known.place_mm
     patch = FILM_SHARE * panel.pitch_mm if known.patch_mm is None else known.patch_mm

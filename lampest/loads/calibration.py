@@ -109,6 +109,26 @@ def fit_loads(loaded: Loaded) -> Fitted:
     return problem.solved(found)
 
 
+def answers_by_others(loaded: Loaded) -> Array:
+    """(loads) ln of each load's answer over what all other loads let expect, the median of the cells that they touched.
+
+    NaN where they touched none.
+    """
+    found = np.full(len(loaded.change), np.nan)
+    for number in range(len(found)):
+        others = np.arange(len(found)) != number
+        known = replace(
+            loaded, **{name: getattr(loaded, name)[others] for name in ("change", "sd", "pressure", "pressure_sd")}
+        )
+        fitted, on_film = fit_loads(known), loaded.pressure[number] + loaded.water
+        fallen = falls(on_film, loaded.base) - falls(loaded.water, loaded.base)
+        expected = -(fallen * np.exp(fitted.gains[:, None] + fitted.pieces)).sum(axis=1)
+        cells = fitted.touched & (loaded.pressure[number] != 0) & (loaded.change[number] * expected > 0)
+        if cells.any():
+            found[number] = float(np.median(np.log(loaded.change[number][cells] / expected[cells])))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _Answers:
     """The answers (n) that take part: ln(r/r0), its standard deviation and its cell.

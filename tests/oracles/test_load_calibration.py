@@ -122,6 +122,30 @@ def test_pressures_over_the_whole_panel_suction_too() -> None:
     np.testing.assert_allclose(found.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
 
 
+@pytest.mark.slow
+def test_wrong_lists_of_loads_are_refused_or_named() -> None:
+    """Units, a radius, frames that are late, lines that lie on each other, and one weight that is doubled."""
+    bench = Bench(5, Panel(5, 5), repeat=0.03, frames=3)
+    groups, known = moved_over(bench, [5.0], 25.0, 10.0)
+    recording = bench.recorded(groups, "units")
+    last = len(recording.role) - 1
+
+    def said(loads: list[KnownLoad]) -> str:
+        return "; ".join(calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(loads)), 0.0).warnings)
+
+    assert said(known) == ""
+    assert "is mass_g in gram" in said([replace(one, mass_g=None, force_newton=one.mass_g) for one in known])
+    assert "diameter_mm right?" in said([replace(one, diameter_mm=12.5) for one in known])
+    late = [replace(one, frames=(one.frames[0] + 1, min(one.frames[1] + 1, last))) for one in known]
+    assert "readings change within the frames of load" in said(late)
+    doubled = replace(known[7], mass_g=2 * (known[7].mass_g or 0.0))
+    assert said([*known[:7], doubled, *known[8:]]).startswith("load 8 answers otherwise than the others")
+    with pytest.raises(InputError, match="a curve that no film has"):
+        said([replace(one, mass_g=(one.mass_g or 0.0) / 1000) for one in known])
+    with pytest.raises(InputError, match="loads 4 and 26 lie on the same cells in the same frames"):
+        said([*known, known[3]])
+
+
 def test_loads_at_other_places_are_no_calibration() -> None:
     bench = Bench(6, panel=Panel(6, 6))
     groups, known = moved_over(bench, [5.0], 20.0, 25.0)
