@@ -85,6 +85,27 @@ class ModulesStream(Stream):
         after = replace(self, modules=modules, prepared=kept, first=False)
         return after if self.rested else after._rested(), image_step(layout, steps)
 
+    def sequence(
+        self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
+    ) -> tuple[Stream, list[Step]]:
+        """As `Stream.sequence`; methods that need all frames together take those of one module after the other."""
+        if not self.estimator.method.together:
+            return super().sequence(resting, readings, on_frame)
+        layout, frames = self._layout, len(readings.value)
+        modules, columns = list[Stream | None](), list[list[Step | None]]()
+        for number, one in enumerate(self.modules):
+            every: tuple[Stream | None, list[Step | None]] = None, [None] * frames
+            if one is not None:
+                inside = resting.of_module(layout, number), readings.of_module(layout, number)
+                after, solved = one.sequence(*inside, lambda: None)
+                every = after, list(solved)
+            modules.append(every[0])
+            columns.append(every[1])
+        for _ in range(frames):
+            on_frame()
+        whole = replace(self, modules=tuple(modules), first=False)._rested()
+        return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
+
     def due(self, readings: Readings) -> bool:
         """Modules choose their weights themselves."""
         return False

@@ -93,6 +93,27 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("modules", "readout", "formulation", "loss"),
+    [
+        (Modules(1, 4, EachModule(5, 2)), lampest.TwoPointReadout(), "reduced", lampest.Squared()),
+        (Modules(3, 1, EachModule(1, 4)), lampest.TwoPointReadout(), "linearised", lampest.Squared()),
+        (Modules(2, 1, EachModule(3, 4)), lampest.TwoPointReadout(), "smoother", lampest.Student(corner=4)),
+        (Modules(1, 2, EachModule(3, 3)), lampest.GroundedReadout(load_ohm=1000), "reduced", lampest.Squared()),
+    ],
+)
+def test_other_shapes_readouts_and_methods(
+    modules: Modules, readout: lampest.Readout, formulation: str, loss: lampest.Loss
+) -> None:
+    fine = replace(readout, adc_bits=12, readings=20, noise_lsb=0.7)
+    recording = simulated(Scene(lampest.Panel(modules=modules), fine))
+    terms = [lampest.Misfit(weighting="noise", loss=loss)]
+    found = lampest.reconstruct(recording, terms, formulation=formulation)
+    assert found.solved.all() and recording.truth_cell_resistance is not None
+    truth = recording.truth_cell_resistance[found.frame]
+    assert float(np.median(np.abs(found.cell_resistance / truth - 1))) < 0.02
+
+
 def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
     recording = simulated(scene_of(SCENE), frames=4)
     gone = recording.recorded.copy()
