@@ -18,6 +18,7 @@ from lampest.studies.study import write_columns
 
 Result = TypeVar("Result")
 Task = TypeVar("Task")
+NO_GAP = 1e-12  # less is rounding
 STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
 
 

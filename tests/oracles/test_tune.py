@@ -20,8 +20,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.studies.weights.choices import Tuned, l_curve, morozov, tune
-from lampest.studies.weights.curves import CurvePoint, bound_evidence, solve_at
-from lampest.studies.weights.subject import WeightSubject
+from lampest.studies.weights.curves import CurvePoint, WeightSubject, bound_evidence, solve_at
 
 pytestmark = pytest.mark.slow
 

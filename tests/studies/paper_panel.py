@@ -27,8 +27,7 @@ from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.studies.paper.published import published_numbers
-from lampest.studies.paper.sides import WEIGHTS, Weights
+from lampest.studies.paper.sides import WEIGHTS, Weights, published_numbers
 from tests.oracles.as_published import METHODS, left_by_solver
 
 # What is searched: name → least, most, and whether by its logarithm.

@@ -13,6 +13,7 @@ from lampest.report.compare import Table
 from lampest.studies import study
 from lampest.studies.bench.run import Bench, Timing, run_bench
 from lampest.studies.bench.settings import BenchFile, BenchLimits
+from lampest.studies.timing import NO_GAP
 
 ALL = "all"  # methods together
 GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
@@ -24,7 +25,6 @@ SHORT = {
     "scipy_difference": "trf 2-point",
     "scipy_lbfgsb": "L-BFGS-B",
 }
-NO_GAP = 1e-12  # less is rounding
 Cells = Callable[[study.Row], str]
 
 

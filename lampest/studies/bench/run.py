@@ -31,7 +31,6 @@ from lampest.studies.timing import TimedFrames, clocked, inverse_time, peak_memo
 OURS: dict[str, MethodName] = {"reduced": "reduced", "nodal": "nodal"}
 LONG_S = 1.0  # solves of a frame that take so long together are not repeated: disturbances are small beside them
 STARTED_S = 3.0  # what a fresh process takes to begin
-GROWTH = 3  # time ∝ (M + N)³, by which a panel's is guessed from the next smaller one's
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +198,7 @@ class BenchPart:
             (one.shape, one.recording, one.solver): np.nansum(one.wall) for one in alike if sum(one.shape) == nearest
         }
         recordings = len({(shape, recording) for shape, recording, _ in spent})
-        return float(sum(spent.values())) / recordings * (lines / nearest) ** GROWTH
+        return float(sum(spent.values())) / recordings * (lines / nearest) ** 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,6 @@ from lampest.studies.methods import (
 
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 SOLVERS = ("reduced", "nodal", "scipy_exact", "scipy_difference", "scipy_lbfgsb")
-PITCH_MM = 10.0  # of a `Panel` that names none
 # Places as shares of the panel's width and height, and masses in g: rods of 40 mm press with 2 to 9 kPa.
 RODS = ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))
 
@@ -42,12 +41,13 @@ def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
     0 : a mouth over a third of the shorter side, sucking ever harder, breathing. 1 : three rods that stand. 2 : a mouth
     of 35 mm that presses ever harder, then sucks, beside a rod.
     """
-    height, width = (PITCH_MM * (side - 1) for side in shape)
+    pitch = Panel(*shape).pitch_mm
+    height, width = (pitch * (side - 1) for side in shape)
     rods = tuple(
         Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
         for right, down, mass in RODS
     )
-    third = lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * PITCH_MM * min(shape))
+    third = lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
     growing = Course(start_s=-0.4, approach_s=2, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
     beside = (lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
     return (((third,), BREATHING), (rods, Course()), (beside, growing))[number % 3]

@@ -12,8 +12,7 @@ from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, change_text, new_figure
-from lampest.studies.paper.published import Published
-from lampest.studies.paper.sides import MEASURED, Side
+from lampest.studies.paper.sides import MEASURED, Published, Side
 
 CHANGE = "relative change of resistance [%]"
 PRESSURES = np.linspace(-10.0, 235.0, 981)

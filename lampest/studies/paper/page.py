@@ -18,8 +18,7 @@ from lampest.studies.paper.figures import (
     mouths_figure,
     response_figure,
 )
-from lampest.studies.paper.published import Published, published_numbers
-from lampest.studies.paper.sides import Side, all_sides
+from lampest.studies.paper.sides import Published, Side, all_sides, published_numbers
 from lampest.studies.paper.tables import PublishedNumber, counts, csv_rows, sheet
 from lampest.studies.study import Reported, comma_separated
 

@@ -10,8 +10,7 @@ from lampest.panel.film import Film
 from lampest.report.page.template import Sheet, digits
 from lampest.report.plots.style import plain_number
 from lampest.studies.paper.figures import covered
-from lampest.studies.paper.published import Published
-from lampest.studies.paper.sides import Side
+from lampest.studies.paper.sides import Published, Side
 
 WITHIN = 0.25  # of the published number: what counts as reproduced
 

@@ -11,8 +11,8 @@ from matplotlib.patheffects import withStroke
 
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
 from lampest.studies.study import Row, grouped
+from lampest.studies.timing import NO_GAP
 
-FLOOR = 1e-12  # where smaller gaps are drawn
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 MARKERS = "osD^vPX"
 SPOTS = ((0, 9), (0, -9), (7, 0), (-7, 0), (7, 7), (-7, 7), (7, -7), (-7, -7), (0, 16), (0, -16), (14, 11), (-14, 11))
@@ -84,12 +84,12 @@ def _draw(axes: Axes, rows: Sequence[Row], methods: Sequence[str], gap: bool) ->
         filled = "black" if index in best else "white"
         look = {"label": methods[0]} if index == best[0] else {}
         axes.plot(*point, "o", ms=5.5, mfc=filled, mec="black", mew=0.9, zorder=3, **look)
-    if gap and min(value for _, value in points) <= FLOOR:
-        axes.axhline(FLOOR, color="0.5", lw=0.6, ls=":")
+    if gap and min(value for _, value in points) <= NO_GAP:
+        axes.axhline(NO_GAP, color="0.5", lw=0.6, ls=":")
         axes.text(
-            0.01, FLOOR * 1.5, "0 (or below 1e-12)", transform=axes.get_yaxis_transform(), fontsize=SMALL_POINT - 1
+            0.01, NO_GAP * 1.5, "0 (or below 1e-12)", transform=axes.get_yaxis_transform(), fontsize=SMALL_POINT - 1
         )
-        axes.set_ylim(bottom=FLOOR / 30)
+        axes.set_ylim(bottom=NO_GAP / 30)
     axes.margins(0.12, 0.14)
     return [(row.formulation.replace("_", " "), point) for row, point in placed]
 
@@ -99,7 +99,7 @@ def _place(row: Row, gap: bool) -> tuple[float, float] | None:
     value = row.gap if gap else row.changed_error
     if value is None or not np.isfinite(value):
         return None
-    return row.frame_ms, max(value, FLOOR) if gap else value
+    return row.frame_ms, max(value, NO_GAP) if gap else value
 
 
 def _label(axes: Axes, scale: float, placed: Placed) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 from lampest.estimate.weights import rule_in_use
 from lampest.posterior.spectrum import Rule
 from lampest.solvers.multistart import convex
-from lampest.studies.weights.curves import CurvePoint, Curves, trace
-from lampest.studies.weights.subject import WeightSubject
+from lampest.studies.weights.curves import CurvePoint, Curves, WeightSubject, trace
 
 STANDING = 0.05  # of the greatest speed along the L-curve; slower, its curvature means nothing
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
 from lampest.studies.weights.choices import Tuned
-from lampest.studies.weights.subject import squared
+from lampest.studies.weights.curves import squared
 
 LOOKS: dict[str, dict[str, Any]] = {
     "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},

@@ -10,8 +10,8 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, read_run
 from lampest.studies import study
 from lampest.studies.weights.choices import Tuned, tune
+from lampest.studies.weights.curves import WeightSubject, squared, why_not
 from lampest.studies.weights.figure import file_name, weights_figure
-from lampest.studies.weights.subject import WeightSubject, squared, why_not
 
 
 @dataclass(frozen=True, eq=False)
