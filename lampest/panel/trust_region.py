@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
@@ -71,6 +72,17 @@ def steihaug(
         search = ratio * search - scaled
         mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
     return SubproblemStep(step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), False, count)
+
+
+def between(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
+    """The part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
+    whole = np.zeros(size)
+
+    def part(values: Array) -> Array:
+        whole[chosen] = values
+        return product(whole)[chosen]
+
+    return part
 
 
 def _to_radius(inner: float, mixed: float, outer: float, radius: float) -> float:

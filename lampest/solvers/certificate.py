@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, between, steihaug
 from lampest.solvers.descent import downhill, free_cells, within_bounds
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
@@ -239,14 +239,9 @@ def _usual_curvature(hessian: Hessian) -> Array:
 
 def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Preconditioner | None) -> Certificate:
     """Undetermined where the iteration does not begin."""
-    chosen, whole = np.flatnonzero(free), np.zeros(free.size)
-    slope = hessian.gradient[chosen]
+    chosen = np.flatnonzero(free)
+    slope, product = hessian.gradient[chosen], between(hessian.product, chosen, free.size)
     precondition = (kept or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
-
-    def product(search: Array) -> Array:
-        whole[chosen] = search
-        return hessian.product(whole)[chosen]
-
     found = steihaug(product, precondition, slope, ACCURACY)
     moved = bool(found.products) or not slope.any()
     definiteness, descent = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED, None

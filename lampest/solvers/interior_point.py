@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, steihaug
+from lampest.panel.trust_region import Linear, between, steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
@@ -155,23 +155,14 @@ class _Barrier:
         hessian, free = self.hessian, self.moving.ravel()
         chosen, whole = np.flatnonzero(free), np.zeros(push.size)
         stiff = (self.stiffness * self.conductance**2).ravel()
-        added = stiff + hessian.gradient
-
-        def over_free(product: Linear) -> Linear:
-            def image(search: Array) -> Array:
-                whole[chosen] = search
-                return product(whole)[chosen]
-
-            return image
-
+        exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         slope = -(push * self.conductance).ravel()[chosen]
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** FORCING
-        found = steihaug(over_free(lambda step: hessian.product(step) + added * step), precondition, slope, accuracy)
+        found = steihaug(between(exact, chosen, push.size), precondition, slope, accuracy)
         if found.negative:
-            squares = over_free(lambda step: hessian.gauss_newton_product(step) + stiff * step)
-            found = steihaug(squares, precondition, slope, accuracy)
-        whole[:] = 0.0
+            squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
+            found = steihaug(between(squares, chosen, push.size), precondition, slope, accuracy)
         whole[chosen] = found.step
         return whole.reshape(push.shape) * self.conductance
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, steihaug
+from lampest.panel.trust_region import Linear, between, steihaug
 from lampest.solvers.active_kinks import unsmoothed_minimum
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.descent import downhill, free_cells
@@ -41,7 +41,6 @@ WORN = {True: 5, False: 30}  # products of a step after which a kept preconditio
 MOVED = 0.7  # of log r: the same
 MOST_UNSETTLED = 8  # steps of an estimate that satisfies first-order conditions: they converge quadratically
 NEAR = 0.01  # of log r: second derivatives change by as much, and a predicted step with them
-LARGE, LITTLE = 1e-2, 1e-3  # of the cost's scale, a gradient; of the cost, a decrease
 DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
 
 
@@ -74,7 +73,7 @@ class ProjectedNewton:
                 unsettled += point.certificate.definiteness is not Definiteness.INDEFINITE
             near = point.residual <= self.settings.tolerance
             moved = (escaped(point) if near else None) or advanced(point)
-            if moved is None or not moved.gauss_newton or slow(point, moved):
+            if moved is None or not moved.gauss_newton:
                 moved = lower_of(moved, least_squares_step(point)) or escaped(point)
             if moved is None:
                 if (ended := point.unsmoothed(iteration)) is not None:
@@ -248,16 +247,10 @@ def direction(
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
     most, negative, length, predicted = 0, False, 0.0, -inf
-    whole = np.zeros(free.size)
     for _ in range(MOST_STOPS):
         chosen = np.flatnonzero(moving)
-
-        def among(search: Array, chosen: NDArray[np.intp] = chosen) -> Array:
-            whole[:] = 0.0
-            whole[chosen] = search
-            return product(whole)[chosen]
-
-        found = steihaug(among, kept.over(moving, at.cell_resistance), slope[chosen], accuracy, radius)
+        among, precondition = between(product, chosen, free.size), kept.over(moving, at.cell_resistance)
+        found = steihaug(among, precondition, slope[chosen], accuracy, radius)
         most, negative, length = max(most, found.products), negative or found.negative, found.length
         step = np.where(moving, 0.0, step)
         step[chosen] = found.step
@@ -274,11 +267,6 @@ def direction(
     if predicted == -inf:
         predicted = -float(gradient @ step + 0.5 * step @ product(step))
     return Direction(step if logarithmic else -np.log1p(-step), predicted, length, most, negative)
-
-
-def slow(point: Iterate, moved: Iterate) -> bool:
-    """Whether a step gained little though the gradient is large: ∇²φ is rounding there."""
-    return point.residual > LARGE and moved.objective > (1 - LITTLE) * point.objective
 
 
 def lower_of(one: Iterate | None, other: Iterate | None) -> Iterate | None:
