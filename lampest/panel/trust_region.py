@@ -74,7 +74,7 @@ def steihaug(
     return SubproblemStep(step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), False, count)
 
 
-def between(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
+def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
     """The part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
     whole = np.zeros(size)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, between, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
 from lampest.solvers.descent import downhill, free_cells, within_bounds
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
@@ -240,7 +240,7 @@ def _usual_curvature(hessian: Hessian) -> Array:
 def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Preconditioner | None) -> Certificate:
     """Undetermined where the iteration does not begin."""
     chosen = np.flatnonzero(free)
-    slope, product = hessian.gradient[chosen], between(hessian.product, chosen, free.size)
+    slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
     precondition = (kept or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
     found = steihaug(product, precondition, slope, ACCURACY)
     moved = bool(found.products) or not slope.any()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, between, steihaug
+from lampest.panel.trust_region import Linear, restricted, steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
@@ -159,10 +159,10 @@ class _Barrier:
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         slope = -(push * self.conductance).ravel()[chosen]
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** FORCING
-        found = steihaug(between(exact, chosen, push.size), precondition, slope, accuracy)
+        found = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy)
         if found.negative:
             squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
-            found = steihaug(between(squares, chosen, push.size), precondition, slope, accuracy)
+            found = steihaug(restricted(squares, chosen, push.size), precondition, slope, accuracy)
         whole[chosen] = found.step
         return whole.reshape(push.shape) * self.conductance
 

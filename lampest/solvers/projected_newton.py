@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, between, steihaug
+from lampest.panel.trust_region import Linear, restricted, steihaug
 from lampest.solvers.active_kinks import unsmoothed_minimum
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.descent import downhill, free_cells
@@ -249,7 +249,7 @@ def direction(
     most, negative, length, predicted = 0, False, 0.0, -inf
     for _ in range(MOST_STOPS):
         chosen = np.flatnonzero(moving)
-        among, precondition = between(product, chosen, free.size), kept.over(moving, at.cell_resistance)
+        among, precondition = restricted(product, chosen, free.size), kept.over(moving, at.cell_resistance)
         found = steihaug(among, precondition, slope[chosen], accuracy, radius)
         most, negative, length = max(most, found.products), negative or found.negative, found.length
         step = np.where(moving, 0.0, step)
