@@ -208,10 +208,10 @@ def test_weights_multiply_and_terms_add(term: type[Term], words: dict[str, Any],
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any]) -> None:
-    """With all resistances doubled a residual in ohm doubles, one in percent or in standard deviations stays."""
+    """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard deviation stays."""
     data, cells = example(1)
     chosen = term(**words)
-    plain = not chosen.unit.startswith(("percent", "standard deviations")) and words.get("weighting") != "noise"
+    plain = not chosen.unit.startswith(("percent", "standard deviations", "1 ")) and words.get("weighting") != "noise"
     factor = 2.0 if plain else 1.0
     expected = factor * residual(chosen, state(data, cells))
     assert_allclose(
