@@ -100,6 +100,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], str]] = {  # name → (part 
         for word in studies.STUDIES
     },
     "study paper": ("Study", studies.paper, "--out results/paper"),
+    "study weights": ("Study", studies.weights, "run.yaml --withhold 0.1"),
     "study starts": ("Study", studies.starts, "run.yaml --random 50"),
 }
 OLD = {  # word of the release before → new name

@@ -37,10 +37,6 @@ STUDIES = {
         "lampest.studies.audit",
         "Count how often error bars cover the truth where electronics, films or animals do what no scene states.",
     ),
-    "weights": (
-        "lampest.studies.weights.report",
-        "Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.",
-    ),
 }
 
 
@@ -53,6 +49,27 @@ def study_command(word: str) -> Callable[..., None]:
 
     command.__name__, command.__doc__ = word, about
     return command
+
+
+def weights(
+    config: Config = None,
+    out: Folder = None,
+    withhold: Annotated[
+        float | None,
+        typer.Option("--withhold", help="Predict this share of the readings from all others, such as 0.1."),
+    ] = None,
+    draws: Annotated[int, typer.Option("--draws", min=1, help="How often readings are drawn to be withheld.")] = 5,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws: the same seed, the same draws.")] = 0,
+    assign: Assign = None,
+) -> None:
+    """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.
+
+    With --withhold, for recordings whose truth nobody knows: how well weights predict readings that are withheld.
+    """
+    from lampest.studies.weights.report import STUDY
+    from lampest.studies.withheld import withheld_study
+
+    _run(STUDY if withhold is None else withheld_study(withhold, draws, seed), config, out, assign)
 
 
 def starts(

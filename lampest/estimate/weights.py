@@ -27,6 +27,7 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
+UNEXPLAINED = 4.0  # times the noise's variance: readings missed by more are missed for another reason
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 
@@ -45,7 +46,8 @@ def with_chosen_weights(
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:
-            return estimator.with_weights(search.by_rule(penalties[0], rule, first))
+            preferred = estimator.auto_weight.rule is None
+            return estimator.with_weights(search.by_rule(penalties[0], rule, first, preferred))
         if rule == "press":
             raise InputError(
                 "weight: auto of more than one penalty, or of a loss that is not squared, needs the noise: name "
@@ -82,23 +84,34 @@ class WeightSearch:
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
-    def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
-        """The weights with that of the only penalty that a rule calls the best."""
+    def by_rule(self, penalty: int, rule: Rule, first: Array, by_default: bool = False) -> list[float]:
+        """The weights with that of the only penalty that a rule calls the best; by_default : as `tried` has it."""
         weights = [1.0 if given is None else given for given in self._given]
-        weights[penalty] = self.tried(penalty, rule, first)[-1]
+        weights[penalty] = self.tried(penalty, rule, first, by_default)[-1]
         return weights
 
-    def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+    def tried(self, penalty: int, rule: Rule, first: Array, by_default: bool = False) -> list[float]:
         """What a rule calls the best weight at a start, and then at the estimate for each weight before.
 
-        Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest.
+        Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
+        readings are bounds, a start that takes them for values is no place to linearise: the estimate for what its
+        residuals suggest is. From there half a step is taken from weight to weight, which else may alternate.
+        by_default : whether press takes the rule's place where noise is not what readings are missed by.
         """
         weights = [1.0 if given is None else given for given in self._given]
         model: LinearModel | None = LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))
         found: list[float] = []
         with suppress(*BROKEN):
+            if self.data.partial:
+                weights[penalty] = self._suggested((penalty,), self.data.uniform_start)[penalty]
+                model = self._solved(weights, self.data.uniform_start)
             while model is not None and len(found) < MOST_SOLVES:
-                weights[penalty] = Spectrum.of(model).best(rule)
+                spectrum = Spectrum.of(model)
+                if by_default and spectrum.unexplained(spectrum.best("press")) > UNEXPLAINED:
+                    rule = "press"
+                best = spectrum.best(rule)
+                damped = bool(found) and self.data.partial
+                weights[penalty] = float(np.sqrt(best * found[-1])) if damped else best
                 found.append(weights[penalty])
                 if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:
                     break

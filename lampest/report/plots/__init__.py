@@ -18,13 +18,14 @@ from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
+from lampest.report.plots.resistance import ResistancePlot
 from lampest.report.plots.style import SUFFIXES, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
-PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot())
+PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
 MOST_TOGETHER = 20  # estimators that one picture shows
 OTHER_SUFFIXES = (".jpg", ".jpeg", ".gif", ".bmp", ".tif", ".tiff", ".webp", ".eps", ".ps")
 

@@ -16,6 +16,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array, Panel
+from lampest.report.plots.places import draw_patches
 from lampest.report.plots.style import HALF_INCH, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
@@ -139,8 +140,11 @@ class MapPainter:
             axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=self.point)
             return
         bands = self.contoured and min(self.panel.shape) > 1  # there is something between cells, both ways
-        (self._bands if bands else self._squares)(axes, tile.values)
-        columns, rows = np.meshgrid(*self.panel.centres_mm())
+        if self.panel.cells is not None:
+            draw_patches(axes, self.panel, tile.values, self.scale.norm, self.scale.colours, bands)
+        else:
+            (self._bands if bands else self._squares)(axes, tile.values)
+        columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
         if tile.marked is not None and np.any(tile.marked):
@@ -182,12 +186,13 @@ class MapPainter:
 
     def _frame(self, axes: Axes) -> None:
         """The panel's extent, to the cells' edges."""
-        x, y = self.panel.centres_mm()
+        places = self.panel.places_mm
+        (left, top), (right, bottom) = np.nanmin(places, axis=(1, 2)), np.nanmax(places, axis=(1, 2))
         beyond = self.panel.pitch_mm / 2
-        axes.set_facecolor(NO_NUMBER)
+        axes.set_facecolor(NO_NUMBER if self.panel.cells is None else "white")
         axes.set_aspect("equal")
-        axes.set_xlim(x[0] - beyond, x[-1] + beyond)
-        axes.set_ylim(y[-1] + beyond, y[0] - beyond)
+        axes.set_xlim(left - beyond, right + beyond)
+        axes.set_ylim(bottom + beyond, top - beyond)
         axes.tick_params(labelsize=SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 

@@ -1,0 +1,191 @@
+"""Cross-validation: readings that are withheld are predicted from all others, over a range of weights.
+
+For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36, 1974.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.given import Background
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import first_stream
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.runs.config import Case, Run, read_run
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.studies import study
+
+FACTORS = (100.0, 10.0, 1.0, 0.1)  # of the estimator's weights, the heaviest first: each solve begins at the last
+MOST_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB or percent.
+
+    readings : how many were withheld. factor : of the estimator's weights; weights : these, of the penalties.
+    """
+
+    recording: str
+    estimator: str
+    frame: int
+    factor: float
+    weights: tuple[float, ...]
+    solved: bool
+    readings: int
+    error: float
+    interpolated: float
+    unit: str
+
+
+def visible(scene: Scene, recorded: Array) -> Array:
+    """Recorded readings on the scale of their noise: codes within the rails; without a readout, percent."""
+    if scene.readout is None:
+        return np.asarray(100 * np.log(recorded))
+    return np.asarray(
+        scene.readout.volt_from_recorded(np.clip(recorded, *scene.readout.rails())) / scene.readout.lsb_volt
+    )
+
+
+def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array:
+    """Each unknown value the mean of its neighbours, by their distance; (rows, columns)."""
+    first, second, distance = panel.neighbours
+    stiffness = np.zeros((panel.crossings, panel.crossings))
+    stiffness[first, second] = stiffness[second, first] = -1 / distance**2
+    stiffness[np.diag_indices(panel.crossings)] = -stiffness.sum(axis=1)
+    given, sought = np.flatnonzero(known), np.flatnonzero(~known & panel.present)
+    filled = values.ravel().copy()
+    towards = stiffness[np.ix_(sought, given)] @ filled[given]
+    filled[sought] = -np.linalg.solve(stiffness[np.ix_(sought, sought)], towards)
+    return filled.reshape(panel.shape)
+
+
+def predictions(case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
+    """Every frame, draw and weight of a case. share : of a frame's readings that are values, at least one."""
+    recording = Recording.load(case.path)
+    scene, readings = recording.scene, recording.readings()
+    estimator = first_stream(recording, readings, case.estimator).estimator
+    frames = recording.measured_frames()
+    frames = frames[readings.enough(scene)[frames]]
+    rng = np.random.default_rng(seed)
+    for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
+        recorded, plain = recording.recorded[frame], readings[frame].plain & scene.panel.present
+        for _ in range(draws):
+            held = np.zeros(plain.shape, dtype=bool)
+            chosen = rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)
+            held.flat[chosen] = True
+            sigma = (
+                None if recording.sigma is None else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
+            )
+            rest = Readings.of(scene, np.where(held, np.nan, recorded), sigma)
+            shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
+            without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
+            for factor, weights, cells in _estimates(estimator, scene, rest):
+                model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
+                errors = ((visible(scene, model) - shown)[held], (without - shown)[held])
+                both = (float(np.sqrt(np.mean(error**2))) for error in errors)
+                unit, solved = "percent" if scene.readout is None else "LSB", bool(np.isfinite(cells).all())
+                yield Withheld(
+                    recording.name, case.name, int(frame), factor, weights, solved, int(held.sum()), *both, unit
+                )
+
+
+def _estimates(
+    estimator: Estimator, scene: Scene, readings: Readings
+) -> Iterator[tuple[float, tuple[float, ...], Array]]:
+    """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor; NaN where a solve failed."""
+    data, near = estimator.data(readings.alone(), Background(scene)), None
+    for factor in FACTORS:
+        weights = [float(term.weight) * (1.0 if term.reads_measurement else factor) for term in estimator.terms]
+        cost = estimator.with_weights(weights).cost(scene, 1, data.partial)
+        found = best_solution(ProjectedNewton(cost, estimator.solver), data, near)
+        near = found.cell_resistance if found.solved else near
+        of_penalties = zip(weights, estimator.terms, strict=True)
+        cells = found.cell_resistance[0] if found.solved else np.full(scene.panel.shape, np.nan)
+        yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
+
+
+def why_not(estimator: Estimator, scene: Scene) -> str | None:
+    """Why readings of an estimator cannot be predicted; None where they can."""
+    if estimator.relative:
+        return "it compares with an earlier frame"
+    if not estimator.penalised:
+        return "it has no penalty, and says nothing of a cell whose reading is withheld"
+    return None if scene.panel.modules is None else "its panel is one of modules"
+
+
+def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, list[Withheld]]:
+    """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share < 1."""
+    if not 0 < share < 1:
+        raise InputError("--withhold must lie between 0 and 1, such as 0.1")
+    left_out: list[str] = []
+
+    def measure(run: Run, on_step: study.OnStep) -> list[Withheld]:
+        found: list[Withheld] = []
+        for number, case in enumerate(run.cases, 1):
+            reason = why_not(case.estimator, Recording.load(case.path).scene)
+            if reason is None:
+                found += predictions(case, share, draws, seed)
+            else:
+                left_out.append(f"{case.recording}/{case.name} left out: {reason}")
+            on_step(number, len(run.cases))
+        if not found:
+            raise InputError(f"nothing to predict: {'; '.join(left_out) or 'too little was read of every frame'}")
+        return found
+
+    return study.Study(
+        "withheld",
+        "cases",
+        "insole.yaml",
+        read_run,
+        measure,
+        FIGURES,
+        withheld_rows,
+        lambda found: [("", study.screen_table(withheld_rows(found), SCREEN))],
+        left_out=lambda found: left_out,
+    )
+
+
+def _median(ones: Sequence[Withheld], ratio: bool) -> float:
+    errors = [one.error / one.interpolated if ratio else one.error for one in ones if one.solved]
+    return float(np.median(errors)) if errors else float("nan")
+
+
+FIGURES: study.Figures = {  # of all frames and draws of a case at one weight
+    "recording": lambda ones: ones[0].recording,
+    "estimator": lambda ones: ones[0].estimator,
+    "weight": lambda ones: " ".join(f"{weight:.3g}" for weight in ones[0].weights),
+    "in_use": lambda ones: int(ones[0].factor == 1),
+    "frames": lambda ones: len({one.frame for one in ones}),
+    "withheld": lambda ones: sum(one.readings for one in ones),
+    "solved": lambda ones: sum(one.solved for one in ones) / len(ones),
+    "median_rms": lambda ones: _median(ones, ratio=False),
+    "unit": lambda ones: ones[0].unit,
+    "over_interpolation": lambda ones: _median(ones, ratio=True),
+}
+SCREEN = {
+    "recording": lambda row: row.recording,
+    "estimator": lambda row: row.estimator,
+    "weight": lambda row: row.weight,
+    "in use": lambda row: "*" * row.in_use,
+    "frames": lambda row: study.text_of(row.frames, "d"),
+    "withheld": lambda row: study.text_of(row.withheld, "d"),
+    "solved": lambda row: study.text_of(100 * row.solved, ".0f") + " %",
+    "missed by": lambda row: f"{study.text_of(row.median_rms, '.1f')} {row.unit}",
+    "over interpolation": lambda row: study.text_of(row.over_interpolation, ".2f"),
+}
+
+
+def withheld_rows(found: Sequence[Withheld]) -> list[study.Row]:
+    """A row for every case and weight: medians over frames and draws."""
+    groups: dict[tuple[str, str, float], list[Withheld]] = {}
+    for one in found:
+        groups.setdefault((one.recording, one.estimator, one.factor), []).append(one)
+    return study.rows_of(list(groups.values()), FIGURES)
