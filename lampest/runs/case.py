@@ -240,8 +240,10 @@ class CaseResult:
                     raise InputError(f"{self._path(column)} {fault}")
 
     def _by_module(self, maps: Any) -> Any:
-        """(frames, rows, columns) as (frames · modules, rows, columns) of each; itself without modules."""
-        layout = self.scene.panel.modules
+        """(frames, rows, columns) as (frames · modules, rows, columns) of each; listed cells in one row."""
+        layout, panel = self.scene.panel.modules, self.scene.panel
+        if panel.cells is not None:
+            return np.asarray(maps)[:, panel.present][:, None]
         return (
             maps
             if layout is None

@@ -1,6 +1,7 @@
 """Laws of panels that are no full rectangle: absent crossings are nothing, whatever the outline."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -128,3 +129,15 @@ def test_a_weight_is_chosen_by_prediction_where_noise_is_not_why_readings_are_mi
     by_default = error(lampest.AutoWeight())
     assert by_default == error(lampest.AutoWeight(rule="press"))
     assert by_default < 0.7 * error(lampest.AutoWeight(rule="risk"))
+
+
+@pytest.mark.parametrize("outline", ["glove", "ring"])
+def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> None:
+    """They are written, read and drawn; an absent crossing has no number."""
+    panel, cells = drawn(outline, 7)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
+    found = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    result = found.result()
+    assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
+    for kind in ("contours", "resistance"):
+        found.plot(kind).savefig(tmp_path / f"{kind}.png")

@@ -55,4 +55,6 @@ def log_scale(values: Sequence[Array], label: str) -> Scale:
     """From the 2nd to the 90th percentile of all values: cells in the air reach to any resistance."""
     numbers = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in values])
     low, high = np.percentile(numbers, [2, 90]) if numbers.size else (1.0, 10.0)
-    return Scale(LogNorm(low, max(high, 1.1 * low)), colormaps["viridis"], label, "both")
+    rounded = (float(step * 10.0**power) for power in range(-6, 10) for step in (1, 2, 5))
+    ticks = tuple(tick for tick in rounded if low <= tick <= high)
+    return Scale(LogNorm(low, max(high, 1.1 * low)), colormaps["viridis"], label, "both", ticks or None)
