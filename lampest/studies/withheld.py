@@ -89,12 +89,14 @@ def predictions(case: Case, share: float, draws: int, seed: int) -> Iterator[Wit
             without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
             for factor, weights, cells in _estimates(estimator, scene, rest):
                 model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
-                errors = ((visible(scene, model) - shown)[held], (without - shown)[held])
-                both = (float(np.sqrt(np.mean(error**2))) for error in errors)
+                missed, without_model = (_rms((one - shown)[held]) for one in (visible(scene, model), without))
                 unit, solved = "percent" if scene.readout is None else "LSB", bool(np.isfinite(cells).all())
-                yield Withheld(
-                    recording.name, case.name, int(frame), factor, weights, solved, int(held.sum()), *both, unit
-                )
+                names, count = (recording.name, case.name), int(held.sum())
+                yield Withheld(*names, int(frame), factor, weights, solved, count, missed, without_model, unit)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _estimates(
@@ -112,7 +114,7 @@ def _estimates(
         yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
 
 
-def why_not(estimator: Estimator, scene: Scene) -> str | None:
+def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
     """Why readings of an estimator cannot be predicted; None where they can."""
     if estimator.relative:
         return "it compares with an earlier frame"
@@ -130,7 +132,7 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
     def measure(run: Run, on_step: study.OnStep) -> list[Withheld]:
         found: list[Withheld] = []
         for number, case in enumerate(run.cases, 1):
-            reason = why_not(case.estimator, Recording.load(case.path).scene)
+            reason = unpredictable(case.estimator, Recording.load(case.path).scene)
             if reason is None:
                 found += predictions(case, share, draws, seed)
             else:
