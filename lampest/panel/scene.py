@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
@@ -224,7 +224,7 @@ class Scene:
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
     modules: tuple[OwnOfModule, ...] | None = None
-    assumed: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if self.faults is not None:

@@ -179,7 +179,7 @@ def _left_open(scene: Scene, content: dict[str, Any]) -> tuple[str, ...]:
         f"{name}.{entry.name}"
         for name, room in rooms.items()
         for entry in dataclasses.fields(room)
-        if entry.name not in ("kind", *content[name]) and getattr(room, entry.name) is not None
+        if entry.name not in ("kind", *content[name]) and getattr(room, entry.name)
     )
 
 
