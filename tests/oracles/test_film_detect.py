@@ -26,10 +26,10 @@ SCENE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
 
 
 def recorded(
-    film: Film | None, load: Shape = MOUTH, frames: int = 40, release: float = 15, **more: object
+    film: Film | None, load: Shape = MOUTH, frames: int = 40, release: float = 15, start: float = 4
 ) -> Recording:
-    """A load from 4 s on, and then nothing."""
-    course = Course(start_s=4, approach_s=0.5, attachment_s=0.5, release_at_s=release, release_s=0.2)
+    """A load from `start` on, and then nothing; s after the unloaded frames."""
+    course = Course(start_s=start, approach_s=0.5, attachment_s=0.5, release_at_s=release, release_s=0.2)
     return simulate(Simulation(1, 5, SCENE, frames=frames, loads=(load,), course=course, film=film))
 
 
@@ -83,8 +83,8 @@ def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
 
 
 def test_a_lamprey_that_sucks_less_is_still_there() -> None:
-    less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), release=40)
-    found = watched([recorded(None, frames=12, release=40), less])
+    less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), release=60, start=-2)
+    found = watched([recorded(None, frames=12, release=60), less])
     assert found[-1].here and found[-1].sucks > 0.5
 
 

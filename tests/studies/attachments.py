@@ -21,10 +21,11 @@ from lampest import two_point_resistance
 from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.report.detect.answer import Answer
-from lampest.report.detect.detection import AS_PUBLISHED, Watched, frames_of, known_of
+from lampest.report.detect.answer import Detected
+from lampest.report.detect.detection import AS_PUBLISHED, Known, known_of, measured_frames
 from tests.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
 from tests.studies.mouth_scenes import Scene as Made
 
@@ -144,7 +145,7 @@ def recording(kind: str, rate: float, seed: int, side: int = 10) -> tuple[Record
     course, depth, hertz = courses(rng, kind, time)
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake)
-    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
         Recording(scene, recorded(rng, resistance, time - time[0]), time - time[0], role, name=kind.replace(" ", "_")),
@@ -160,12 +161,12 @@ def seen(kind: str, rate: float, seed: int) -> Seen:
     touch = float(whole.time[UNLOADED]) + TOUCH_S
     begin = process_time()
     watched = known_of(whole)
-    assert isinstance(watched, Watched)
+    assert isinstance(watched, Known)
     watch, moments = watched.watch(AS_PUBLISHED), []
-    for value, sigma, time in frames_of(whole, watched, np.ones(len(whole.time), dtype=bool)):
+    for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
-    early, later, full = (Answer.of(kind, one.attachments, rate) for one in (*moments, watch))
+    early, later, full = (Detected.of(kind, one.attachments, rate) for one in (*moments, watch))
     cpu = process_time() - begin
     first, best = full.chosen, later.chosen
     sucking = max((one.sucks for one in early.attachments if one.here), default=0.0)

@@ -28,7 +28,7 @@ from lampest.report.detect.answer import (
     LAMPREY,
     PRESSES,
     SUCKS,
-    Answer,
+    Detected,
     answer_of,
     event_table,
     write_detections,
@@ -74,14 +74,14 @@ def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
 
 
 def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
-    answer = Answer.of("mouth", (BREATHES,), 4.0)
+    answer = Detected.of("mouth", (BREATHES,), 4.0)
     assert answer.answer == LAMPREY and answer.probability == pytest.approx(0.9875, abs=1e-3)
     assert answer.sentence == (
         "lamprey attached since 6.0 s, 35 ± 2 mm at (44, 46) mm, −11 ± 2 kPa, breathing 1.1 Hz, 8 ± 1 % (P = 0.99)"
     )
     gone = dataclasses.replace(BREATHES, until_s=30.0)
-    assert "lamprey attached from 6.0 s to 30.0 s" in Answer.of("mouth", (gone,), 4.0).sentence
-    assert "and 1 more" in Answer.of("mouth", (BREATHES, BREATHES), 4.0).sentence
+    assert "lamprey attached from 6.0 s to 30.0 s" in Detected.of("mouth", (gone,), 4.0).sentence
+    assert "and 1 more" in Detected.of("mouth", (BREATHES, BREATHES), 4.0).sentence
 
 
 @pytest.mark.parametrize(
@@ -103,21 +103,21 @@ def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate:
 
 def test_the_most_alarming_attachment_is_the_answer() -> None:
     rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
-    assert Answer.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
-    assert Answer.of("two", (rod,), 4.0).sentence.startswith("something presses, there since 6.0 s, 35 ± 2 mm")
-    assert Answer.of("none", (), 4.0).sentence == "nothing"
+    assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
+    assert Detected.of("two", (rod,), 4.0).sentence.startswith("something presses, there since 6.0 s, 35 ± 2 mm")
+    assert Detected.of("none", (), 4.0).sentence == "nothing"
 
 
 def test_events_say_when_it_touched_sucked_moved_and_left() -> None:
     one = dataclasses.replace(BREATHES, sucks_s=8.0, moved_s=(12.0,), until_s=20.0)
-    answer = Answer.of("mouth", (one,), 4.0)
+    answer = Detected.of("mouth", (one,), 4.0)
     kinds = [("touched", 6.0), ("attached", 8.0), ("moved", 12.0), ("released", 20.0)]
     assert [(event.kind, event.time_s) for event in answer.events] == kinds
     assert [row[2] for row in event_table([answer]).cells] == [kind for kind, _ in kinds]
 
 
 def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
-    answers = [Answer.of("mouth", (BREATHES,), 4.0), Answer.unknown("dark", "nothing was read")]
+    answers = [Detected.of("mouth", (BREATHES,), 4.0), Detected.unknown("dark", "nothing was read")]
     file, again = (write_detections(tmp_path / name, answers) for name in ("detections.h5", "again.h5"))
     assert file.read_bytes() == again.read_bytes()
     known = answers[0].content()

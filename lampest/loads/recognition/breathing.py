@@ -19,11 +19,12 @@ from scipy.special import logsumexp
 from lampest.panel.panel import Array
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-NYQUIST_HZ = 2.0  # the highest rate that has to be seen: four frames a second
+LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
 # A: the amplitude of mouths is 5.4 % of their suction in the mean, of cups that leak 0.6 % (docs/studies/mouths.md)
 BREATH, STEADY = 0.045, 0.005
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
 CLEARLY = 6.0  # times the median over all rates: noise passes that at 1.5 % of them
+ALIKE = 1.2  # what a pattern may explain more than the true one does: films answer a tenth apart from cell to cell
 NOISES = np.geomspace(1e-4, 1.0, 25)  # σ
 
 
@@ -40,26 +41,38 @@ class Breath:
     shaken: bool
 
 
-def breath(
-    times: Array, changes: Array, own: Array, rim: Array, moves: Array, scale: float, others: Array
-) -> Breath | None:
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """What readings of unit variance do, (readings) or (readings, n).
+
+    own : where suction and rim grow by `scale`; rim : the same of the rim alone. moves : the load's other movements.
+    others : what else may move.
+    """
+
+    own: Array
+    scale: float
+    rim: Array
+    moves: Array
+    others: Array
+
+
+def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Breath | None:
     """What a window shows; None where it is too short.
 
-    times : (frames) s. changes : (frames, readings) of unit variance. own : (readings) what they do where suction and
-    rim grow by `scale`; rim : the same of the rim alone. moves : (readings, n) of the load's other movements and what
-    all cells share. others : (readings, n) of other loads.
+    times : (frames) s. changes : (frames, readings) of unit variance. water : (frames) its pressure over the suction.
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < LEAST_S or rate < 1.9 * NYQUIST_HZ:
+    if lasted < LEAST_S or rate < LEAST_RATE:
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
-    basis = np.column_stack([own, moves, others])
-    together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T).T[:, : 1 + moves.shape[1]]
+    own, rim, scale = patterns.own, patterns.rim, patterns.scale
+    basis, kept = np.column_stack([own, patterns.moves, patterns.others]), 1 + patterns.moves.shape[1]
+    together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T).T[:, :kept]
     apart = changes @ np.column_stack([own / (own @ own), rim / (rim @ rim)])
-    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], apart])
-    weights = np.array([own @ own / scale**2, *(moves**2).sum(axis=0), own @ own, rim @ rim])
+    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], apart, water])
+    weights = np.array([own @ own / scale**2, *(patterns.moves**2).sum(axis=0), own @ own, rim @ rim, 0.0])
     series = series - trend @ (trend.T @ series)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     power, total = np.empty((len(hertz), series.shape[1])), float(series[:, 0] @ series[:, 0])
@@ -74,7 +87,8 @@ def breath(
         power[number], gain[number], own[number] = (found**2).sum(axis=0), sizes**2, found[:, 0]
     moved = weights * np.where(power > CLEARLY * np.median(power, axis=0), power, 0.0)
     moved[:, 0] = weights[0] * power[:, 0]
-    free = (moved[:, 0] >= moved[:, 1:-2].max(axis=1)) & (moved[:, -2] >= moved[:, -1])
+    free = (moved[:, 0] >= moved[:, 1:-3].max(axis=1)) & (ALIKE * moved[:, -3] >= moved[:, -2])
+    free &= power[:, 0] >= power[:, -1]  # of waves suction follows by as much at most
     freedom = len(times) - trend.shape[1]
     breathing, steady = (_evidence(total, own, gain, scale, freedom) for scale in (BREATH, STEADY))
     against = float(logsumexp(steady)) - np.log(len(hertz))

@@ -9,16 +9,17 @@ slowly as it likes. While nothing is there, the panel at rest follows the readin
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, hypot, inf, log
+from typing import Protocol
 
 import numpy as np
 
 from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, Breath, breath
+from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, Breath, Patterns, breath
 from lampest.loads.recognition.candidates import LOADS, Several
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Observation
-from lampest.loads.recognition.search import cells_about
+from lampest.loads.recognition.frame import Observation, counting
+from lampest.loads.recognition.search import cell_map, cells_about
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.steps import StepTest
 from lampest.loads.recognition.verdict import Verdict
@@ -26,24 +27,31 @@ from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import FrameNoise
 
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
-# Part of what stands there: a change beyond it is another load, or one that left. Film keeps less of what two-point
-# readings showed: a fifth of ln r, which is up to a half where cells were nearly open.
+# Of what stands there, as patterns see it: a change beyond it is another load, or one that left.
 CHANGED = 0.5
+# Of a load's ln r/r0, the most that a film keeps of it: 12 %, and 5 % for each decade, as `ModelErrors` have it.
+FILM_KEEPS = 0.25
 FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least
 OFTEN = 0.9  # of its windows in which a mouth breathes
 SURE, PAUSED = 10.0, 5.0  # of ln odds, the most that breathing, and its absence, can bring together
 # Standard deviations of what may move with time: mm, tilts; of suction and rim, relative.
 AGAIN_S = 1.0  # after which breathing is judged again while the window fills
-WAVE_KPA, SUPPLY = 0.5, 0.01  # a wave of 5 cm; relative
+SUPPLY = 0.01  # relative
 CLEAR = 3.0  # standard deviations of a touched cell
 MOVED_MM = 3.0  # beyond which a centre has moved
 MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
-BREATHES = 0.1
+BREATHES = 0.1  # relative, of suction and the rim that bears it
 
 Pair = tuple[float, float]
+
+
+class SharedNoise(Protocol):
+    """What the readings of a frame share by chance."""
+
+    def columns(self, measured: Array, baseline: bool) -> Array:
+        """V (frames · cells, n) of (frames, rows, columns): a root of their covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +62,7 @@ class Panelled:
     patch_mm: float
     water: Array
     errors: ModelErrors
-    noise: FrameNoise | None = None
+    noise: SharedNoise | None = None
     loads: tuple[Candidate, ...] = LOADS
 
     def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float, scale: float) -> Observation:
@@ -185,7 +193,7 @@ class Watch:
         measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.
         time : s, of the last one.
         """
-        frames = max(len(unloaded), 1)
+        frames, sigma = max(len(unloaded), 1), counting(sigma, measured)
         baseline = panelled.baseline(measured, sigma, frames**-0.5)
         frame = panelled.frame(measured, sigma, baseline, 0.0, 1.0)
         search = Detector.of(panelled.scene.panel, panelled.patch_mm, frame, panelled.loads).starts.search
@@ -198,7 +206,9 @@ class Watch:
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
         shown = np.median([*self.recent, logarithm], axis=0)
-        here = replace(self, recent=(self.recent[-1], logarithm), sigma=np.where(np.isfinite(sigma), sigma, self.sigma))
+        here = replace(
+            self, recent=(self.recent[-1], logarithm), sigma=counting(sigma, np.exp(self.rest).reshape(sigma.shape))
+        )
         return here._stepped(shown, logarithm, time)._looked(time)
 
     @property
@@ -243,8 +253,19 @@ class Watch:
     def _at_rest(self, time: float) -> bool:
         """Whether the readings are back to where they were before the load, up to what film and drift leave."""
         drift = 3 * self.panelled.errors.resting_sd(time - self.rest_s) * self.test.drift
-        scores = self.test.scores(self.mean - self.rest)
-        return bool(np.all(scores < self.test.least() + CHANGED * self.left + drift))
+        scores, least = self.test.scores(self.mean - self.rest), self.test.least() + drift
+        if np.all(scores < least):
+            return True
+        if self.change is None or not np.all(scores < least + CHANGED * self.left):
+            return False
+        left, before = cell_map(self._frame(self.mean, time)).ravel(), self.change.ravel()
+        return bool(left @ before < FILM_KEEPS * (before @ before))
+
+    def _frame(self, logarithm: Array, time: float) -> Observation:
+        """Readings against the panel before the load, as sure as one frame: films err alike in all of them."""
+        panelled, shape = self.panelled, self.panelled.scene.panel.shape
+        rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0) ** -0.5)
+        return panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s, 1.0)
 
     def _gone(self, time: float) -> "Watch":
         """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
@@ -257,11 +278,8 @@ class Watch:
         return replace(here, rest=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
-        """With what stands there, by the frames of the window; as sure as one frame: films err alike in all of them."""
-        panelled, shape = self.panelled, self.panelled.scene.panel.shape
-        baseline = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0) ** -0.5)
-        measured = np.exp(np.median([one for _, one in self.window], axis=0)).reshape(shape)
-        frame = panelled.frame(measured, self.sigma, baseline, time - self.rest_s, 1.0)
+        """With what stands there, by the frames of the window."""
+        panelled, frame = self.panelled, self._frame(np.median([one for _, one in self.window], axis=0), time)
         if self.detector is None:
             detector = Detector.of(panelled.scene.panel, panelled.patch_mm, frame, panelled.loads)
         else:
@@ -295,41 +313,38 @@ class Watch:
     def _breaths(self) -> list[tuple[tuple[float, float], Breath]]:
         """(centre, breath) of every load that sucks, from the frames of the window."""
         assert self.detector is not None and self.detector.previous is not None and self.seen is not None
-        best, panelled, model = self.detector.previous.best, self.panelled, self.seen.measured.ravel()
-        pressure, _ = best.candidate.pressure(panelled.scene.panel, panelled.patch_mm, best.parameters)
-        flat = self.seen.slope(best.change) @ self.seen.change(pressure)[1].ravel()
-        slopes = dict(zip(best.candidate.priors(panelled.scene.panel), best.slopes.T, strict=True))
-        whole = self.test.whitening / model
-        shared = [whole @ (WAVE_KPA * flat), SUPPLY * self.test.whitening.sum(axis=1)]
+        best, model, white = self.detector.previous.best, self.seen.measured.ravel(), self.test.whitening
+        slopes = dict(zip(best.candidate.priors(self.panelled.scene.panel), best.slopes.T / model, strict=True))
         times, logarithms = np.array([time for time, _ in self.window]), np.array([one for _, one in self.window])
-        changes = (logarithms - np.log(model)) @ self.test.whitening.T
-        each: list[tuple[tuple[float, float], Array, Array, list[Array]]] = []
-        for number, (part, own) in enumerate(best.loads):
-            before, disc = f"{number}." if isinstance(best.candidate, Several) else "", part.disc(own)
-            moves = [whole @ (sd * slopes[before + name]) for name, sd in MOVES.items() if before + name in slopes]
+        changes = logarithms - np.log(model)
+        water, supply = self._water(changes, best), SUPPLY * white.sum(axis=1)
+        discs, own, rims, moves = [], [], [], []
+        for number, (part, parameters) in enumerate(best.loads):
+            disc, before = part.disc(parameters), f"{number}." if len(best.loads) > 1 else ""
             if disc is not None and before + "suction" in slopes and before + "push" in slopes:
-                rim = BREATHES * whole @ slopes[before + "push"]
-                each.append(((disc.x_mm, disc.y_mm), BREATHES * whole @ slopes[before + "suction"] + rim, rim, moves))
-        return [
-            (place, seen)
-            for number, (place, own, rim, moves) in enumerate(each)
-            if (
-                seen := breath(
-                    times,
-                    changes,
-                    own * 1.0,
-                    rim,
-                    np.array([*moves, *shared]).T,
-                    BREATHES,
-                    np.array(
-                        [column for other, one in enumerate(each) if other != number for column in (one[1], *one[3])]
-                    )
-                    .reshape(-1, model.size)
-                    .T,
-                )
-            )
-            is not None
-        ]
+                discs.append(disc)
+                rims.append(BREATHES * white @ slopes[before + "push"])
+                own.append(BREATHES * white @ slopes[before + "suction"] + rims[-1])
+                moves.append([sd * white @ slopes[before + name] for name, sd in MOVES.items()])
+        found = []
+        for number, disc in enumerate(discs):
+            others = [
+                column for other in range(len(discs)) if other != number for column in (own[other], *moves[other])
+            ]
+            beside = np.array([supply, *others]).T
+            patterns = Patterns(own[number], BREATHES, rims[number], np.array(moves[number]).T, beside)
+            heard = breath(times, changes @ white.T, patterns, water / abs(disc.suction_kpa))
+            found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
+        return found
+
+    def _water(self, changes: Array, best: Fit) -> Array:
+        """(frames) kPa by which the water's pressure has changed, from lines without a load; 0 where there is none."""
+        assert self.seen is not None
+        pressure, _ = best.candidate.pressure(self.panelled.scene.panel, self.panelled.patch_mm, best.parameters)
+        loaded = pressure != 0
+        free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
+        slope = self.seen.slope(best.change) @ self.seen.change(pressure)[1].ravel() / self.seen.measured.ravel()
+        return np.asarray(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300))
 
 
 def _attachment(frame: Observation, verdict: Verdict, number: int, since: float) -> Attachment:

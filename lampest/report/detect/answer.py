@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lampest.files import hdf5
-from lampest.loads.recognition.breathing import LEAST_S, NYQUIST_HZ
+from lampest.loads.recognition.breathing import LEAST_RATE, LEAST_S
 from lampest.loads.recognition.watch import Attachment, Pair
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
@@ -58,7 +58,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Detected:
     """What one recording is answered with.
 
     answer : one of ANSWERS. probability : of it. why : why nothing more can be said, a sentence, or ''.
@@ -88,7 +88,7 @@ class Answer:
         course: Array | None = None,
         change: Array | None = None,
         panel: Panel | None = None,
-    ) -> "Answer":
+    ) -> "Detected":
         """The most alarming of all attachments, of these the last one; rate : frames a second."""
         if not attachments:
             return cls(recording, NOTHING, 1.0, "", rate, notes, (), course, change, panel)
@@ -98,7 +98,7 @@ class Answer:
         return cls(recording, answer, probability, why, rate, notes, tuple(attachments), course, change, panel)
 
     @classmethod
-    def unknown(cls, recording: str, why: str) -> "Answer":
+    def unknown(cls, recording: str, why: str) -> "Detected":
         """Where nothing can be said."""
         return cls(recording, CANNOT_SAY, 1.0, why)
 
@@ -179,7 +179,7 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     if one.sucks * one.breathes >= SURE:
         return LAMPREY, one.sucks * one.breathes, ""
     why = ""
-    if rate < 1.9 * NYQUIST_HZ:
+    if rate < LEAST_RATE:
         why = f"{rate:.3g} frames a second do not show breathing, four do"
     elif one.shaken:
         why = "it moves at a breathing rate, but not by its suction alone: shaken, or in waves"
@@ -206,7 +206,7 @@ def _shown(pair: Pair | None, unit: str) -> str:
     return f"{pair[0]:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−")
 
 
-def event_table(answers: Sequence[Answer]) -> Table:
+def event_table(answers: Sequence[Detected]) -> Table:
     """One row for each event; none where nothing happened."""
     rows = []
     for one in answers:
@@ -223,7 +223,7 @@ def event_table(answers: Sequence[Answer]) -> Table:
     return Table(headers, tuple(rows))
 
 
-def load_table(answers: Sequence[Answer]) -> Table:
+def load_table(answers: Sequence[Detected]) -> Table:
     """One row for each attachment: probabilities, and what the touched cells show whatever it is."""
     rows = []
     for one in answers:
@@ -236,10 +236,10 @@ def load_table(answers: Sequence[Answer]) -> Table:
     return Table(headers, tuple(rows))
 
 
-def write_detections(path: str | Path, answers: Sequence[Answer]) -> Path:
+def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
     """Write all answers into one file, whole or not at all. Raises InputError where it cannot be written.
 
-    A group for each recording with the names of `Answer.content`: one number of an attachment is one dataset.
+    A group for each recording with the names of `Detected.content`: one number of an attachment is one dataset.
     """
     path = Path(path)
     with hdf5.new_file(path) as file:

@@ -1,7 +1,7 @@
 """Recordings and results → answers: what is attached, frame after frame of the readings."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,23 +18,26 @@ from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import StandIn
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
-from lampest.report.detect.answer import Answer
+from lampest.report.detect.answer import Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 from lampest.runs.results import Results
+from lampest.runs.results.scene import frame_noise_of
 
 AS_PUBLISHED = RecognitionSettings()
 RESULTS = "results/"  # how the format of such a file begins
-BY = "from the readings; cells by Gauss–Newton steps with a Gaussian prior, pressures by the scene's response"
+BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
+NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
 HEAD = 100  # measured frames from which the noise is learned, with those without a load
 OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 Frames = Iterator[tuple[Array, Array, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
+class Known:
     """What is known of a recording before its first measured frame.
 
     resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
@@ -54,6 +57,8 @@ class Watched:
 
     def watch(self, settings: RecognitionSettings) -> Watch:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
+        if self.scene.panel.cells is not None or self.scene.panel.modules is not None:
+            raise ValueError("loads are recognised on full panels of one network only")
         depth, errors = settings.top_row_depth_mm, settings.model_errors
         water = water_pressure(self.scene.panel, self.scene.water if depth is None else Water(depth))
         if errors == AS_PUBLISHED.model_errors:  # what the scene and the frames say of errors and of the film
@@ -61,7 +66,7 @@ class Watched:
         panelled = Panelled(self.scene, settings.patch_of(self.scene.panel), water, errors, self.noise)
         return Watch.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
 
-    def answer(self, frames: Frames, settings: RecognitionSettings) -> Answer:
+    def answer(self, frames: Frames, settings: RecognitionSettings) -> Detected:
         """After all frames."""
         try:
             watch = self.watch(settings)
@@ -71,11 +76,14 @@ class Watched:
                 times.append(time)
                 loudness.append(watch.stands_out)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            return Answer.unknown(self.name, told_reason(error, self.name))
+            return Detected.unknown(self.name, told_reason(error, self.name))
         if len(times) < 2:
-            return Answer.unknown(self.name, "one frame shows no change; three are needed")
-        rate, course = float(1 / np.median(np.diff(times))), np.array([times, loudness])
-        return Answer.of(self.name, watch.attachments, rate, (*self.notes, BY), course, watch.change, self.scene.panel)
+            return Detected.unknown(self.name, "one frame shows no change; three are needed")
+        rate, course, found = float(1 / np.median(np.diff(times))), np.array([times, loudness]), watch.attachments
+        if self.scene.response is None:
+            found = tuple(replace(one, suction_kpa=None) for one in found)
+        notes = (*self.notes, BY, *(() if self.scene.response else (NO_RESPONSE,)))
+        return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
 
 
 def is_results(path: Path) -> bool:
@@ -89,13 +97,13 @@ def detect_results(
     results: Results,
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Answer]:
+) -> list[Detected]:
     """For every recording what its readings show."""
     tasks = [(results.of(name)[0], settings) for name in results.recordings()]
     return list(each_of(_of_case, tasks, on_case))
 
 
-def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Answer:
+def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Detected:
     case, settings = task
     side = np.where(case.valued, case.measured, np.nan)
     notes: tuple[str, ...] = ()
@@ -106,56 +114,58 @@ def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Answer:
     noise = frame_noise_of(case.frame_noise, case.scene)
     unloaded = 1 if noise is None else noise.unloaded
     own = sigma[0] if resting is None else resting * np.sqrt(unloaded)
+    rest = case.measured_baseline
+    rest = np.where(np.isfinite(rest), rest, StandIn.of(rest, np.isfinite(rest)).value)
     period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
-    known = case.measured_baseline, np.where(np.isfinite(own), own, np.nanmedian(own)), case.measured_baseline[None]
+    known = rest, own, rest[None]
     begin = float(case.time[0]) - period
-    watched = Watched(case.recording, case.scene, *known, begin, case.reading_error, noise, notes)
+    watched = Known(case.recording, case.scene, *known, begin, case.reading_error, noise, notes)
     values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
     return watched.answer(values, settings)
 
 
-def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, frames: range | None = None) -> Answer:
+def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, frames: range | None = None) -> Detected:
     """What a recording shows, read part by part. Raises InputError where it cannot be read."""
     stored = StoredRecording.of(path)
     head = _head(stored)
     watched = known_of(head, settings)
-    if isinstance(watched, Answer):
+    if isinstance(watched, Detected):
         return watched
     asked = range(stored.frames) if frames is None else frames
 
     def each() -> Frames:
         for block in stored.blocks():
             part = stored.part(block)
-            yield from frames_of(part, watched, np.isin(block, asked))
+            yield from measured_frames(part, watched, np.isin(block, asked))
 
     return watched.answer(each(), settings)
 
 
-def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "Watched | Answer":
+def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "Known | Detected":
     """What the first frames of a recording tell, or why nothing can be said."""
     readings, notes = head.readings(), []
     unloaded = np.flatnonzero(head.role == UNLOADED)
     resting = resting_readings(head, readings)
     if not resting.enough(head.scene):
-        return Answer.unknown(head.name, "no frame has enough readings to compare with")
+        return Detected.unknown(head.name, "no frame has enough readings to compare with")
     if not len(unloaded):
         notes.append("no frame is marked as unloaded: the first one is taken for it")
     noise, error = None, 0.0
     if readings.sigma is None:
         if len(head.time) < 3:
-            return Answer.unknown(head.name, "the noise is unknown, and too few frames show it")
+            return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, said = _scattered(readings.plain_values, settings)
         notes += said
     else:
         seen = noise_seen(head)
         noise, error = seen.frame, seen.reading_error
-        sigma = seen.used * np.median(readings.sigma, axis=0)
+        sigma = seen.used * np.min(readings.sigma_of_values, axis=0)
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     known = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, tuple(notes)
-    return Watched(head.name, head.scene, *known)
+    return Known(head.name, head.scene, *known)
 
 
-def frames_of(part: Recording, watched: Watched, asked: NDArray[np.bool_]) -> Frames:
+def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
     """(value, sigma, s) of the measured frames that were asked for; σ is infinite where a reading is no value."""
     readings = part.readings()
     sigma = readings.sigma_of_values

@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
 from lampest.loads.recognition.watch import Attachment
-from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Answer, answer_of
+from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, plain_number, write_all
 
@@ -24,7 +24,7 @@ STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60
 
 
 def plot_timelines(
-    answers: Sequence[Answer],
+    answers: Sequence[Detected],
     folder: str | Path,
     on_picture: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
@@ -37,7 +37,7 @@ def plot_timelines(
     return write_all([partial(timeline, one) for one in shown], files, on_picture)
 
 
-def timeline(answer: Answer) -> Figure:
+def timeline(answer: Detected) -> Figure:
     """One recording: how far the readings are from those at rest, with a band for each attachment; and a map."""
     figure = new_figure(HEIGHT_INCH)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
@@ -47,7 +47,7 @@ def timeline(answer: Answer) -> Figure:
     return figure
 
 
-def _course(axes: Axes, answer: Answer) -> None:
+def _course(axes: Axes, answer: Detected) -> None:
     assert answer.course is not None
     time, loudness = answer.course
     axes.semilogy(time, np.maximum(loudness, 0.1), color="#222222", lw=0.9)
@@ -67,7 +67,7 @@ def _course(axes: Axes, answer: Answer) -> None:
     axes.set_axisbelow(True)
 
 
-def _map(figure: Any, answer: Answer) -> None:
+def _map(figure: Any, answer: Detected) -> None:
     """Relative change of the cells when something was recognised last, and the circles of what was seen."""
     axes = figure.subplots()
     if answer.change is None or answer.panel is None:
