@@ -70,9 +70,9 @@ def test_memory_of_a_lamprey_is_nothing(creep: float) -> None:
 
 @pytest.mark.parametrize("load", [MOUTH, ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])
-def test_what_is_attached_for_an_hour_stays_until_the_readings_step(load: Shape, drift: float) -> None:
-    (one,) = watched([recorded(Film(0.24, 0.03), load)], minutes=60, drift=drift)
-    assert one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(3616, abs=5)
+def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: float) -> None:
+    (one,) = watched([recorded(Film(0.24, 0.03), load)], minutes=5, drift=drift)
+    assert one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(316, abs=5)
     assert (one.sucks > 0.5) == (load is MOUTH)
 
 
@@ -88,12 +88,12 @@ def test_a_lamprey_that_sucks_less_is_still_there() -> None:
     assert found[-1].here and found[-1].sucks > 0.5
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_bare_panel_is_nothing_for_an_hour(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_a_bare_panel_is_nothing_for_ten_minutes(seed: int) -> None:
     """With drift, a gain that scatters, ripple and outliers."""
     real = Unmodelled(gain_spread=0.001, supply_ripple_lsb=0.4, outlier_probability=1e-4)
     bare = simulate(Simulation(1, seed, SCENE, frames=600, unmodelled=real))
-    assert watched([bare] * 6, drift=0.02) == ()
+    assert watched([bare], drift=0.02) == ()
 
 
 @pytest.mark.parametrize("minutes", [1.0, 10.0])

@@ -57,7 +57,7 @@ class DiscSearch:
     def faint_places(self) -> Array:
         """(faint discs, 2) mm, in the order of `readings`."""
         faint = np.repeat([template.faint for template in self.templates], len(self.discs) // len(self.templates))
-        return np.array([disc[:2] for disc in self.discs])[faint]
+        return np.asarray(np.array([disc[:2] for disc in self.discs])[faint])
 
     def against(self, whitening: Whitening) -> "DiscSearch":
         """The same where a panel at rest has other errors."""

@@ -159,7 +159,7 @@ def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "
     else:
         seen = noise_seen(head)
         noise, error = seen.frame, seen.reading_error
-        sigma = seen.used * np.min(readings.sigma_of_values, axis=0)
+        sigma = seen.used * np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     known = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, tuple(notes)
     return Known(head.name, head.scene, *known)
