@@ -36,7 +36,7 @@ def recorded(
 def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0) -> tuple[Attachment, ...]:
     """What is attached in recordings, one after the other; the first has the baseline.
 
-    minutes : between the first frames of the load and its last five, at a frame a second. drift : of ln r a decade.
+    minutes : between the first frames of the load and its last five, at a frame a second. drift : of ln y a decade, mostly common.
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
@@ -44,10 +44,10 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
     panelled = Panelled(SCENE, 6.0, np.zeros(SCENE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng, time = np.random.default_rng(3), 0.0
-    wander = drift * (1 + 0.3 * rng.standard_normal(SCENE.panel.shape))
+    wander = drift * (1 + 0.03 * rng.standard_normal(SCENE.panel.shape))
 
     def pushed(watch: Watch, value: Array, sigma: Array, time: float) -> Watch:
-        return watch.push(value * np.exp(wander * np.log10(1 + time)), sigma, time)
+        return watch.push(value * np.exp(wander * np.log10(1 + time / 10)), sigma, time)
 
     for recording in recordings:
         readings = recording.readings()
@@ -83,7 +83,7 @@ def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
 
 
 def test_a_lamprey_that_sucks_less_is_still_there() -> None:
-    less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), release=60, start=-2)
+    less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), release=60, start=-0.9)
     found = watched([recorded(None, frames=12, release=60), less])
     assert found[-1].here and found[-1].sucks > 0.5
 
