@@ -36,7 +36,7 @@ def recorded(
 def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0) -> tuple[Attachment, ...]:
     """What is attached in recordings, one after the other; the first has the baseline.
 
-    minutes : between the first frames of the load and its last five, at a frame a second. drift : of ln y a decade, mostly common.
+    minutes : between the first frames of the load and its last, a frame a second. drift : of ln y a decade.
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
