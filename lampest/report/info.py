@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.noise.plain_warnings import plain_warnings
 from lampest.estimate.noise.seen import frame_noise_seen
 from lampest.files import hdf5
 from lampest.files.errors import InputError
@@ -121,6 +122,7 @@ def _noise_lines(recording: Recording) -> list[str]:
     with suppress(InputError):
         learned = frame_noise_seen(recording).learned
         lines += [f"noise     {_plain(learned)}"] if learned else []
+        lines += [f"warning   {one}" for one in plain_warnings(recording, recording.readings())]
     return lines
 
 

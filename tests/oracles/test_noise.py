@@ -347,7 +347,7 @@ def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> Non
     wrong, _ = recorded(2, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 2.5, 0.004))
     wrong.save(tmp_path / "wrong.h5")
     (line,) = [line for line in describe(tmp_path / "wrong.h5") if line.startswith("noise")]
-    assert re.search(r"sigma [23]\.\d+ \+- 0\.\d+ times as assumed", line) and "% gain" in line and "outliers" in line
+    assert re.search(r"sigma [23]\.\d+ ± 0\.\d+ times as assumed", line) and "% gain" in line and "outliers" in line
     lampest.reconstruct(wrong, [Misfit()], formulation="reduced").save(tmp_path / "results.h5")
     told, sentence = (line for line in describe(tmp_path / "results.h5") if "times as" in line)
     assert told.startswith("noise") and "left possible, as standard deviations: series" in told
@@ -369,3 +369,16 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
     assert np.median(sampled.variance / dense.variance) == pytest.approx(1, abs=0.1)
     assert np.median(dense.variance / DenseErrors(model).variance) > 1.5
     assert np.diag(dense.covariance) == pytest.approx(dense.variance)
+
+
+def test_what_users_get_wrong_is_one_plain_sentence() -> None:
+    """Roles, units, and a load on the baseline; nothing of a recording as it should be."""
+    fine, _ = recorded(6, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
+    assert noise_seen(fine).sentence == ""
+    none = replace(fine, role=np.full(8, MEASURED, dtype=np.uint8))
+    assert "no frame is unloaded" in noise_seen(none).sentence
+    alone = replace(fine, role=np.where(np.arange(8) < 1, UNLOADED, MEASURED).astype(np.uint8))
+    assert "only one frame is unloaded" in noise_seen(alone).sentence
+    assert "of the converter from a rail" in noise_seen(replace(fine, recorded=1000 * fine.recorded)).sentence
+    swapped = replace(fine, role=np.where(np.arange(8) < 5, MEASURED, UNLOADED).astype(np.uint8))
+    assert "did something lie on the panel" in noise_seen(swapped).sentence

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lampest.estimate.model_check.cells_fit import LEVEL
 from lampest.estimate.noise.motion import scan_share, swept
 from lampest.estimate.noise.outliers import LEAST_FRAMES, without_outliers
+from lampest.estimate.noise.plain_warnings import plain_warnings
 from lampest.estimate.noise.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.noise.still_cells import errors_left_possible
 from lampest.panel.modules import Modules
@@ -87,6 +88,8 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, noise_seen.__wrapped__)
     seen, sizes, scene = frame_noise_seen(recording), usual(recording.scene), recording.scene
+    with np.errstate(all="ignore"):
+        seen = replace(seen, sentence=_joined(*plain_warnings(recording, seen.readings), seen.sentence))
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured) or sizes is None:
         return seen
