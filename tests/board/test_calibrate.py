@@ -71,7 +71,7 @@ def test_three_resistors_on_the_loaded_board_make_the_scene_that_records_the_pan
     np.savetxt(tmp_path / "known.csv", table, delimiter=",")
     (tmp_path / "told.yaml").write_text(to_yaml(loaded_scene(8, 8)))
     with bench(tmp_path, cells, *options, wiring="loaded_columns") as board:
-        words = ("--port", board.port, "--scene", tmp_path / "told.yaml", "--frames", 20)
+        words = ("--port", board.port, "--scene", tmp_path / "told.yaml", "--count", 20)
         lampest("record", *words, "--out", tmp_path / "known.h5")
     words = (tmp_path / "known.h5", "--known", tmp_path / "known.csv", "--tolerance", 0.001)
     said, _ = lampest("calibrate", *words, "--out", tmp_path / "scene.yaml")
@@ -82,7 +82,7 @@ def test_three_resistors_on_the_loaded_board_make_the_scene_that_records_the_pan
     found: Scene = validated(read_document(tmp_path / "scene.yaml"), Scene)
     truth = some_cells(rng, 2, 8, 8)
     with bench(tmp_path, truth, *options, wiring="loaded_columns") as board:
-        words = ("--port", board.port, "--scene", tmp_path / "scene.yaml", "--frames", 2)
+        words = ("--port", board.port, "--scene", tmp_path / "scene.yaml", "--count", 2)
         lampest("record", *words, "--out", tmp_path / "panel.h5")
     recorded = Recording.load(tmp_path / "panel.h5")
     assert recorded.scene == found

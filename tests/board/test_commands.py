@@ -32,7 +32,7 @@ def test_from_the_board_to_the_cells(tmp_path: Path) -> None:
     out, scene = tmp_path / "r.h5", scene_file(tmp_path)
     with bench(tmp_path, truth) as board:
         words = ("--port", board.port, "--out", out, "--scene", scene, "--baseline", baseline)
-        said, complained = lampest("record", *words, "--frames", len(truth))
+        said, complained = lampest("record", *words, "--count", len(truth))
     assert said.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
     assert complained == ""
     (tmp_path / "run.yaml").write_text(RUN)
@@ -55,7 +55,7 @@ def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> 
     printed, _ = lampest("calibrate", shorted)
     assert printed == scene.read_text()
     with bench(tmp_path, some_cells(np.random.default_rng(1), 1)) as board:
-        words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", scene, "--frames", 1)
+        words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", scene, "--count", 1)
         assert lampest("record", *words)[1] == ""
     assert Recording.load(tmp_path / "r.h5").scene == found
 
@@ -67,7 +67,7 @@ def test_known_resistors_calibrate_too(tmp_path: Path) -> None:
     np.savetxt(table, known, delimiter=",")
     with bench(tmp_path, known[None]) as board:
         words = ("--port", board.port, "--scene", scene_file(tmp_path, 3, 4, series_resistance_ohm=0))
-        lampest("record", *words, "--out", tmp_path / "r.h5", "--frames", 10)
+        lampest("record", *words, "--out", tmp_path / "r.h5", "--count", 10)
     said, _ = lampest("calibrate", tmp_path / "r.h5", "--known", table, "--out", tmp_path / "s.yaml")
     assert float(said.split()[2]) == pytest.approx(140, abs=1)
     np.save(tmp_path / "known.npy", known)
@@ -132,7 +132,7 @@ def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
     ("words", "sentence"),
     [
         (("record", "--out", "{}", "--port", "/nowhere/port"), "/nowhere/port: cannot be opened"),
-        (("record", "--out", "{}", "--port", "loop://", "--frames", 1, "--seconds", 1), "--frames and --seconds"),
+        (("record", "--out", "{}", "--port", "loop://", "--count", 1, "--seconds", 1), "--count and --seconds"),
         (("record", "--out", "{}", "--port", "loop://", "--seconds", "nan"), "--seconds must be positive and finite"),
         (("record", "--out", "{}", "--port", "loop://", "--period", -1), "--period must be positive and finite"),
         (("record", "--out", "{}", "--port", "loop://", "--scene", "nowhere.yaml"), "nowhere.yaml"),

@@ -247,7 +247,7 @@ def thirty_frames_a_second(folder: Path, seconds: float) -> int:
         live(
             folder,
             *("--port", board.port, "--scene", scene_file(folder, readings=2), "--period", 1 / 30),
-            *("--frames", round(30 * seconds), "--out", folder / "r.h5"),
+            *("--count", round(30 * seconds), "--out", folder / "r.h5"),
         ) as (window, process),
     ):
         window.run("window.times = []; setInterval(() => { if (latencies.length) times.push(latencies.at(-1)) }, 200)")

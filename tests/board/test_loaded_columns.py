@@ -70,7 +70,7 @@ def test_from_the_board_to_the_cells_by_the_commands(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(to_yaml(loaded_scene()))
     with bench(tmp_path, truth, wiring=WIRING) as board:
         words = ("--port", board.port, "--out", out, "--scene", tmp_path / "scene.yaml", "--baseline", baseline)
-        said, complained = lampest("record", *words, "--frames", len(truth))
+        said, complained = lampest("record", *words, "--count", len(truth))
     assert said.startswith(f"{len(truth)} frames, 0 lost") and complained == ""
     with h5py.File(out) as file:
         assert file["entry"].attrs["default"] == b"readings"
@@ -114,7 +114,7 @@ def test_a_scene_of_the_other_circuit_is_refused_in_one_sentence(tmp_path: Path,
     (tmp_path / "scene.yaml").write_text(to_yaml(told))
     assert told.readout is not None
     with bench(tmp_path, some_cells(np.random.default_rng(2), 1, 4, 4), wiring=wiring) as board:
-        words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", tmp_path / "scene.yaml", "--frames", 1)
+        words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", tmp_path / "scene.yaml", "--count", 1)
         _, complained = lampest("record", *words, code=2)
     sentence = f"the scene's readout.kind is {told.readout.kind}, but the board says that it is wired as {wiring}"
     assert sentence in complained and complained.count("\n") == 1

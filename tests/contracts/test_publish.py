@@ -85,7 +85,7 @@ def replayed(
     lampest: Run, where: str, frames: int = 6, speed: float = 10.0, words: tuple[str, ...] = ()
 ) -> SimpleNamespace:
     """A recording, published."""
-    source = ("--recording", LAMPREY, "--speed", speed, "--frames", frames)
+    source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
     return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", where, *words)
 
 

@@ -92,7 +92,7 @@ def test_a_signal_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
 def test_what_is_ignored_from_the_start_stays_so(tmp_path: Path) -> None:
     """`nohup lampest record …` outlives its terminal."""
     out = tmp_path / "r.h5"
-    words = ["nohup", *COMMAND, "record", "--out", str(out), "--frames", "40", "--period", "0.01", "--port"]
+    words = ["nohup", *COMMAND, "record", "--out", str(out), "--count", "40", "--period", "0.01", "--port"]
     with wild_board(hundred_a_second) as board:
         process = subprocess.Popen([*words, board.port], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         while not out.exists():
