@@ -95,7 +95,8 @@ class AutoWeight:
     """How `weight: auto` is chosen.
 
     rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
-    of every reading from all others. By default risk, or press where the noise of the readings is unknown.
+    of every reading from all others. By default risk; press where the noise is unknown, or is not why
+    readings are missed beside others that are bounds or missing.
     per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
 
     >>> lampest.AutoWeight().per

@@ -96,7 +96,7 @@ class WeightSearch:
         Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
         readings are bounds, a start that takes them for values is no place to linearise: the estimate for what its
         residuals suggest is. From there half a step is taken from weight to weight, which else may alternate.
-        by_default : whether press takes the rule's place where noise is not what readings are missed by.
+        by_default : whether press takes the rule's place where noise is not what such a frame's readings are missed by.
         """
         weights = [1.0 if given is None else given for given in self._given]
         model: LinearModel | None = LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))
@@ -107,7 +107,8 @@ class WeightSearch:
                 model = self._solved(weights, self.data.uniform_start)
             while model is not None and len(found) < MOST_SOLVES:
                 spectrum = Spectrum.of(model)
-                if by_default and spectrum.unexplained(spectrum.best("press")) > UNEXPLAINED:
+                doubted = by_default and self.data.partial
+                if doubted and spectrum.unexplained(spectrum.best("press")) > UNEXPLAINED:
                     rule = "press"
                 best = spectrum.best(rule)
                 damped = bool(found) and self.data.partial
