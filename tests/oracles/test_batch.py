@@ -7,8 +7,9 @@ from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, Relat
 from lampest.cost.given import Background
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.two_point.exact import two_point_resistance
-from lampest.solvers.batch import Kept, PanelBatch, solve
+from lampest.solvers.batch import Kept, solve
 from lampest.solvers.multistart import best_solution
+from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
