@@ -5,7 +5,7 @@ without a half: where a factor of two would stand elsewhere, here is half a deri
 follows from it by default, for the losses that are smooth.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 
 from lampest.files.tagged import ByKind
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 
 
@@ -61,7 +62,7 @@ class PenaltyEvidence(Protocol):
 
 
 @dataclass(frozen=True)
-class Loss(ABC):
+class Loss(Validated):
     """Σ ρ(x) over the residuals of a term.
 
     enters : how solvers take it. 'whole', as it is: its second derivative exists but for single points. 'split': its

@@ -1,6 +1,6 @@
 """The cost terms. To add one: write its class here, before `AnyTerm`, and name it there."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite
@@ -10,8 +10,8 @@ import casadi
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
-from lampest.files.errors import meant
 from lampest.files.tagged import ByKind, members_by_kind
+from lampest.files.typed import Validated
 from lampest.panel.panel import Panel
 
 Reference = Literal["baseline", "previous"]
@@ -90,7 +90,7 @@ Weight = float | Literal["auto"]
 
 
 @dataclass(frozen=True)
-class Term(ABC):
+class Term(Validated):
     """A summand of the cost function: weight · loss(residual(state)).
 
     weight : a number, or 'auto' where the data are to choose it, which is what lampest's penalties have where none is
@@ -116,8 +116,6 @@ class Term(ABC):
     def __post_init__(self) -> None:
         if self.weight == "auto":
             return
-        if isinstance(self.weight, str):
-            raise ValueError(f"weight must be a number or 'auto', not {self.weight!r}{meant(self.weight, ('auto',))}")
         if not (isfinite(self.weight) and self.weight >= 0):
             raise ValueError("weight must be zero or positive, and finite")
 

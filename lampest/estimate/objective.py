@@ -13,6 +13,7 @@ from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
 from lampest.files.errors import InputError, in_words
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
@@ -29,7 +30,7 @@ MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Bounds(Validated):
     """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (10⁻⁶·R_a,
     a dead short).
 
@@ -91,7 +92,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class AutoWeight:
+class AutoWeight(Validated):
     """How `weight: auto` is chosen.
 
     rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import PydanticSchemaGenerationError, PydanticUserError, TypeAdapter, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from lampest.files.errors import InputError, meant
+from lampest.files.errors import InputError, in_words, meant
 from lampest.files.whole import note_read
 
 MOST_VALUES = 100_000
@@ -29,11 +29,13 @@ MOST_BITS = 1000
 # In any unit: what is smaller or larger is no measure of anything, and loses its digits as soon as it is squared.
 SMALLEST, LARGEST = 1e-30, 1e30
 EXACT = (0, float("inf"), float("-inf"))
+NO_MEASURE = f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign"
 WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
 FEW_KEYS = 12  # which a sentence can name
 TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # which a file of their own may hold
+OF_TAGS = ("union_tag_not_found", "model_attributes_type")  # beside what says which objects are meant
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -202,7 +204,7 @@ def validated(document: Document, kind: Any) -> Any:
     Raises InputError where a key is unknown, a type is wrong, or a number measures nothing.
     """
     if out := next(_out_of_range(document.content, ()), None):
-        raise document.error(out, f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign")
+        raise document.error(out, NO_MEASURE)
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
@@ -220,11 +222,37 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
         for key, value in content.items():
             if key not in WITHOUT_UNIT:
                 yield from _out_of_range(value, (*place, key))
-    elif isinstance(content, list):
+    elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
             yield from _out_of_range(value, (*place, index))
     elif isinstance(content, int | float) and not (SMALLEST <= abs(content) <= LARGEST or content in EXACT):
         yield place
+
+
+def schema_of(kind: Any) -> TypeAdapter[Any] | None:
+    """The validator of a type; None where it is nothing that YAML could say."""
+    try:
+        made = adapter(kind)
+        return made if made.pydantic_complete else None  # not where it names what type checkers alone import
+    except (PydanticSchemaGenerationError, PydanticUserError):
+        return None
+
+
+def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
+    """A Python value as an object of the validator's type, as strictly as YAML. Raises InputError with one sentence."""
+    if value == value and next(_out_of_range(value, ()), None) is not None:  # of NaN its class knows a better sentence
+        raise InputError(NO_MEASURE)
+    try:
+        return validator.validate_python(value, strict=True)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        faults = [fault for fault in faults if fault["type"] not in OF_TAGS] or faults
+        first, *others = dict.fromkeys(_sentence(fault).removeprefix("Value error, ") for fault in faults)
+        said = " or ".join([first, *(text.removeprefix(SHOULD_BE) for text in others)])
+        close = meant(value, re.findall(r"'(\w+)'", said)) if isinstance(value, str) else ""
+        raise InputError(f"{said}, not {in_words(value)}{close}") from error
+    except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise InputError(f"{in_words(value)} does not fit ({' '.join(str(error).split())})") from error
 
 
 def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from lampest.files.errors import InputError
+from lampest.files.typed import Validated
 
 Kind = TypeVar("Kind")
 
@@ -52,7 +53,13 @@ class ByKind:
             for kind in kinds_of(member)
         }
         tag = self._tag if self.default else "kind"
-        return {"type": "tagged-union", "discriminator": tag, "choices": choices}
+        tagged = {"type": "tagged-union", "discriminator": tag, "choices": choices}
+        base = _base(members)
+        # From Python an object of a class that nothing names, derived in a notebook, is one of them, too.
+        made = {"type": "is-instance", "cls": base}
+        either = {"type": "union", "choices": [made, tagged], "mode": "left_to_right"}
+        own = base not in (object, Validated)
+        return {"type": "json-or-python", "json_schema": tagged, "python_schema": either if own else tagged}
 
     def _tag(self, value: Any) -> Any:
         return value.get("kind", self.default) if isinstance(value, dict) else getattr(value, "kind", None)
@@ -84,9 +91,14 @@ def members_by_kind(union: Any) -> dict[str, type[Any]]:
     return {kind: member for member in members_of(union) for kind in kinds_of(member)}
 
 
+def _base(members: tuple[type[Any], ...]) -> type[Any]:
+    """The nearest class that all members derive from."""
+    return next(kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members))
+
+
 def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
     """What installed packages add to the members of a union."""
-    base = next(kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members))
+    base = _base(members)
     taken = [kind for member in members for kind in kinds_of(member)]
     for added in installed(group, type) if group else ():
         named = f"{group}: {added.__name__} of an installed package"

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 
 SETTLED, OWN = 0.005, 0.4  # ln r/r0 of a cell at rest at once, and the part of its memory that may be wrong
@@ -26,7 +27,7 @@ OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → stand
 
 
 @dataclass(frozen=True)
-class Tare:
+class Tare(Validated):
     """Take zero anew where nothing has touched the panel for so many frames in a row.
 
     Parameters

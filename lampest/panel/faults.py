@@ -6,12 +6,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.typed import Validated
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Panel
 
 
 @dataclass(frozen=True)
-class Faults:
+class Faults(Validated):
     """What is known to be broken, by (row, column) or line; it leaves the model.
 
     Parameters

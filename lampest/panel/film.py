@@ -13,6 +13,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from lampest.files.typed import Validated
+
 MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
 # Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
 # (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone. Mean and deviation.
@@ -34,7 +36,7 @@ class Strength(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Film:
+class Film(Validated):
     """What a film does beside its response curve. Numbers are those of all cells together.
 
     Parameters

@@ -9,11 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.typed import Validated
+
 Place = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class EachModule:
+class EachModule(Validated):
     """What one module is: rows, columns of lines, and pitch_mm between its cells."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -23,7 +25,7 @@ class EachModule:
 
 
 @dataclass(frozen=True)
-class Modules:
+class Modules(Validated):
     """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
 
     seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import LARGEST, SMALLEST
 from lampest.files.memory import check_memory
+from lampest.files.typed import Validated
 from lampest.panel.modules import Modules
 
 Array = NDArray[np.floating[Any]]
@@ -21,7 +22,7 @@ CellPlace = tuple[int, int, float, float]
 
 
 @dataclass(frozen=True)
-class Panel:
+class Panel(Validated):
     """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
 
     Parameters

@@ -5,7 +5,7 @@
 A scene that names no response has no pressures.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from lampest.files.tagged import ByKind
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
@@ -37,7 +38,7 @@ TOLD_KPA = (-10.0, 40.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Response(ABC):
+class Response(Validated):
     """What all kinds may say of single cells.
 
     Parameters

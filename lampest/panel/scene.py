@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
 from lampest.files.tagged import members_of
+from lampest.files.typed import Validated
 from lampest.panel.faults import Faults as Faults
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
@@ -25,7 +26,7 @@ MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # t
 
 
 @dataclass(frozen=True)
-class Water:
+class Water(Validated):
     """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
 
     Raises ValueError where the depth is out of range.
@@ -45,7 +46,7 @@ class Water:
 
 
 @dataclass(frozen=True)
-class Temperature:
+class Temperature(Validated):
     """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
 
     Exponential, because 1 + α (T − T_b) turns negative far from T_b and depends on which temperature is called the
@@ -89,7 +90,7 @@ class Temperature:
 
 
 @dataclass(frozen=True)
-class Systematic:
+class Systematic(Validated):
     """How far off all readings may be together; widens error bars and changes no estimate.
 
     Parameters
@@ -137,7 +138,7 @@ class Systematic:
 
 
 @dataclass(frozen=True)
-class SeriesPerLine:
+class SeriesPerLine(Validated):
     """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
 
     rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
@@ -162,7 +163,7 @@ class SeriesPerLine:
 
 
 @dataclass(frozen=True)
-class OwnOfModule:
+class OwnOfModule(Validated):
     """What one module has of its own, in place of what the scene says of all; None: as the scene says.
 
     at : (row, column) of the module. readout : of the scene's kind. faults : by the module's own rows and columns, in
@@ -177,7 +178,7 @@ class OwnOfModule:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(Validated):
     """The panel, how it is read, and what stands between the two.
 
     Parameters

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from lampest.files.typed import Validated
+
 
 @dataclass(frozen=True)
-class MeasuredSubject:
+class MeasuredSubject(Validated):
     """Who touched the panel.
 
     Parameters
@@ -34,7 +36,7 @@ class MeasuredSubject:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Experiment(Validated):
     """What it was measured for.
 
     Parameters

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 
 PATH = "/entry/acquisition"
@@ -27,7 +28,7 @@ FRAME_FIELDS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Acquisition:
+class Acquisition(Validated):
     """Where each frame came from.
 
     Parameters

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, in_words
+from lampest.files.typed import real_array
 from lampest.panel.memory import without_memory
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Array, beyond_any_panel
@@ -126,6 +127,10 @@ class Readings:
 
         Raises InputError where shapes disagree, or a σ is zero or negative.
         """
+        if not isinstance(scene, Scene):
+            raise InputError(f"Readings.of: scene must be a Scene, not {in_words(scene)}")
+        recorded = real_array(recorded, "Readings.of: recorded")
+        sigma = None if sigma is None else real_array(sigma, "Readings.of: sigma")
         check_sigma(scene, recorded, sigma)
         if scene.panel.modules is not None:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)

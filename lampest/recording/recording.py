@@ -14,6 +14,7 @@ from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.memory import check_memory
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
@@ -30,7 +31,7 @@ LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(Validated):
     """Frames of one panel in the order of time.
 
     Parameters
@@ -72,7 +73,8 @@ class Recording:
     number: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
-        frames, shape = len(self.recorded), self.scene.panel.shape
+        shape = self.scene.panel.shape
+        frames = len(self.recorded) if self.recorded.ndim else 0
         if self.recorded.shape[1:] != shape or frames == 0:
             found = " × ".join(str(size) for size in self.recorded.shape)
             raise InputError(
@@ -88,6 +90,9 @@ class Recording:
             raise InputError(f"{self.name}: {self._group}/time goes beyond {LATEST_S:g} s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
+        if np.any(np.diff(self.time) < 0):
+            raise InputError(f"{self.name}: {self._group}/time must not decrease")
+        self._check_unit()
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
             raise InputError(f"{self.name}: {self._group}/role must hold 0 or 1 for each frame")
         for truth, path in ((self.truth_cell_resistance, "cell_resistance"), (self.truth_pressure, "pressure")):
@@ -103,6 +108,16 @@ class Recording:
         return (
             f"Recording({self.name}: {len(self.role)} frames ({unloaded} unloaded) of {rows} × {columns} cells, {span})"
         )
+
+    def _check_unit(self) -> None:
+        """Raise InputError where no reading is as large as what stands in series: ohm were meant as kohm."""
+        plain = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
+        series = float(np.min(self.scene.series_ohm)) if self.scene.circuit.unit == "ohm" else 0.0
+        if plain.size and plain.max() < series:
+            raise InputError(
+                f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
+                "are these kohm?"
+            )
 
     @property
     def _group(self) -> str:

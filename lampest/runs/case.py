@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene, scene_text
 from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
@@ -32,7 +33,7 @@ SENTENCES = {
 
 
 @dataclass(frozen=True, eq=False)
-class CaseResult:
+class CaseResult(Validated):
     """One case: a recording's measured frames as one estimator understands them.
 
     Parameters

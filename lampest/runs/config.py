@@ -15,6 +15,7 @@ from lampest.estimate.sequence import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
+from lampest.files.typed import typed
 from lampest.files.whole import note_read
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
@@ -96,6 +97,7 @@ class Run:
     assumed: tuple[tuple[str, str], ...] = ()
 
 
+@typed
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     """Cases of a run's file with `PATH=VALUE` settings applied.
 

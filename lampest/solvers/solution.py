@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation, within_one
+from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array
 from lampest.solvers.bound_multipliers import bounds_matter
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
@@ -86,7 +87,7 @@ OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Validated):
     """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
 
     time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so.
@@ -266,6 +267,7 @@ def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Sta
     return UNSETTLED[found.definiteness]
 
 
+@typed
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
     """What a method short of an optimum found, with its cost and its KKT residual.
 

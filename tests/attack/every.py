@@ -1,6 +1,6 @@
 """All attacks. A new one joins the tuple of its module; a new module joins here."""
 
-from attack import damage, libraries, lines, memory, names, values, writes
+from attack import damage, libraries, lines, memory, names, types, values, writes
 from attack.attack import Attack
 
 ATTACKS: tuple[Attack, ...] = (
@@ -9,6 +9,7 @@ ATTACKS: tuple[Attack, ...] = (
     *memory.ATTACKS,
     *names.ATTACKS,
     *values.ATTACKS,
+    *types.ATTACKS,
     *lines.ATTACKS,
     *libraries.ATTACKS,
 )

@@ -232,7 +232,9 @@ def test_wrong_use_is_one_sentence(lamprey: Recording, name: str) -> None:
 
 
 def test_a_misspelt_weight_is_one_sentence() -> None:
-    with pytest.raises(ValueError, match="weight must be a number or 'auto', not 'autos'; did you mean auto"):
+    with pytest.raises(
+        ValueError, match="weight: Input should be a valid number or 'auto', not 'autos'; did you mean auto"
+    ):
         Gradient(weight="autos")  # type: ignore[arg-type]
 
 

@@ -1,6 +1,6 @@
 """What a method of estimation must say: how a frame's cells follow from its data, and what it keeps for the next."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ from lampest.estimate.objective import Objective
 from lampest.estimate.state import S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.interrupts import delayed_interrupt, ended_where_hung
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -30,7 +31,7 @@ from lampest.solvers.solution import Settings, Solution, Solver
 
 
 @dataclass(frozen=True)
-class Method(ABC):
+class Method(Validated):
     """How an estimate is computed; what `formulation:` names, by the bare word or with options.
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
@@ -58,10 +59,10 @@ class Method(ABC):
         def kind(self) -> str:
             """The word that names it."""
 
-    def check(self, terms: tuple[Term, ...]) -> None:  # noqa: B027 - most methods take any terms
+    def check(self, terms: tuple[Term, ...]) -> None:
         """Raise InputError where the method cannot minimise these terms."""
 
-    def check_scene(self, scene: Scene) -> None:  # noqa: B027 - most methods know all that a network knows
+    def check_scene(self, scene: Scene) -> None:
         """Raise InputError where the method has no model of what the scene names, or cannot serve its readout."""
 
     def compares(self, terms: tuple[Term, ...]) -> bool:

@@ -23,6 +23,7 @@ from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
 HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
+PUSHED_KPA = 40.0  # by which a hand pushes a cup at most beyond what its suction needs; an assumption
 MOST_ELONGATED, MOST_LOBES = 10.0, 100  # of a mouth: beyond, a file has a slip of the pen
 
 
@@ -37,7 +38,7 @@ class Rod(RoundShape):
     Example: {kind: rod, centre_mm: [45, 45], diameter_mm: 40, mass_g: 680}
 
     >>> lampest.Rod(centre_mm=(10, 10), diameter_mm=20, mass_g=100).diameter_mm
-    20
+    20.0
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -78,7 +79,7 @@ class Ring(RoundShape):
     Example: {kind: ring, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, mass_g: 850}
 
     >>> lampest.Ring(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850).mass_g
-    850
+    850.0
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
@@ -103,11 +104,17 @@ class Ring(RoundShape):
         return self.pressing(self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
 
 
+def pushed_by_hand(cup: RoundCandidate, parameters: Array) -> tuple[float, Array]:
+    """ln PUSHED_KPA − ln push, and its slopes by φ."""
+    push = cup.names.index("push")
+    return float(log(PUSHED_KPA) - parameters[push]), -np.eye(len(parameters))[push]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SuctionCup(RoundShape):
     """p < 0 inside d_i, against the surroundings, and p_rim = −p·d_i²/(d² − d_i²) under the rim that bears it.
 
-    Of one frame a cup cannot be told from a mouth: recognition fits both as an oral disc.
+    Recognition lets a hand push it by up to 40 kPa more.
 
     Parameters
     ----------
@@ -118,9 +125,20 @@ class SuctionCup(RoundShape):
 
     >>> cup = lampest.SuctionCup(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10)
     >>> cup.pressure_kpa
-    -10
+    -10.0
     """
 
+    candidate: ClassVar[RoundCandidate] = RoundCandidate(
+        label="cup",
+        sucks=True,
+        hollow=True,
+        follows=True,
+        templates=SUCKING,
+        # An assumption: most cups bear themselves, 95 % are pushed by less than 18 kPa.
+        numbers={"diameter": DIAMETER, "width": WIDTH, "suction": SUCTION, "push": Prior(log(0.5), 1.8)} | TILT,
+        uneven=MADE,
+        bound=pushed_by_hand,
+    )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
     kind: Literal["suction_cup"] = "suction_cup"
     inner_diameter_mm: float
@@ -158,8 +176,9 @@ class OralDisc(RoundShape):
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="lamprey or cup",
+        label="lamprey",
         sucks=True,
+        target=True,
         hollow=True,
         templates=SUCKING,
         # Assumptions: 95 % of rims are 3 to 10 mm wide and press with 0.02 to 110 kPa more than their suction needs:
@@ -230,7 +249,7 @@ class Block(Shape):
     Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg: 30}
 
     >>> lampest.Block(centre_mm=(45, 45), length_mm=50, width_mm=20, mass_g=500).width_mm
-    20
+    20.0
     """
 
     positive: ClassVar[tuple[str, ...]] = ("length_mm", "width_mm", "mass_g")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from lampest.files.typed import Validated
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
@@ -53,6 +54,7 @@ class Candidate(ABC):
     ----------
     label : what tables, files and pictures call it.
     sucks : whether it is attached, and not only touching.
+    target : whether the panel is there to detect it: sure of it only at 99.9 %, and named wherever it does as well.
     hollow : whether a rim about an inside presses. Hollow kinds can do nearly all that others do, and are tried again
         from the best of all.
     follows : whether its search begins about the best hollow fits, where there are any, and not all over the panel.
@@ -61,6 +63,7 @@ class Candidate(ABC):
 
     label: str
     sucks: bool = False
+    target: bool = False
     hollow: bool = False
     follows: bool = False
     templates: tuple[Template, ...] = ()
@@ -120,7 +123,7 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(ABC):
+class Shape(Validated):
     """A load somewhere on the panel, of any footprint.
 
     A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`

@@ -8,16 +8,17 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
-LEAST_VOLT, MOST_VOLT = 1e-3, 1e5  # a thermocouple's, a transmission line's
+LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # a thermocouple's; where low voltage ends by IEC 60038
 HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
 
 @dataclass(frozen=True, kw_only=True)
-class Converter:
+class Converter(Validated):
     """Codes from 0 to 2^bits − 1 over voltages from 0 to the supply.
 
     Parameters

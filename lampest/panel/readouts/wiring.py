@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 
@@ -20,7 +21,7 @@ RELAXED = 3.0  # standard deviations that a contact may be larger where it must 
 
 
 @dataclass(frozen=True)
-class Lines:
+class Lines(Validated):
     """Resistance of the lines themselves (conductive thread, ITO), in ohm for the way from one cell to the next.
 
     Parameters
@@ -55,7 +56,7 @@ class Lines:
 
 
 @dataclass(frozen=True)
-class ContactPrior:
+class ContactPrior(Validated):
     """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
 
     Parameters
@@ -78,7 +79,7 @@ class ContactPrior:
 
 
 @dataclass(frozen=True)
-class Contacts:
+class Contacts(Validated):
     """Resistance between every line and its terminal, the same in all frames, as far as it is known.
 
     Parameters

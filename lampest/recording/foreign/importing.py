@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
+from lampest.files.typed import typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import CellPlace, Panel
 from lampest.panel.scene import Scene
@@ -91,6 +92,7 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: s
     return next(iter(fitting.values()))
 
 
+@typed
 def import_file(
     path: str | Path,
     rows: int | None = None,
@@ -156,6 +158,7 @@ def import_file(
     return recording, tuple(map(printable, filter(None, notes)))
 
 
+@typed
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
 

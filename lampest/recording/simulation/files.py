@@ -13,6 +13,7 @@ from typing import Any, cast
 from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.sweep import combinations
+from lampest.files.typed import typed
 from lampest.files.whole import check_room
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import random_stream
@@ -58,6 +59,7 @@ def run(
     return targets
 
 
+@typed
 def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
     """Every combination of a file's sweep: (output path as the file names it, simulation).
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lampest.files.typed import Validated
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED
@@ -24,7 +25,7 @@ MOMENTS, AT_ONCE = 8, 64
 
 
 @dataclass(frozen=True)
-class Course:
+class Course(Validated):
     """Factors of contact and suction over time; the defaults are a load that is fully there from the first moment.
 
     Parameters

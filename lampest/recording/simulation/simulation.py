@@ -9,6 +9,7 @@ import numpy as np
 
 from lampest.files.document import to_yaml
 from lampest.files.memory import check_memory
+from lampest.files.typed import Validated, typed
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.loads.shapes import AnyShape
@@ -29,7 +30,7 @@ COPIES = 10  # of all values, at the worst: pressures, cells, their factors, rea
 
 
 @dataclass(frozen=True)
-class Cells:
+class Cells(Validated):
     """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
 
     Raises ValueError where a number is out of range.
@@ -53,7 +54,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Validated):
     """All that makes a simulated recording.
 
     Parameters
@@ -135,6 +136,7 @@ class Simulation:
         return self.baseline_frames + self.frames
 
 
+@typed
 def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None) -> Recording:
     """r = r0·e^drift·f(p)·e^(α(T − T_b)), y = network(r), measured: the recording with its truth, all from the seed.
 

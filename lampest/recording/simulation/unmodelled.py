@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lampest.files.typed import Validated
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -19,7 +20,7 @@ FINENESS = 1001  # points at which its largest deviation is looked for
 
 
 @dataclass(frozen=True)
-class Unmodelled:
+class Unmodelled(Validated):
     """Effects that enter the data but not the recording's scene. Zero or None: absent.
 
     Parameters

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lampest.files.errors import InputError
 from lampest.files.tagged import installed
+from lampest.files.typed import typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export
@@ -36,6 +37,7 @@ def export_of(kind: str) -> Export:
     return named[0]
 
 
+@typed
 def export_results(
     results: str | Path,
     to: str | Export,

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.tagged import installed
+from lampest.files.typed import typed
 from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
@@ -40,6 +41,7 @@ def plot_of(kind: str) -> Plot:
     return named[0]
 
 
+@typed
 def plot_results(
     path: str | Path,
     out: str | Path | None = None,

@@ -1,6 +1,6 @@
 """What a kind of picture is, and which frame it shows."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure as Figure
 
 from lampest.files.errors import InputError
+from lampest.files.typed import Validated
 from lampest.report.strongest import strongest_index
 from lampest.runs.case import CaseResult
 
 
 @dataclass(frozen=True)
-class Plot(ABC):
+class Plot(Validated):
     """One kind of picture of a results file.
 
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import ALL, ascii_array, read_array, read_texts, read_whole
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
@@ -82,7 +83,7 @@ def not_zero_or_less(values: Array, solved: Solved) -> str | None:
 
 
 @dataclass(frozen=True)
-class Column:
+class Column(Validated):
     """One dataset of a results file.
 
     Parameters

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ENDING
+from lampest.files.typed import Validated
 from lampest.runs.executors.executor import (
     DIED,
     MOST_TRIES,
@@ -33,7 +34,7 @@ SCHEDULING = {
 
 
 @dataclass(frozen=True)
-class Tls:
+class Tls(Validated):
     """Files by which all sides of a cluster know each other; without them whoever reaches a scheduler runs code on it.
 
     Parameters
@@ -63,7 +64,7 @@ class Tls:
 
 
 @dataclass(frozen=True)
-class Dask:
+class Dask(Validated):
     """Workers of Dask distributed with one thread each; files must have the same paths everywhere.
 
     Parameters

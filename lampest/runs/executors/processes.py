@@ -14,13 +14,14 @@ from typing import Any, ClassVar, Literal
 
 from lampest.files.interrupts import ENDING, EXPENDABLE, interrupted
 from lampest.files.log import libraries_to_the_log
+from lampest.files.typed import Validated
 from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
 
 PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
 
 
 @dataclass(frozen=True)
-class Serial:
+class Serial(Validated):
     """One call after the other in this process."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -42,7 +43,7 @@ class Serial:
 
 
 @dataclass(frozen=True)
-class Processes:
+class Processes(Validated):
     """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
 
     A process that dies costs the task it was at one of a few more tries, and no other task anything. One that

@@ -13,6 +13,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError, meant
+from lampest.files.typed import typed
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.runs.case import REQUIRED, SENTENCES, SHARED, CaseResult, StoredCase
@@ -70,6 +71,7 @@ class Results:
         return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in kept))
 
 
+@typed
 def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
     """Read a results file; columns : of what it holds besides those of lampest and of installed packages.
 

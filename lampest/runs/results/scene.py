@@ -15,6 +15,7 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
+from lampest.files.typed import Validated
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, SeriesPerLine, Water, scene_text
 from lampest.posterior.frame_noise import FrameNoise
@@ -100,7 +101,7 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
 
 
 @dataclass(frozen=True)
-class StepFigures:
+class StepFigures(Validated):
     """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
 
     Raises ValueError where a figure is negative or not finite.
@@ -122,7 +123,7 @@ class StepFigures:
 
 
 @dataclass(frozen=True)
-class PublishedFigures:
+class PublishedFigures(Validated):
     """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline.
 
     >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s

@@ -10,6 +10,7 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import copy_group, join_parts
+from lampest.files.typed import typed
 from lampest.panel.panel import Array
 from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
@@ -19,6 +20,7 @@ FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
 
 
+@typed
 def write_results(
     path: str | Path,
     cases: Sequence[CaseResult | StoredCase],

@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.typed import typed
 from lampest.panel.panel import Array
 from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
 
@@ -16,6 +17,7 @@ Index = NDArray[np.intp]
 SAFE_CONDITION = 1e4  # rounding times that leaves 11 digits; ordinary panels have about 3·(rows + columns)
 
 
+@typed
 def two_point_resistance(cell_resistance: Array) -> Array:
     """R = f(r): two-point resistances of a panel, (rows, columns) or (frames, rows, columns) ohm → the same shape.
 

@@ -1,0 +1,128 @@
+"""What YAML may say holds in Python, too: arguments are held against their types before anything is made of them."""
+
+import inspect
+import typing
+from abc import ABCMeta
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from types import UnionType
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.document import conformed, schema_of
+from lampest.files.errors import InputError, in_words
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Checked(ABCMeta):
+    """Classes whose objects are made of arguments that have their fields' types; subclasses are among them."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        """An object. Raises InputError where an argument has another type, is missing, or unknown."""
+        return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        """For editors and documentation: that of the fields."""
+        return _signature(cls)
+
+
+class Validated(metaclass=Checked):
+    """Base of dataclasses that are checked when they are made; what makes them of YAML checks by itself."""
+
+
+def typed(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which raises InputError where an argument has not its type."""
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        made: Callable[..., R] = function
+        return made(**_arguments(function, function.__name__, args, kwargs))
+
+    return called
+
+
+def real_array(values: Any, what: str) -> NDArray[Any]:
+    """Numbers as an array. Raises InputError for lists of other things, complex, masked and ragged ones."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{what}: a masked array; fill what is masked with NaN: values.filled(numpy.nan)")
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"{what}: {in_words(values)} is no array of numbers") from error
+    if array.dtype.kind not in "iufb" or values is None:
+        kind = "complex numbers" if array.dtype.kind == "c" else in_words(values)
+        raise InputError(f"{what}: {kind}, where an array of real numbers is needed")
+    return array
+
+
+def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
+    """Parameter → what is given for it, of its type."""
+    try:
+        given = _signature(owner).bind(*args, **kwargs).arguments
+    except TypeError as error:
+        raise InputError(f"{name}: {error}") from error
+    checks = _checks(owner)
+    return {word: checks[word](value, f"{name}: {word}") if word in checks else value for word, value in given.items()}
+
+
+@cache
+def _signature(owner: Any) -> inspect.Signature:
+    made: Any = owner
+    if not isinstance(owner, type):
+        return inspect.signature(made)
+    return inspect.Signature(list(inspect.signature(made.__init__).parameters.values())[1:])
+
+
+@cache
+def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
+    """Parameter → what turns a value into its type, or raises InputError; none for a type that says nothing."""
+    try:
+        hints = typing.get_type_hints(owner, include_extras=True)
+    except NameError:  # of a class in a notebook, or types that are imported for type checkers alone
+        return {}
+    return {word: check for word, hint in hints.items() if (check := _check_of(hint)) is not None}
+
+
+def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
+    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else ()
+    if any(typing.get_origin(part) is np.ndarray for part in (hint, *parts)):
+        kind = np.float64 if "float64" in str(hint) else None
+        return lambda value, what: (
+            value if value is None and type(None) in parts else np.asarray(real_array(value, what), kind)
+        )
+    validator = schema_of(hint)
+    if validator is None:
+        kinds = tuple(part for part in (parts or (hint,)) if isinstance(part, type))
+        return (lambda value, what: _instance(value, kinds, what)) if kinds and hint is not type(None) else None
+
+    def check(value: Any, what: str) -> Any:
+        plain = _plain(value, what)
+        try:
+            return conformed(validator, plain)
+        except InputError as error:
+            raise InputError(f"{what}: {error}") from error
+
+    return check
+
+
+def _instance(value: Any, kinds: tuple[type, ...], what: str) -> Any:
+    if not isinstance(value, kinds):
+        needed = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{what}: {needed} is needed, not {in_words(value)}")
+    return value
+
+
+def _plain(value: Any, what: str) -> Any:
+    """Lists and arrays as tuples, NumPy's numbers as Python's, as they come from YAML."""
+    if isinstance(value, np.ndarray):
+        return _plain(real_array(value, what).tolist(), what)
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value) in (list, tuple):
+        return tuple(_plain(item, what) for item in value)
+    return value

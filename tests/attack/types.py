@@ -1,0 +1,94 @@
+"""Values of other types at every public name: each is refused in one sentence, or taken for what it says."""
+
+import dataclasses
+import datetime
+import inspect
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from attack.attack import HELD, Attack
+
+import lampest
+from lampest.files.typed import Validated
+
+WRONG: tuple[Any, ...] = (
+    None, "x", "", b"x", True, -1, 0, 10.5, 1e300, float("nan"), float("inf"), 10**400, 2 + 3j, [], {}, set(), object(),
+    type, lambda: 0, ["a", None], np.array(["a"]), np.ma.masked_array([1.0, 2.0], [True, False]), np.array([1 + 2j]),
+    [[1, 2], [3]], Path("x"), datetime.date(2026, 5, 4), {"kind": "x"}, lampest.Panel(2, 2),
+)  # fmt: skip
+MADE_BY_LAMPEST = {
+    *("Data", "Estimates", "ModelCheck", "Outcome", "Readings", "Reconstruction", "Results"),
+    *("Solution", "State", "Step", "Stream"),
+}
+
+
+def _classes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Every field of every public class that a user makes; estimators have sentences of their own."""
+    recording = lampest.datasets.load("rod")
+    good: dict[str, dict[str, Any]] = {
+        "Panel": {"rows": 3, "columns": 4},
+        "Scene": {"panel": lampest.Panel(3, 4)},
+        "Huber": {"corner": 3.0},
+        "Estimator": {"terms": (lampest.Misfit(),)},
+        "Recording": {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")},
+    }
+    for name in sorted(set(lampest.__all__) - MADE_BY_LAMPEST):
+        kind = getattr(lampest, name)
+        if not inspect.isclass(kind) or not dataclasses.is_dataclass(kind) or inspect.isabstract(kind):
+            continue
+        yield HELD if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
+        for word in inspect.signature(kind).parameters:
+            for index in rng.permutation(len(WRONG))[:count]:
+                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG[index]})
+
+
+def _functions(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """The first argument of every public function."""
+    for name in sorted(lampest.__all__):
+        function = getattr(lampest, name)
+        if not inspect.isfunction(function) or not inspect.signature(function).parameters:
+            continue
+        first, *others = inspect.signature(function).parameters.values()
+        given = {each.name: None for each in others if each.default is each.empty}
+        for index in rng.permutation(len(WRONG))[:count]:
+            if not isinstance(WRONG[index], str | Path | np.ndarray):
+                yield _refused(function, name, given | {first.name: WRONG[index]})
+
+
+def _meant(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """What once was taken silently."""
+    recording = lampest.datasets.load("rod")
+    fields = {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")}
+    changes: tuple[dict[str, Any], ...] = (
+        {"time": recording.time[::-1]},
+        {"recorded": np.ma.masked_array(recording.recorded, recording.recorded > 600)},
+        {"recorded": recording.recorded + 1j},
+        {"recorded": recording.recorded / 10_000},
+        {"recorded": recording.recorded.tolist(), "role": None},
+    )
+    for change in changes:
+        yield _refused(lampest.Recording, str(list(change)), fields | change, must=True)
+    for word, value in (("measured_across", "x"), ("adc_bits", 10.5), ("supply_volt", 5000.0)):
+        yield _refused(lampest.TwoPointReadout, word, {word: value}, must=True)
+    yield _refused(lampest.Panel, "rows", {"rows": "5", "columns": 6}, must=True)
+    yield _refused(lampest.Scene, "readout", {"panel": lampest.Panel(3, 4), "readout": "two_point"}, must=True)
+    yield _refused(lampest.Gradient, "weight", {"weight": 1e300}, must=True)
+
+
+def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) -> str:
+    try:
+        make(**given)
+    except ValueError as error:
+        return HELD if "\n" not in str(error) and len(str(error)) < 800 else f"{what}: {error}"
+    except Exception as error:
+        return f"{what}: {type(error).__name__}: {error}"
+    return f"{what}: is taken" if must else HELD
+
+
+ATTACKS = (
+    Attack("types", "wrong values at every field of every public class", _classes, 3, len(WRONG)),
+    Attack("types", "wrong values at public functions", _functions, 3, len(WRONG)),
+    Attack("types", "what once was taken silently", _meant),
+)
