@@ -129,6 +129,8 @@ class Audited:
     chi_square: float = NAN
     width: float = NAN
     told: str = ""
+    own: float = NAN
+    common: float = NAN
 
 
 COLUMNS = (
@@ -145,6 +147,8 @@ COLUMNS = (
     ("chi_square", "1", "chi square of unloaded repeats per degree of freedom"),
     ("width", "1", "median standard deviation of the logarithm of a cell"),
     ("told", "1", "sentence that the results carry, or empty"),
+    ("own", "1", "median standard deviation of the logarithm of a cell, its own part"),
+    ("common", "1", "the same, the part that cells share"),
 )
 
 
@@ -187,11 +191,12 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > LOADED_KPA)
     errors = found.cell_resistance_errors
     width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
+    parts = [NAN if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
     failed = "" if cells[0] else "no error bars"
     check = found.model_check
     sentences = (found.noise.sentence, "" if check.mark in ("", "yes") else check.sentence)
     said, scatter = "; ".join(part for part in sentences if part), repeats_chi_square(recording)
-    return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, said)
+    return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, said, *parts)
 
 
 def covered_truths(
@@ -280,6 +285,8 @@ FIGURES: study.Figures = {
     "silent_pressure": lambda own: _share(_silent(own), "pressure"),
     "chi_square": lambda own: _median(_good(own), "chi_square"),
     "width": lambda own: _median(_good(own), "width"),
+    "own": lambda own: _median(_good(own), "own"),  # parts of the width: each cell's, and what cells share
+    "common": lambda own: _median(_good(own), "common"),
     "told": lambda own: len(_good(own)) - len(_silent(own)),  # how many carry a sentence
     "verdict": _verdict,
     "sentence": lambda own: _usual_sentence(_good(own)),

@@ -66,7 +66,7 @@ def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "place"),
     [
-        ("noise_factor", "noise_facto", "small.yaml:16:"),
+        ("noise_factor", "noise_facto", "small.yaml:17:"),
         ("seeds: 3", "seeds: 0", "small.yaml"),
         ("baseline_frames: 5", "baseline_frames: 1", "small.yaml"),
     ],
