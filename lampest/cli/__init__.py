@@ -84,7 +84,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], str]] = {  # name → (part 
     "simulate": ("Begin", estimation.simulate, "simulation.yaml --set seed=2 --out second.h5"),
     "tare": ("Begin", estimation.tare, "mine.h5 --frames 40:50 --out tared.h5"),
     "run": ("Reconstruct", estimation.run, "run.yaml --set formulation=reduced --jobs 2"),
-    "detect": ("Reconstruct", results.detect, "results/run/results.h5 --depth 50"),
+    "detect": ("Reconstruct", results.detect, "mine.h5 --json"),
     "info": ("Look", results.info, "mine.h5 --picture mine.png"),
     "compare": ("Look", results.compare, "results/run/results.h5 --report page.html"),
     "plot": ("Look", results.plot, "results/run/results.h5 --frame 12 --estimator LSM --out one.svg"),

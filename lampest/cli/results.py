@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from lampest.cli.screen import (
-    SOME_FAILED,
     WRONG_INPUT,
     mended,
     print_notes,
@@ -123,8 +122,12 @@ def export(
 
 
 def detect(
-    results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Annotated[Path | None, written("--out", "Folder of the output; else beside the results.")] = None,
+    file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
+    out: Annotated[Path | None, written("--out", "Folder of the output; else beside the file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answers as JSON, and write no files.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also notes, and of results the frame of the largest force, any load.")
+    ] = False,
     patch: Annotated[
         float | None, typer.Option("--patch", help="Edge of a film in mm, such as 6; else 0.6 pitches.")
     ] = None,
@@ -137,51 +140,54 @@ def detect(
         typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
     ] = None,
     estimator: Annotated[
-        list[str] | None,
-        typer.Option("--estimator", help="One whose estimates are looked at, such as LSM; else the first. Repeatable."),
+        str | None, typer.Option("--estimator", help="Whose estimates say force and area, such as LSM; else the first.")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Say what is attached, where, since when and how strong; of any load its centre, area, peak and force.
+    """Say whether a lamprey is attached, since when, where and how strong: one sentence a recording, then its events.
 
-    Writes detections.h5, pressed.csv with every frame, and a timeline picture of each recording.
+    Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
     """
+    import json
+
     from lampest.loads.recognition.settings import RecognitionSettings
-    from lampest.report.detect import pressed as any_load
-    from lampest.report.detect.detection import detect_file, looked_at
-    from lampest.report.detect.events import FILE, event_table, write_detections
+    from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
+    from lampest.report.detect.detection import detect_recording, detect_results, is_results
+    from lampest.report.detect.pressed import FILE as PRESSED
+    from lampest.report.detect.pressed import pressed, pressed_table, write_pressed
     from lampest.report.plots.timeline import plot_timelines
+    from lampest.runs.results import read_results
 
     try:
         settings = RecognitionSettings(patch, depth, noise)
     except ValueError as error:
         raise InputError(str(error)) from error
-    refused: list[str] = []
-    with progress("sources") as on_case:
-        read, found = detect_file(results, settings, on_case, refused.append, _frames(frames), estimator or ())
-    folder = results.parent if out is None else out
-    chosen = tuple(estimator or looked_at(read))
-    loads = any_load.pressed(read.named("estimator", chosen))
+    results = read_results(file, frames=_frames(frames)) if is_results(file) else None
+    if results is None and estimator is not None:
+        raise InputError(f"{file}: --estimator: a recording has none; name a results file")
+    with progress("recordings") as on_case:
+        if results is None:
+            answers = [detect_recording(file, settings, _frames(frames))]
+        else:
+            answers = detect_results(results, settings, on_case)
+    named = None if results is None else results.named("estimator", (estimator or results.estimators()[0],))
+    loads = () if named is None else pressed(named)
+    if as_json:
+        say_text(json.dumps([one.content() for one in answers], indent=1, allow_nan=False, ensure_ascii=False))
+        return
+    folder = file.parent if out is None else out
     with progress("pictures") as on_picture:
-        files = (write_detections(folder / FILE, found), *plot_timelines(read, found, folder, on_picture))
-    files += (any_load.write_pressed(folder / any_load.FILE, loads),) if loads else ()
-    print_table(event_table(found))
-    pressing = any_load.pressed_table(loads)
-    if pressing.cells:
-        say("whatever it is, in the frame of the largest force:")
-    elif loads:
-        say("nothing presses clearly in any frame")
-    print_table(pressing)
-    for file in files:
-        say(file)
-    known = read.estimators()
-    if not estimator and len(known) > len(chosen):
-        first = f"the first {len(chosen)} of {len(known)} estimators" if len(chosen) > 1 else chosen[0]
-        print_notes((f"looked at: the readings, and the estimates of {first}; --estimator names others",))
-    for sentence in refused:
-        say(f"not looked at: {sentence}", to=sys.stderr)
-    if refused:
-        raise typer.Exit(SOME_FAILED)
+        files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
+    files += [write_pressed(folder / PRESSED, loads)] if loads else []
+    for one in answers:
+        say(f"{one.recording}: {one.sentence}" if len(answers) > 1 else one.sentence)
+    print_table(event_table(answers))
+    if everything:
+        print_table(load_table(answers))
+        print_table(pressed_table(loads))
+        print_notes(tuple(f"{one.recording}: {note}" for one in answers for note in one.notes))
+    for path in files:
+        say(path)
 
 
 def terms() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Direct
+from lampest.loads.recognition.frame import Observation
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.shapes import Shape
@@ -18,13 +18,13 @@ from lampest.recording.simulation import Simulation, simulate
 PANEL, PATCH_MM = Panel(10, 10), 6.0
 
 
-def frame_under(load: Shape, panel: Panel) -> Direct:
+def frame_under(load: Shape, panel: Panel) -> Observation:
     """One frame of a panel under a load, against three without."""
     recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())
-    return Direct(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
+    return Observation(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
 
 
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:

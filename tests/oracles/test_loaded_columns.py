@@ -14,8 +14,6 @@ from lampest.cost.terms import LogRatio, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout
 from lampest.panel.scene import Faults, Scene, SeriesPerLine
@@ -201,10 +199,3 @@ def test_volt_and_code_are_imported(tmp_path: Path) -> None:
 def test_a_series_resistance_is_refused_and_its_place_told(series: float | SeriesPerLine) -> None:
     with pytest.raises(ValueError, match=r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"):
         Scene(Panel(5, 6), READOUT, series)
-
-
-def test_recognition_refuses_what_its_physics_is_not_of() -> None:
-    readings = panel_of(READOUT, 1.0).readings()[:3].mean()
-    assert readings.sigma is not None
-    with pytest.raises(ValueError, match="two_point only"):
-        Baseline.of(readings.value, readings.sigma, Scene(Panel(5, 6), READOUT), ModelErrors())

@@ -9,7 +9,6 @@ from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.frame import Whitening
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
-from lampest.report.detect.detection import numbers_of
 
 PANEL = Panel(6, 6)
 STEPS, SCALES = 10000, (0.1, 0.4, 1.0)
@@ -46,6 +45,8 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
     ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
 )
 def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
-    values, errors = numbers_of(verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=PANEL))
-    assert errors[2] < 9.0
-    assert abs(values[2] - diameter_mm) < 2 * errors[2]
+    best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=PANEL).best
+    values, slopes = best.candidate.report(best.parameters)
+    error = np.sqrt(slopes[2] @ best.covariance @ slopes[2])
+    assert error < 9.0
+    assert abs(values[2] - diameter_mm) < 2 * error

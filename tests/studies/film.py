@@ -9,17 +9,16 @@ tell the film; `told` tells it to a tenth.
 """
 
 import argparse
-from collections import Counter
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.recognition.settings import RecognitionSettings
-from lampest.loads.recognition.verdict import OR
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.film import Film
 from lampest.panel.panel import Panel
@@ -30,9 +29,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.report.detect.detection import Detection, GivenRecording, detected
-from lampest.report.detect.events import states
-from lampest.runs.filling import named_result
+from lampest.report.detect.detection import detect_recording
 
 AFTER = 300
 PANEL, READOUT = Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7)
@@ -113,32 +110,24 @@ def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> 
     return simulate(replace(plain, unmodelled=unmodelled)), stays + 2
 
 
-def reports(detection: Detection, frames: slice) -> tuple[int, int, int]:
-    """How many frames are called a lamprey and nothing else, may be one, and belong to a state that is one."""
-    labels, calm = detection.labels[frames], states(detection.labels)[frames]
-    sure = sum(label == "lamprey" for label in labels)
-    may = sum("lamprey" in label.split(OR) and "nothing" not in label.split(OR) for label in labels)
-    return sure, may, sum("lamprey" in label.split(OR) and "nothing" not in label.split(OR) for label in calm)
-
-
 def memories(count: int, seed: int, name: str) -> None:
-    """Print how many frames after release are reported, and how many before it are recognised."""
-    rng, total, before, labels = np.random.default_rng(seed), np.zeros(3, int), np.zeros(2, int), Counter[str]()
-    for number in range(count):
-        film = film_of(rng)
-        made, first = left(rng, seed + number, film, TOLD[name](film))
-        case = named_result(reconstruct(made, Estimator((Misfit(),), "naive")), "naive")
-        seen = detected(GivenRecording.of(case, RecognitionSettings()), None)
-        found = np.array(reports(seen, slice(first, None)))
-        total += found
-        before += np.array([reports(seen, slice(3, first - 2))[1], first - 5])
-        labels.update(seen.labels[first:])
-        print(f"  {number}: hysteresis {film.hysteresis:.2f}, creep {film.creep_per_decade:.3f}: {found}", flush=True)
+    """Print how many mouths are seen, how soon after release they are gone, and what is seen after that."""
+    rng, seen, late, again = np.random.default_rng(seed), 0, [], 0
+    with TemporaryDirectory() as folder:
+        for number in range(count):
+            film = film_of(rng)
+            made, first = left(rng, seed + number, film, TOLD[name](film))
+            made.save(Path(folder) / "left.h5")
+            found = detect_recording(Path(folder) / "left.h5").attachments
+            released = float(made.time[3 + first - 2])
+            here = [one for one in found if one.sucks > 0.5 and one.since_s < released]
+            seen += bool(here)
+            late += [one.until_s - released for one in here if one.until_s is not None]
+            again += sum(one.since_s > released + 1 for one in found)
     print(
-        f"{name}: after release {count * AFTER} frames, called a lamprey {total[0]}, lamprey or another load {total[1]}"
-        f", in a state that is one {total[2]}; attached: a lamprey in {before[0]} of {before[1]}"
+        f"{name}: {seen} of {count} mouths seen, {len(late)} released, {np.median(late):.1f} s after the truth in the "
+        f"median and {np.max(late):.1f} s at most; {again} loads in {count * AFTER} frames after that"
     )
-    print(f"  {labels.most_common(12)}")
 
 
 if __name__ == "__main__":

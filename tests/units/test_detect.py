@@ -1,7 +1,10 @@
-"""What `lampest detect` is made of: the table, detections.h5 and the timeline, and what it says when it cannot."""
+"""What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
 
 import dataclasses
+import json
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -10,175 +13,183 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
-from lampest.loads.recognition.candidates import KINDS
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
+from lampest.loads.recognition.watch import Attachment
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.wiring import Lines
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
-from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.recording import Recording
+from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.detect.detection import MOST_SOURCES, QUANTITIES, GivenRecording, detect, detect_file, looked_at
-from lampest.report.detect.events import event_table, write_detections
+from lampest.report.detect.answer import (
+    CANNOT_SAY,
+    CUP,
+    LAMPREY,
+    PRESSES,
+    SUCKS,
+    Detected,
+    answer_of,
+    event_table,
+    write_detections,
+)
+from lampest.report.detect.detection import detect_recording, detect_results
 from lampest.report.plots.timeline import plot_timelines
-from lampest.runs.results import CaseResult, Results, read_results, write_results
-from lampest.runs.results.scene import arrays_of
+from lampest.runs.results import CaseResult, Results, write_results
 
-FRAMES = 3
-MOUTH = {
-    "lamprey",
-    "lamprey or cup",
-}  # a cup that somebody pushes as hard as this mouth presses is rare, not impossible
+Command = Callable[..., SimpleNamespace]
+PANEL = Panel(8, 10, 10.0)
+MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
+BREATHING = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
+SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
+BREATHES = dataclasses.replace(
+    SEEN, sucks_s=6.0, breathing=6.0, breathing_hz=(1.1, 0.05), breathing_depth=(0.08, 0.01), watched_s=8.0
+)
 
 
-def solved_case(
-    estimator: str = "LSM", failed: tuple[int, ...] = (), faults: Faults | None = None, **known: Any
-) -> CaseResult:
-    """A mouth, measured, and an estimate that is its true cells; faults, known : what the scene says besides."""
-    panel = Panel(8, 10, 10.0)
-    load = OralDisc(
-        kind="oral_disc", centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85
-    )
-    scene = Scene(panel=panel, readout=TwoPointReadout(kind="two_point", noise_lsb=0.7), series_resistance_ohm=140.0)
-    recording = simulate(Simulation(schema=1, seed=2, scene=scene, frames=FRAMES, loads=(load,)))
-    recording = dataclasses.replace(recording, scene=dataclasses.replace(scene, faults=faults, **known))
+def recorded(seed: int = 2, **known: Any) -> Recording:
+    """A mouth on a panel, three unloaded frames before."""
+    given: dict[str, Any] = {"frames": 6, "loads": (MOUTH,)} | known
+    scene = given.pop("scene", Scene(PANEL, TwoPointReadout(noise_lsb=0.7), 140.0))
+    return simulate(Simulation(1, seed, scene, **given))
+
+
+def solved_case(faults: Faults | None = None, **known: Any) -> CaseResult:
+    """The same as a case of results; faults, known : what the scene says besides."""
+    recording = recorded()
+    scene = dataclasses.replace(recording.scene, faults=faults, **known)
+    recording = dataclasses.replace(recording, scene=scene)
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
-    assert recording.truth_cell_resistance is not None and readings.sigma is not None
-    cells = recording.truth_cell_resistance[3:].copy()
-    baseline = recording.truth_cell_resistance[0]
-    case = invented_case(estimator, "mouth", (FRAMES, 8, 10), failed=failed, scene=scene)
-    cells[~case.solved] = np.nan
+    assert readings.sigma is not None
     return dataclasses.replace(
-        case,
-        scene=recording.scene,
+        invented_case("LSM", "mouth", (6, 8, 10), scene=scene),
         measured=readings.value[3:],
         measured_baseline=resting.value,
         sigma=readings.sigma_of_values[3:],
         sigma_baseline=resting.sigma_of_values,
-        cell_resistance=cells,
-        baseline_resistance=baseline,
-        relative_change=100 * (cells / baseline - 1),
         truth=None,
         truth_baseline=None,
     )
 
 
-@pytest.fixture(scope="module")
-def results() -> Results:
-    return Results((solved_case(), solved_case("LSR-CR", failed=(1,))), {})
+def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
+    answer = Detected.of("mouth", (BREATHES,), 4.0)
+    assert answer.answer == LAMPREY and answer.probability == pytest.approx(0.9875, abs=1e-3)
+    assert answer.sentence == (
+        "lamprey attached since 6.0 s, 35 ± 2 mm at (44, 46) mm, −11 ± 2 kPa, breathing 1.1 Hz, 8 ± 1 % (P = 0.99)"
+    )
+    gone = dataclasses.replace(BREATHES, until_s=30.0)
+    assert "lamprey attached from 6.0 s to 30.0 s" in Detected.of("mouth", (gone,), 4.0).sentence
+    assert "and 1 more" in Detected.of("mouth", (BREATHES, BREATHES), 4.0).sentence
+
+
+@pytest.mark.parametrize(
+    ("change", "rate", "answer", "why"),
+    [
+        ({}, 1.0, SUCKS, "1 frames a second do not show breathing, four do"),
+        ({"breathing": -4.0}, 4.0, CUP, ""),
+        ({"breathing": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
+        ({"breathing": -4.0, "shaken": True}, 4.0, SUCKS, "it moves at a breathing rate, but not by its suction"),
+        ({"breathing": 0.0, "breathing_hz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
+        ({"sucks": 0.02}, 4.0, PRESSES, ""),
+    ],
+)
+def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate: float, answer: str, why: str) -> None:
+    one = dataclasses.replace(BREATHES, **({"breathing": 0.0} if rate == 1.0 else {}) | change)
+    said, probability, reason = answer_of(one, rate)
+    assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
+
+
+def test_the_most_alarming_attachment_is_the_answer() -> None:
+    rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
+    assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
+    assert Detected.of("two", (rod,), 4.0).sentence.startswith("something presses, there since 6.0 s, 35 ± 2 mm")
+    assert Detected.of("none", (), 4.0).sentence == "nothing"
+
+
+def test_events_say_when_it_touched_sucked_moved_and_left() -> None:
+    one = dataclasses.replace(BREATHES, sucks_s=8.0, moved_s=(12.0,), until_s=20.0)
+    answer = Detected.of("mouth", (one,), 4.0)
+    kinds = [("touched", 6.0), ("attached", 8.0), ("moved", 12.0), ("released", 20.0)]
+    assert [(event.kind, event.time_s) for event in answer.events] == kinds
+    assert [row[2] for row in event_table([answer]).cells] == [kind for kind, _ in kinds]
+
+
+def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
+    answers = [Detected.of("mouth", (BREATHES,), 4.0), Detected.unknown("dark", "nothing was read")]
+    file, again = (write_detections(tmp_path / name, answers) for name in ("detections.h5", "again.h5"))
+    assert file.read_bytes() == again.read_bytes()
+    known = answers[0].content()
+    json.dumps(known, allow_nan=False)
+    with h5py.File(file) as content:
+        group = content["entry/mouth"]
+        assert group.attrs["answer"] == b"lamprey" and group.attrs["frames_per_second"] == 4.0
+        assert content["entry/dark"].attrs["answer"] == CANNOT_SAY.encode()
+        for name, value in known["attachments"][0].items():
+            dataset = group["attachments"][name]
+            assert dataset.attrs["units"] and dataset.attrs["long_name"]
+            if isinstance(value, list):
+                found = [dataset[0], group["attachments"][f"{name}_errors"][0]]
+                np.testing.assert_allclose(found, value)
+        assert np.isnan(group["attachments/until_s"][0]) and list(group["events/event"][()]) == [b"attached"]
 
 
 @pytest.mark.slow
-def test_every_estimate_and_the_readings_are_looked_at(results: Results) -> None:
-    calls: list[tuple[int, int]] = []
-    found = detect(results, on_case=lambda done, total: calls.append((done, total)))
-    assert [detection.source for detection in found] == ["recording", "LSM", "LSR-CR"]
-    assert calls == [(1, 3), (2, 3), (3, 3)]
-    for detection in found:
-        solved = np.isfinite(detection.goodness)
-        assert list(solved) == [True, detection.source != "LSR-CR", True]
-        assert {label for label, good in zip(detection.labels, solved, strict=True) if good} <= MOUTH
-        np.testing.assert_allclose(detection.probabilities[solved].sum(axis=1), 1)
-        np.testing.assert_allclose(detection.values[solved, 2], 33, atol=1.2)
-    assert found[2].labels[1] == "not solved" and np.isnan(found[2].values[1]).all()
+def test_a_recording_is_enough(tmp_path: Path, lampest: Command) -> None:
+    recorded(frames=56, frame_period_s=0.25, course=BREATHING).save(tmp_path / "mouth.h5")
+    said = lampest("detect", tmp_path / "mouth.h5", "--all")
+    assert said.code == 0 and said.out.startswith("lamprey attached since ") and "P(breathes)" in said.out
+    assert (tmp_path / "detections.h5").is_file() and (tmp_path / "timeline_mouth.png").is_file()
+    (answer,) = json.loads(lampest("detect", tmp_path / "mouth.h5", "--json").out)
+    assert (answer["answer"], answer["frames_per_second"]) == ("lamprey", 4.0)
+    (one,) = answer["attachments"]
+    assert one["breathing_hz"][0] == pytest.approx(1.1, abs=0.05)
+    assert one["diameter_mm"][0] == pytest.approx(33, abs=3 * one["diameter_mm"][1])
+    assert lampest("detect", tmp_path / "mouth.h5", "--estimator", "LSM").code == 2
 
 
-def test_of_many_estimators_the_first_are_looked_at_or_those_that_are_named() -> None:
-    case = solved_case()
-    many = Results(tuple(dataclasses.replace(case, estimator=f"E{number}") for number in range(300)))
-    assert looked_at(many) == tuple(f"E{number}" for number in range(MOST_SOURCES - 1))
-    assert looked_at(Results(tuple(dataclasses.replace(case, recording=f"r{i}") for i in range(300)))) == ("LSM",)
-    assert [one.source for one in detect(many, estimators=["E299"])] == ["recording", "E299"]
-    with pytest.raises(InputError, match=r"no estimator is called 'E300'; there are E0, .*did you mean"):
-        detect(many, estimators=["E300"])
+@pytest.mark.slow
+def test_results_are_answered_from_their_readings(tmp_path: Path) -> None:
+    write_results(tmp_path / "results.h5", [solved_case()])
+    for case in (solved_case(), dataclasses.replace(solved_case(), sigma=None, sigma_baseline=None)):
+        (answer,) = detect_results(Results((case,)))
+        assert answer.answer == SUCKS and answer.attachments[0].diameter_mm is not None
+        assert answer.attachments[0].diameter_mm[0] == pytest.approx(33, abs=2)
+        assert (case.sigma is None) == any("the noise is unknown" in note for note in answer.notes)
+    assert plot_timelines([answer], tmp_path)[0].read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_table_names_what_where_and_how_strong(results: Results) -> None:
-    table = event_table(detect(results))
-    first = dict(zip(table.headers, table.cells[0], strict=True))
-    assert (first["from"], first["event"]) == ("readings", "attached") and first["what"] in MOUTH
-    assert "±" in first["diameter [mm]"] and first["inside [kPa]"].startswith("−")
-
-
-def test_the_file_is_complete_and_says_its_units(results: Results, tmp_path: Path) -> None:
-    found = detect(results)
-    file = write_detections(tmp_path / "detections.h5", found)
-    again = write_detections(tmp_path / "again.h5", found)
-    assert file.read_bytes() == again.read_bytes()
-    with h5py.File(file) as content:
-        assert content.attrs["lampest_format"] == b"detections/1"
-        for source in ("recording", "LSM", "LSR-CR"):
-            group = content[f"entry/mouth/{source}"]
-            assert group.attrs["NX_class"] == b"NXdata"
-            assert group["label"].shape == group["state"].shape == (FRAMES,)
-            for kind in KINDS:
-                assert group[f"probability/{kind.replace(' ', '_')}"].shape == (FRAMES,)
-            for quantity in QUANTITIES:
-                for name in (quantity.name, quantity.name + "_errors"):
-                    assert group[name].attrs["units"].decode() == quantity.units
-                    assert group[name].attrs["long_name"] and group[name].dims[0].keys() == ["time"]
-            assert list(group["events/event"][()]) == [b"attached"]
-            assert list(group["count"][()]) == [1, 1 if source != "LSR-CR" else 0, 1]
-            assert np.isnan(group["second/diameter"][()]).all() and group["third/diameter_errors"].shape == (FRAMES,)
-            assert group["events/diameter"][0] == pytest.approx(33, abs=1.2)
-
-
-def test_timelines_are_drawn(results: Results, tmp_path: Path) -> None:
-    files = plot_timelines(results, detect(results), tmp_path)
-    assert [file.name for file in files] == ["timeline_mouth.png"]
-    assert files[0].read_bytes().startswith(b"\x89PNG")
-
-
-def test_without_noise_nothing_is_claimed(tmp_path: Path) -> None:
-    case = dataclasses.replace(solved_case(), sigma=None, sigma_baseline=None)
-    write_results(tmp_path / "results.h5", [case])
-    with pytest.raises(InputError, match=r"results\.h5: mouth: the noise of the readings is unknown"):
-        detect_file(tmp_path / "results.h5")
-    _, found = detect_file(tmp_path / "results.h5", RecognitionSettings(noise_percent=0.5))
-    assert "lamprey" in found[0].labels[-1]
-
-
-def test_a_recording_of_another_readout_leaves_the_others_in() -> None:
-    mouth, other = solved_case(), dataclasses.replace(solved_case(), recording="driven")
-    driven = dataclasses.replace(other.scene, readout=None, lines=Lines(row_ohm_per_cell=1.0))
-    told: list[str] = []
-    results = Results((mouth, dataclasses.replace(other, scene=driven)))
-    found = detect(results, on_refused=told.append)
-    assert [(one.recording, one.source) for one in found] == [("mouth", "recording"), ("mouth", "LSM")]
-    assert len(told) == 1 and told[0].startswith("driven: recognition knows neither lines")
-    with pytest.raises(InputError, match="recognition knows neither lines"):
-        detect(Results(results.cases[1:]))
-
-
+@pytest.mark.slow
 def test_readings_that_faults_blind_do_not_count() -> None:
     case = solved_case(faults=Faults(shorted=((0, 1),), dead_rows=(7,), dead_columns=(9,)))
     assert np.isinf(case.sigma[:, 7]).all() and np.isinf(case.sigma[:, 0, 1]).all()
-    (first, *_), wild = detect(Results((case,))), case.measured.copy()
+    wild = case.measured.copy()
     wild[np.isinf(case.sigma)] *= np.random.default_rng(3).uniform(0.2, 5, int(np.isinf(case.sigma).sum()))
-    (other, *_) = detect(Results((dataclasses.replace(case, measured=wild),)))
-    for found in (first, other):
-        assert set(found.labels) <= MOUTH
-        np.testing.assert_allclose(found.values[:, 2], 33, atol=1.2)
-    np.testing.assert_allclose(first.values, other.values, rtol=0.02)
+    (first,), (other,) = (detect_results(Results((one,))) for one in (case, dataclasses.replace(case, measured=wild)))
+    assert first.answer == other.answer == SUCKS
+    assert first.attachments[0].diameter_mm == pytest.approx(other.attachments[0].diameter_mm, rel=0.02)
 
 
-def test_recognition_is_given_the_scene_of_the_results() -> None:
-    case = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0))
-    given = GivenRecording.of(case, RecognitionSettings())
-    np.testing.assert_allclose(given.water[:, 0], 9.81e-3 * (70 + 10 * np.arange(8)))
-    errors = given.baseline.model_errors
+@pytest.mark.slow
+def test_other_readouts_are_watched_too(tmp_path: Path) -> None:
+    scene = Scene(PANEL, LoadedColumnsReadout(supply_volt=3.3, load_ohm=1000, drive_ohm=100, adc_bits=12, noise_lsb=1))
+    recorded(scene=scene, frames=8).save(tmp_path / "loaded.h5")
+    answer = detect_recording(tmp_path / "loaded.h5")
+    assert answer.answer == SUCKS and answer.attachments[0].place == pytest.approx((48, 36), abs=2)
+
+
+def test_one_frame_shows_no_change(tmp_path: Path) -> None:
+    recorded(frames=1).save(tmp_path / "one.h5")
+    answer = detect_recording(tmp_path / "one.h5")
+    assert answer.answer == CANNOT_SAY and "one frame" in answer.why
+
+
+def test_errors_are_those_that_the_scene_names() -> None:
+    scene = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0)).scene
+    errors = ModelErrors().told_by(scene, 0.03)
     assert (errors.channel_ohm, errors.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
-    assert given.baseline.series_ohm == 140.0
-    stated = RecognitionSettings(top_row_depth_mm=0.0, model_errors=ModelErrors(channel_ohm=1.0))
-    assert (
-        GivenRecording.of(case, stated).water[0, 0] == 0
-        and GivenRecording.of(case, stated).baseline.model_errors == stated.model_errors
-    )
-    assert GivenRecording.of(solved_case(), RecognitionSettings()).baseline.model_errors == ModelErrors()
-    seen = GivenRecording.of(dataclasses.replace(solved_case(), reading_error=0.03), RecognitionSettings())
-    assert seen.baseline.model_errors == ModelErrors(reading_error=0.03)
+    assert errors.reading_error == 0.03
 
 
 def test_settings_out_of_range_are_refused() -> None:
@@ -187,15 +198,8 @@ def test_settings_out_of_range_are_refused() -> None:
             RecognitionSettings(**wrong)  # type: ignore[arg-type]
 
 
-def test_noise_that_frames_share_comes_back_from_results(tmp_path: Path) -> None:
-    scene = solved_case().scene
-    noise = FrameNoise(scene, 5, 0.002, np.zeros((10, 0)), np.full((10, 2), 1e-3))
-    file = tmp_path / "results.h5"
-    write_results(file, [dataclasses.replace(solved_case(), frame_noise=arrays_of(noise))])
-    given = GivenRecording.of(read_results(file).cases[0], RecognitionSettings())
-    assert given.noise is not None
-    np.testing.assert_array_equal(next(given.frames()).common, noise.columns(given.measured[:1], False))
-    with h5py.File(file, "r+") as opened:
-        opened["entry/mouth/LSM"].attrs["frame_apart"] = np.zeros((8, 2))
-    with pytest.raises(InputError, match="frame_apart must have 10 rows"):
-        detect_file(file)
+def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = 1
+    with pytest.raises(InputError, match=r"other\.h5"):
+        detect_recording(tmp_path / "other.h5")

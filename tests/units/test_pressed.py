@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.loads.recognition.candidates import KINDS
-from lampest.report.detect.detection import QUANTITIES, Detection
-from lampest.report.detect.events import event_table, events
 from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
@@ -79,38 +76,3 @@ def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
     (row,) = pressed_table(found).cells
     assert row[:4] == ("mouth", "LSM", "6", "6") and "≥\N{NO-BREAK SPACE}6.400 ± 0.049" in row and row[-1] == "2"
-
-
-def walked(x: np.ndarray, error: float = 0.3) -> Detection:
-    """A rod whose centre is at x, 45 mm."""
-    frames = len(x)
-    values, errors = np.full((2, frames, len(QUANTITIES)), np.nan)
-    values[:, 0], values[:, 1], values[:, 2] = x, 45, 20
-    errors[:, :3] = error
-    nothing = np.full((frames, len(QUANTITIES)), np.nan)
-    detection = Detection.of("walk", "LSM", np.arange(frames), np.arange(frames) * 1.0, (None,) * frames)
-    return Detection(
-        **vars(detection)
-        | {
-            "labels": ("rod",) * frames,
-            "probabilities": np.full((frames, len(KINDS)), 1 / len(KINDS)),
-            "values": values,
-            "errors": errors,
-            "further": ((nothing, nothing),) * len(detection.further),
-        }
-    )
-
-
-@pytest.mark.parametrize("speed", [0.9, 4.0, 9.0])
-def test_a_movement_is_told_once(speed: float) -> None:
-    path = np.concatenate([np.full(4, 20.0), 20 + speed * np.arange(1, 7), np.full(5, 20 + speed * 6)])
-    path = np.concatenate([path, path[-1] - speed * np.arange(1, 7), np.full(4, 20.0)])
-    kinds = [event.kind for event in events(walked(path))]
-    assert kinds == ["touched", "moved", "moved"]
-    jitter = 20 + np.random.default_rng(1).uniform(-1, 1, 20)
-    assert [event.kind for event in events(walked(jitter))] == ["touched"]
-
-
-def test_nothing_is_told_to_a_tenth_of_nothing() -> None:
-    table = event_table((walked(np.full(4, 0.0), error=0.001),))
-    assert "± 0.0" not in "".join(table.cells[0]) and "0.0 ± 0.1, 45.0 ± 0.1" in table.cells[0]

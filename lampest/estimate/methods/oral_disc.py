@@ -17,7 +17,7 @@ from lampest.files.interrupts import delayed_interrupt
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Direct, counting
+from lampest.loads.recognition.frame import Observation, counting
 from lampest.loads.recognition.oral_disc import OralDiscFit, fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.panel.panel import Array
@@ -61,7 +61,7 @@ class OralDiscTracker:
         seconds = (self.frames + 1) * state.period if np.isfinite(state.period) else 0.0
         common = None if noise is None else noise.columns(readings.value[None], False)
         water = water_pressure(panel, state.scene.water)
-        frame = Direct(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
+        frame = Observation(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
         detector = self.detector or Detector.of(panel, RecognitionSettings().patch_of(panel), frame)
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found

@@ -16,7 +16,7 @@ AND = " and "
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Several(Candidate):
-    """p = Σ p_i(φ_i); reported is the first of them, targets come first.
+    """p = Σ p_i(φ_i); reported is the first of them; what sucks comes first.
 
     parts : the candidates, φ in their order. Use `of`.
     """
@@ -29,7 +29,6 @@ class Several(Candidate):
         return cls(
             label=AND.join(part.label for part in parts),
             sucks=all(part.sucks for part in parts),
-            target=any(part.target for part in parts),
             hollow=all(part.hollow for part in parts),
             parts=parts,
         )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from lampest.loads.recognition.candidates import loads_of
 from lampest.loads.recognition.frame import NONE, SUSPICIOUS, Explained, Observation, Whitening, outliers, without
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
@@ -55,6 +56,11 @@ class Fit:
     def score(self) -> float:
         """−ln of the posterior at its most probable point: what candidates with errors of their own compare by."""
         return self.cost + self.volume
+
+    @property
+    def loads(self) -> list[tuple[Candidate, Array]]:
+        """Each of its loads with its own φ."""
+        return loads_of(self.candidate, self.parameters)
 
     @property
     def change(self) -> Array:

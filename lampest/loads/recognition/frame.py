@@ -1,6 +1,5 @@
 """One frame as a likelihood: what a pressure on the cells makes of the readings, weighed by all that is uncertain."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, lapack
 
-from lampest.loads.recognition.baseline import Baseline, network_of
+from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
@@ -40,7 +39,7 @@ def log_response(pressure: Array, response: Response = PUBLISHED) -> tuple[Array
 
 
 @dataclass(frozen=True, eq=False)
-class Observation(ABC):
+class Observation:
     """A frame's readings and what they are compared with.
 
     measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
@@ -55,13 +54,14 @@ class Observation(ABC):
     seconds: float
     common: Array | None = field(default=None, kw_only=True)
 
-    @abstractmethod
     def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-        """R − f(r0·e^change) − offsets (cells), ohm, and ∂f by the changes of some cells (cells, chosen)."""
+        """R − f(r0·e^change) − offsets (cells), and ∂f by the changes of some cells (cells, chosen)."""
+        network = self.baseline.network(change)
+        return self.target - network.reading().ravel(), network.sensitivity(chosen)
 
-    @abstractmethod
     def slope(self, change: Array) -> Array:
-        """∂f/∂ln r at ln r/r0 = `change`, (cells, cells) ohm."""
+        """∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
+        return self.baseline.network(change).sensitivity()
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
         """ln r/r0 = κ·(ln f(p + p_w) − ln f(p_w)) and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
@@ -79,15 +79,7 @@ class Observation(ABC):
         total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
         if self.common is not None:
             total += self.common @ self.common.T
-        return np.asarray(total + np.diag(self.sigma.ravel() ** 2 + self.linearisation_error(change) ** 2))
-
-    @abstractmethod
-    def direct(self) -> "Direct":
-        """The same readings without an estimate between them and a load."""
-
-    @abstractmethod
-    def linearisation_error(self, change: Array) -> Array:
-        """f(r) minus what the comparison takes it for, at ln r/r0 = `change`, (cells) ohm."""
+        return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     @cached_property
     def target(self) -> Array:
@@ -97,74 +89,12 @@ class Observation(ABC):
     @cached_property
     def offsets(self) -> Array:
         """E (cells, offsets) ohm: what every offset's standard deviation adds to the readings."""
-        return self.baseline.model_errors.offsets(self.measured + self.baseline.series_ohm)
+        return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
 
     @cached_property
     def _unloaded(self) -> Array:
         """κ·ln f(p_w), (rows, columns)."""
         return log_response(self.water, self.baseline.response)[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Direct(Observation):
-    """A load makes cells, and cells make readings, by Kirchhoff's law: no estimate stands between."""
-
-    def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-        """R − f(r) at the cells themselves."""
-        network = network_of(self.baseline.logarithm + change)
-        return self.target - network.reading().ravel(), network.sensitivity(chosen)
-
-    def slope(self, change: Array) -> Array:
-        """∂f/∂ln r at the cells themselves."""
-        return network_of(self.baseline.logarithm + change).sensitivity()
-
-    def direct(self) -> "Direct":
-        """Itself."""
-        return self
-
-    def linearisation_error(self, change: Array) -> Array:
-        """Nothing."""
-        return np.zeros(change.size)
-
-
-@dataclass(frozen=True, eq=False)
-class TwoStep(Observation):
-    """A load is compared with an estimate r̂, weighed by what the readings know of it: f(r) ≈ f(r̂) + ∂f/∂g·(g − ĝ).
-
-    For a regularised estimate, R − f(r̂) takes the bias off again. Linear in the conductance g, because that of an open
-    cell is 0, while its logarithm is infinite.
-
-    estimate : (rows, columns) ohm.
-    """
-
-    estimate: Array
-
-    def missed(self, change: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
-        """R − f(r̂) − ∂f/∂g·(g − ĝ)."""
-        model, slope, logarithm = self._about
-        ratio = np.exp(logarithm - self.baseline.logarithm - change).ravel()  # g/ĝ
-        return self.target - model - slope @ (1 - ratio), slope[:, chosen] * ratio[chosen]
-
-    def slope(self, change: Array) -> Array:
-        """∂f/∂g at the estimate times the load's g."""
-        _, slope, logarithm = self._about
-        return np.asarray(slope * np.exp(logarithm - self.baseline.logarithm - change).ravel())
-
-    def direct(self) -> Direct:
-        """Without the estimate."""
-        return Direct(self.measured, self.sigma, self.baseline, self.water, self.seconds, common=self.common)
-
-    def linearisation_error(self, change: Array) -> Array:
-        """Of the tangent in conductance."""
-        network = network_of(self.baseline.logarithm + change)
-        return self.target - network.reading().ravel() - self.missed(change, NONE)[0]
-
-    @cached_property
-    def _about(self) -> tuple[Array, Array, Array]:
-        """f(r̂) (cells) ohm, ∂f/∂ln r there (cells, cells) ohm, and ln r̂ (rows, columns)."""
-        logarithm = np.log(self.estimate)
-        network = network_of(logarithm)
-        return network.reading().ravel(), network.sensitivity(), logarithm
 
 
 class Explained(NamedTuple):

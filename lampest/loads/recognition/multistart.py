@@ -77,7 +77,7 @@ class MultiStart:
 
     def unexplained(self, frame: Observation) -> Array:
         """The readings without those of the panel at rest, (cells) ohm."""
-        return frame.direct().missed(np.zeros(self.panel.shape), NONE)[0]
+        return frame.missed(np.zeros(self.panel.shape), NONE)[0]
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate fitted whether or not anything else would do; from everywhere, unless a start fits."""
@@ -115,7 +115,7 @@ class MultiStart:
         return tuple(fits)
 
     def _discs(self, frame: Observation) -> list[Disc]:
-        return self.search.starts(cell_map(frame.direct()), self.rest @ self.unexplained(frame))
+        return self.search.starts(cell_map(frame), self.rest @ self.unexplained(frame))
 
     def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> list[Fit]:
         fitting = self.fitting(load, frame, self.coarse)
@@ -215,13 +215,13 @@ class MultiStart:
         return replace(fit, evidence=float(logsumexp(evidence)) - float(np.log(len(LEVELS))))
 
     def together(self, frame: Observation, places: Sequence[Sequence[Disc]]) -> tuple[Fit, ...]:
-        """The best kinds of loads about the best of some sets of discs, all fitted together, targets first.
+        """The best kinds of loads about the best of some sets of discs, all fitted together, sucking ones first.
 
         Kinds are exchanged one by one from the most flexible ones; where the best are others, those are given, too: so
         coarse a comparison may be wrong.
         """
         frame = blurred(frame, COARSE)
-        flexible = next((load for load in self.loads if load.target), self.loads[0])
+        flexible = next((load for load in self.loads if load.sucks), self.loads[0])
 
         def fitted(loads: Sequence[tuple[Candidate, Array]], least: float) -> Fit:
             parts, begin = zip(*loads, strict=True)
@@ -246,7 +246,7 @@ class MultiStart:
                 other = fitted(loads, best.score)
                 if likely(other) > likely(best) + CLEARLY:
                     best = other
-        return (_targets_first(best), first) if best is not first else (first,)
+        return (_sucking_first(best), first) if best is not first else (first,)
 
 
 def best_of(fits: Iterable[Fit]) -> Fit:
@@ -296,14 +296,14 @@ def _twins(fit: Fit, kinds: Sequence[Candidate]) -> list[Fit]:
     return found
 
 
-def _targets_first(fit: Fit) -> Fit:
+def _sucking_first(fit: Fit) -> Fit:
     """The fit with its parts in the order in which they are reported."""
     return _several(fit, loads_of(fit.candidate, fit.parameters))
 
 
 def _several(fit: Fit, loads: Sequence[tuple[Candidate, Array]]) -> Fit:
-    """A fit to begin with, of these loads, targets first."""
-    parts, own = zip(*sorted(loads, key=lambda load: not load[0].target), strict=True)
+    """A fit to begin with, of these loads, sucking ones first."""
+    parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
     return replace(fit, candidate=Several.of(parts), parameters=np.concatenate(own))
 
 

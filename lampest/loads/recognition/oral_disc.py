@@ -14,7 +14,7 @@ from scipy.linalg import cho_solve
 
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit, with_errors
-from lampest.loads.recognition.frame import Direct, Observation
+from lampest.loads.recognition.frame import Observation
 from lampest.loads.shapes import OralDisc
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
@@ -38,7 +38,7 @@ class OralDiscFit:
     fit: Fit
 
 
-def fit_oral_disc(detector: Detector, frame: Direct, start: Fit | None = None) -> OralDiscFit:
+def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = None) -> OralDiscFit:
     """argmin ‖R − f(r0·f(p(θ)))‖² over centre, diameters, suction, rim pressure and tilt, with their priors.
 
     Weighed by what films and panels depart by; the cells are those of the disc with the departures that this leaves.

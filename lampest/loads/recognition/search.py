@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from lampest.loads.recognition.baseline import Baseline, network_of
+from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.frame import Observation, Whitening
 from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.shape import Template
@@ -51,8 +51,13 @@ class DiscSearch:
                 discs += [Disc(x + shift, y + shift, *size, *pressures, 0.0, 0.0) for y in down for x in across]
         changes = _unit(np.concatenate(patterns).reshape(-1, panel.crossings).T)
         faint = changes[:, np.repeat([template.faint for template in templates], 2 * panel.crossings)]
-        readings = network_of(baseline.logarithm).sensitivity() @ faint
+        readings = baseline.network().sensitivity() @ faint
         return cls(panel, templates, tuple(discs), changes, readings, _unit(whitening @ readings))
+
+    def faint_places(self) -> Array:
+        """(faint discs, 2) mm, in the order of `readings`."""
+        faint = np.repeat([template.faint for template in self.templates], len(self.discs) // len(self.templates))
+        return np.asarray(np.array([disc[:2] for disc in self.discs])[faint])
 
     def against(self, whitening: Whitening) -> "DiscSearch":
         """The same where a panel at rest has other errors."""
@@ -103,6 +108,13 @@ def cell_map(frame: Observation) -> Array:
     """ln r/r0 of every cell, (rows, columns): of independent cells with a standard deviation of MAP_SD."""
     nothing = np.zeros(frame.measured.shape)
     return gaussian_cells(frame, nothing, MAP_SD**2, MAP_STEPS, frame.covariance(nothing))[0]
+
+
+def cells_about(frame: Observation, change: Array) -> tuple[Array, Array]:
+    """The cells that readings show where they lie about a change (rows, columns), and their standard deviations."""
+    found, root, _ = gaussian_cells(frame, change, 1.0, MAP_STEPS)
+    seen = solve_triangular(root, frame.slope(found), lower=True)
+    return found, np.sqrt(np.maximum(1 - (seen**2).sum(axis=0), 1e-6)).reshape(found.shape)
 
 
 def gaussian_cells(

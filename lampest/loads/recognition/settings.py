@@ -75,18 +75,19 @@ class ModelErrors:
         """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""
         return hypot(self.drift_per_minute * seconds / 60, self.settled)
 
-    def offsets(self, total: Array) -> Array:
-        """E·sd (cells, offsets) ohm: what one standard deviation of every offset adds to the readings.
+    def offsets(self, measured: Array, scene: Scene) -> Array:
+        """E·sd (cells, offsets): what one standard deviation of every offset adds to the readings, in their unit.
 
-        Offsets are those of rows, of columns, of the reference, and where there are such errors, of each reading.
-        total : (rows, columns) ohm, what the divider sees, series resistance included.
+        Offsets are those of rows and columns (of two-point resistances), of the reference, and where there are such
+        errors, of each reading. measured : (rows, columns) readings, without what stands in series.
         """
-        rows, columns = total.shape
+        rows, columns = measured.shape
+        total = measured + scene.series_ohm if scene.circuit.unit == "ohm" else measured
         by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
         by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
-        channels = self.channel_ohm * np.hstack([by_row, by_column])
+        channels = [self.channel_ohm * np.hstack([by_row, by_column])] if scene.circuit.unit == "ohm" else []
         own = [np.diag(self.reading_error * total.ravel())] if self.reading_error else []
-        return np.hstack([channels, self.reference * total.reshape(-1, 1), *own])
+        return np.hstack([*channels, self.reference * total.reshape(-1, 1), *own])
 
 
 @dataclass(frozen=True)

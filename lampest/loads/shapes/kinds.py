@@ -23,7 +23,6 @@ from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
 HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
-PUSHED_KPA = 40.0  # by which a hand pushes a cup at most beyond what its suction needs; an assumption
 MOST_ELONGATED, MOST_LOBES = 10.0, 100  # of a mouth: beyond, a file has a slip of the pen
 
 
@@ -104,17 +103,11 @@ class Ring(RoundShape):
         return self.pressing(self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
 
 
-def pushed_by_hand(cup: RoundCandidate, parameters: Array) -> tuple[float, Array]:
-    """ln PUSHED_KPA − ln push, and its slopes by φ."""
-    push = cup.names.index("push")
-    return float(log(PUSHED_KPA) - parameters[push]), -np.eye(len(parameters))[push]
-
-
 @dataclass(frozen=True, kw_only=True)
 class SuctionCup(RoundShape):
     """p < 0 inside d_i, against the surroundings, and p_rim = −p·d_i²/(d² − d_i²) under the rim that bears it.
 
-    Recognition lets a hand push it by up to 40 kPa more.
+    Of one frame a cup cannot be told from a mouth: recognition fits both as an oral disc.
 
     Parameters
     ----------
@@ -128,17 +121,6 @@ class SuctionCup(RoundShape):
     -10.0
     """
 
-    candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="cup",
-        sucks=True,
-        hollow=True,
-        follows=True,
-        templates=SUCKING,
-        # An assumption: most cups bear themselves, 95 % are pushed by less than 18 kPa.
-        numbers={"diameter": DIAMETER, "width": WIDTH, "suction": SUCTION, "push": Prior(log(0.5), 1.8)} | TILT,
-        uneven=MADE,
-        bound=pushed_by_hand,
-    )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
     kind: Literal["suction_cup"] = "suction_cup"
     inner_diameter_mm: float
@@ -176,9 +158,8 @@ class OralDisc(RoundShape):
     """
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="lamprey",
+        label="lamprey or cup",
         sucks=True,
-        target=True,
         hollow=True,
         templates=SUCKING,
         # Assumptions: 95 % of rims are 3 to 10 mm wide and press with 0.02 to 110 kPa more than their suction needs:

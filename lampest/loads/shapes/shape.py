@@ -54,7 +54,6 @@ class Candidate(ABC):
     ----------
     label : what tables, files and pictures call it.
     sucks : whether it is attached, and not only touching.
-    target : whether the panel is there to detect it: sure of it only at 99.9 %, and named wherever it does as well.
     hollow : whether a rim about an inside presses. Hollow kinds can do nearly all that others do, and are tried again
         from the best of all.
     follows : whether its search begins about the best hollow fits, where there are any, and not all over the panel.
@@ -63,7 +62,6 @@ class Candidate(ABC):
 
     label: str
     sucks: bool = False
-    target: bool = False
     hollow: bool = False
     follows: bool = False
     templates: tuple[Template, ...] = ()

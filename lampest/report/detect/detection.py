@@ -1,312 +1,196 @@
-"""Results → detections: every estimate of every recording, and the readings themselves, frame by frame."""
+"""Recordings and results → answers: what is attached, frame after frame of the readings."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from math import hypot
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.noise.seen import noise_seen
+from lampest.estimate.sequence import resting_readings
+from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.log import told_reason
 from lampest.loads.pressure import water_pressure
-from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.candidates import KINDS, LOADS, Several
-from lampest.loads.recognition.detector import MOST_AT_ONCE, Detector, Zero
-from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Direct, Observation, TwoStep, counting
 from lampest.loads.recognition.settings import RecognitionSettings
-from lampest.loads.recognition.verdict import Verdict, further
-from lampest.loads.shapes.round import QUANTITIES as DISC_QUANTITIES
+from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array
-from lampest.panel.scene import Water
+from lampest.panel.scene import Scene, Water
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import AT_LEAST, VALUE, Readings, StandIn
-from lampest.runs.case import SHARED
+from lampest.recording.readings import StandIn
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording
+from lampest.report.detect.answer import Detected
+from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
-from lampest.runs.results import CaseResult, Results, read_results
+from lampest.runs.results import Results
 from lampest.runs.results.scene import frame_noise_of
 
-NOT_SOLVED = "not solved"
 AS_PUBLISHED = RecognitionSettings()
-MOST_SOURCES = 80  # readings and estimates of recordings: some 40 ms a frame of each
-PLACE = 0.25  # of a diameter: two fits with centres this close are of the same load
-# Those of a disc first, in their order; then what other shapes report beside them.
-QUANTITIES = tuple(dict.fromkeys((*DISC_QUANTITIES, *(quantity for load in LOADS for quantity in load.quantities))))
+RESULTS = "results/"  # how the format of such a file begins
+BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
+NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
+HEAD = 100  # measured frames from which the noise is learned, with those without a load
+OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
+Frames = Iterator[tuple[Array, Array, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class Detection:
-    """One recording as one estimate of it, or the readings themselves, show it.
+class Known:
+    """What is known of a recording before its first measured frame.
 
-    Parameters
-    ----------
-    recording, source : the recording's name, and the estimator's, or `runs.case.SHARED` for the readings themselves.
-    frame, time : (frames) index into the recording, and s.
-    labels : (frames) what the frame may be called. probabilities : (frames, kinds) in the order of KINDS.
-    values, errors : (frames, quantities) and their standard deviations; NaN where there is no such load or number.
-    further : the same for the second load and the third, where several are there at once. count : (frames) of loads.
-    goodness : (frames) χ² per reading of the most probable candidate; NaN where the frame was not solved.
-    tared : (frames) why the unloaded panel was taken anew after a frame; '' where it was not.
+    resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
+    columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
+    `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed.
     """
 
-    recording: str
-    source: str
-    frame: NDArray[np.int64]
-    time: Array
-    labels: tuple[str, ...]
-    probabilities: Array
-    values: Array
-    errors: Array
-    further: tuple[tuple[Array, Array], ...]
-    count: NDArray[np.int64]
-    goodness: Array
-    tared: tuple[str, ...] = ()
+    name: str
+    scene: Scene
+    resting: Array
+    sigma: Array
+    unloaded: Array
+    begin: float
+    reading_error: float
+    noise: FrameNoise | None
+    notes: tuple[str, ...]
 
-    @classmethod
-    def of(
-        cls,
-        recording: str,
-        source: str,
-        frame: NDArray[np.int64],
-        time: Array,
-        verdicts: tuple[Verdict | None, ...],
-        tared: tuple[str, ...] = (),
-    ) -> "Detection":
-        """From the verdicts on all frames; None where a frame was not solved."""
-        unknown = np.full(len(KINDS), np.nan)
-        return cls(
-            recording,
-            source,
-            frame,
-            time,
-            tuple(NOT_SOLVED if verdict is None else verdict.label for verdict in verdicts),
-            np.array([unknown if verdict is None else verdict.probabilities for verdict in verdicts]),
-            *_numbers(verdicts, 0),
-            tuple(_numbers(verdicts, number) for number in range(1, MOST_AT_ONCE)),
-            np.array([0 if verdict is None else _count(verdict) for verdict in verdicts]),
-            np.array([np.nan if verdict is None else verdict.goodness for verdict in verdicts]),
-            tared or ("",) * len(verdicts),
-        )
+    def watch(self, settings: RecognitionSettings) -> Watch:
+        """Before the first frame. Raises ValueError where the panel cannot be watched."""
+        if self.scene.panel.cells is not None or self.scene.panel.modules is not None:
+            raise ValueError("loads are recognised on full panels of one network only")
+        depth, errors = settings.top_row_depth_mm, settings.model_errors
+        water = water_pressure(self.scene.panel, self.scene.water if depth is None else Water(depth))
+        if errors == AS_PUBLISHED.model_errors:  # what the scene and the frames say of errors and of the film
+            errors = errors.told_by(self.scene, self.reading_error)
+        panelled = Panelled(self.scene, settings.patch_of(self.scene.panel), water, errors, self.noise)
+        return Watch.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
 
-
-def _numbers(verdicts: tuple[Verdict | None, ...], number: int) -> tuple[Array, Array]:
-    """(values, errors) of the load with that number, (frames, quantities)."""
-    both = [numbers_of(verdict, number) for verdict in verdicts]
-    return np.array([values for values, _ in both]), np.array([errors for _, errors in both])
+    def answer(self, frames: Frames, settings: RecognitionSettings) -> Detected:
+        """After all frames."""
+        try:
+            watch = self.watch(settings)
+            times, loudness = [], []
+            for value, sigma, time in frames:
+                watch = watch.push(value, sigma, time)
+                times.append(time)
+                loudness.append(watch.stands_out)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+            return Detected.unknown(self.name, told_reason(error, self.name))
+        if len(times) < 2:
+            return Detected.unknown(self.name, "one frame shows no change; three are needed")
+        rate, course, found = float(1 / np.median(np.diff(times))), np.array([times, loudness]), watch.attachments
+        if self.scene.response is None:
+            found = tuple(replace(one, suction_kpa=None) for one in found)
+        notes = (*self.notes, BY, *(() if self.scene.response else (NO_RESPONSE,)))
+        return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
 
 
-def _count(verdict: Verdict) -> int:
-    """How many loads the most probable candidate has; 0 where there is none or nobody knows which."""
-    return 1 + further(verdict.best.candidate) if verdict.best in verdict.loads else 0
+def is_results(path: Path) -> bool:
+    """Whether a file holds results. Raises InputError where it cannot be read."""
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+    return isinstance(form, str) and form.startswith(RESULTS)
 
 
-def numbers_of(verdict: Verdict | None, number: int = 0) -> tuple[Array, Array]:
-    """(values, errors) of one load of the most probable candidate, (quantities); NaN for what it has none of.
-
-    Of a single load Σ P v, and √(Σ P (σ² + v²) − (Σ P v)²), over all single loads in its place that have the quantity:
-    what is a cup or a mouth is as large as either may be.
-    """
-    values, errors = np.full((2, len(QUANTITIES)), np.nan)
-    if verdict is None or number > further(verdict.best.candidate):
-        return values, errors
-    best = _reported(verdict.best, number)
-    if isinstance(verdict.best.candidate, Several):
-        return best
-    weights = np.array([_in_place(fit, verdict.best) for fit in verdict.fits]) * verdict.shares
-    each = np.array([_reported(fit) for fit in verdict.fits])
-    known = np.isfinite(each[:, 0]) * np.isfinite(best[0]) * weights[:, None]
-    total = known.sum(axis=0)
-    with np.errstate(invalid="ignore"):
-        mean = np.nansum(known * each[:, 0], axis=0) / total
-        square = np.nansum(known * (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2), axis=0) / total
-    return np.where(total > 0, mean, values), np.where(total > 0, np.sqrt(square), errors)
-
-
-def _in_place(fit: Fit, best: Fit) -> bool:
-    """Whether a fit is one load where the best one is, within PLACE of its diameter."""
-    if fit is best or isinstance(fit.candidate, Several):
-        return fit is best
-    one, other = fit.candidate.disc(fit.parameters), best.candidate.disc(best.parameters)
-    if one is None or other is None:
-        return False
-    return hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm) < PLACE * other.diameter_mm
-
-
-def _reported(fit: Fit, number: int = 0) -> tuple[Array, Array]:
-    """(values, errors) of one load of a fit, (quantities); NaN for what it has none of."""
-    values, errors = np.full((2, len(QUANTITIES)), np.nan)
-    one, (found, slopes) = fit.candidate, fit.candidate.report(fit.parameters)
-    if isinstance(fit.candidate, Several):
-        one, (found, slopes) = fit.candidate.parts[number], fit.candidate.of_part(number, fit.parameters)
-    columns = [QUANTITIES.index(quantity) for quantity in one.quantities]
-    values[columns], errors[columns] = found, np.sqrt(np.einsum("qi,ij,qj->q", slopes, fit.covariance, slopes))
-    return values, errors
-
-
-def detect_file(
-    path: str | Path,
-    settings: RecognitionSettings = AS_PUBLISHED,
-    on_case: Callable[[int, int], None] = lambda done, total: None,
-    on_refused: Callable[[str], None] = lambda sentence: None,
-    frames: range | None = None,
-    estimators: Sequence[str] = (),
-) -> tuple[Results, tuple[Detection, ...]]:
-    """A results file and its detections; frames : as `read_results` takes them. estimators : as `detect` does.
-
-    Raises InputError where it cannot be read, no recording can be looked at, or an estimator is unknown.
-    """
-    results = read_results(path, frames=frames)
-    if not results.cases:
-        raise InputError(f"{path}: holds no results to look at")
-    try:
-        return results, detect(results, settings, on_case, on_refused, estimators)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def detect(
+def detect_results(
     results: Results,
     settings: RecognitionSettings = AS_PUBLISHED,
     on_case: Callable[[int, int], None] = lambda done, total: None,
-    on_refused: Callable[[str], None] = lambda sentence: None,
-    estimators: Sequence[str] = (),
-) -> tuple[Detection, ...]:
-    """For every recording what its readings show (source SHARED), then what each estimate of it shows.
-
-    estimators : those that are looked at; where none is named, those of `looked_at`.
-    A recording of another readout, or of unknown noise, is left out, and `on_refused` gets why. Raises InputError
-    where none is left, or an estimator is unknown.
-    """
-    chosen = results.named("estimator", estimators or looked_at(results))
-    given: dict[str, GivenRecording] = {}
-    refused: list[InputError] = []
-    for name in results.recordings():
-        try:
-            given[name] = GivenRecording.of(results.of(name)[0], settings)
-        except InputError as error:
-            refused.append(error)
-    if not given:
-        raise refused[0]
-    for sentence in refused:
-        on_refused(str(sentence))
-    tasks = [
-        (recording, source)
-        for name, recording in given.items()
-        for source in (None, *(case for case in chosen.cases if case.recording == name))
-    ]
-    return tuple(each_of(_detected, tasks, on_case))
+) -> list[Detected]:
+    """For every recording what its readings show."""
+    tasks = [(results.of(name)[0], settings) for name in results.recordings()]
+    return list(each_of(_of_case, tasks, on_case))
 
 
-def looked_at(results: Results) -> tuple[str, ...]:
-    """The estimators that `detect` looks at unasked: with the readings at most MOST_SOURCES series, at least one.
-
-    A shape is fitted to every frame of a series, some 40 ms each, so that hundreds of them would take many minutes.
-    """
-    return results.estimators()[: max(1, MOST_SOURCES // max(1, len(results.recordings())) - 1)]
-
-
-def _detected(task: "tuple[GivenRecording, CaseResult | None]") -> Detection:
-    given, source = task
-    name = f"{given.case.recording}, {SHARED if source is None else source.estimator}"
-    try:
-        return detected(given, source)
-    except (ArithmeticError, ValueError) as error:
-        raise InputError(f"{name}: {told_reason(error, name)}") from error
-
-
-@dataclass(frozen=True, eq=False)
-class GivenRecording:
-    """A recording as the recognition is given it.
-
-    case : any of its estimates. patch_mm : edge of a film. water : (rows, columns) kPa. noise : what the readings of a
-    frame share by chance, or None.
-    measured, sigma : (frames, rows, columns) ohm; the substitute of a missing reading has so large a σ that it does
-    not count. enough : (frames) whether there is something to look at. baseline : the unloaded panel.
-    zero_after : frames without a load from which that is taken anew.
-    """
-
-    case: CaseResult
-    patch_mm: float
-    water: Array
-    measured: Array
-    sigma: Array
-    enough: NDArray[np.bool_]
-    baseline: Baseline
-    zero_after: int
-    noise: FrameNoise | None
-
-    @classmethod
-    def of(cls, case: CaseResult, settings: RecognitionSettings) -> "GivenRecording":
-        """From one case of the recording. Raises InputError where the noise is unknown."""
-        scene, depth = case.scene, settings.top_row_depth_mm
-        water = water_pressure(scene.panel, scene.water if depth is None else Water(depth))
-        measured, unloaded = np.stack([_complete(frame) for frame in case.measured]), _complete(case.measured_baseline)
-        sigma = np.where(case.valued, _noise(case, case.sigma, measured, settings), counting(np.zeros(1), measured))
-        resting = _noise(case, case.sigma_baseline, unloaded, settings)
-        try:
-            errors = settings.model_errors
-            if errors == AS_PUBLISHED.model_errors:  # what the scene and the frames say of errors and of the film
-                errors = errors.told_by(scene, case.reading_error)
-            noise = frame_noise_of(case.frame_noise, scene)
-            common = None if noise is None else noise.columns(unloaded[None], True)
-            baseline = Baseline.of(unloaded, resting, scene, errors, common)
-        except ValueError as error:
-            raise InputError(f"{case.recording}: {told_reason(error, case.recording)}") from error
-        side = np.where(case.valued, VALUE, AT_LEAST)  # what is no value is not asked on which side it bounds
-        enough = Readings(measured, None, side, np.ones(side.shape)).enough(scene)
-        patch_mm, after = settings.patch_of(scene.panel), settings.zero_after
-        return cls(case, patch_mm, water, measured, sigma, enough, baseline, after, noise)
-
-    def frames(self) -> Iterator[Direct]:
-        """All frames; the baseline ended one period before the first."""
-        time = self.case.time
-        period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        for place, measured in enumerate(self.measured):
-            seconds = float(time[place] - time[0]) + period
-            common = None if self.noise is None else self.noise.columns(measured[None], False)
-            yield Direct(measured, self.sigma[place], self.baseline, self.water, seconds, common=common)
+def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Detected:
+    case, settings = task
+    side = np.where(case.valued, case.measured, np.nan)
+    notes: tuple[str, ...] = ()
+    sigma, resting = case.sigma, case.sigma_baseline
+    if sigma is None or resting is None:
+        sigma, notes = _scattered(side, settings)
+        sigma = np.broadcast_to(sigma, side.shape)
+    noise = frame_noise_of(case.frame_noise, case.scene)
+    unloaded = 1 if noise is None else noise.unloaded
+    own = sigma[0] if resting is None else resting * np.sqrt(unloaded)
+    rest = case.measured_baseline
+    rest = np.where(np.isfinite(rest), rest, StandIn.of(rest, np.isfinite(rest)).value)
+    period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
+    known = rest, own, rest[None]
+    begin = float(case.time[0]) - period
+    watched = Known(case.recording, case.scene, *known, begin, case.reading_error, noise, notes)
+    values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
+    return watched.answer(values, settings)
 
 
-def detected(given: GivenRecording, source: CaseResult | None) -> Detection:
-    """What an estimate shows, or the readings themselves for None; frames that failed are left out."""
-    zero, detector = Zero(given.case.scene, given.zero_after, given.baseline), None
-    verdicts: list[Verdict | None] = []
-    tared: list[str] = []
-    for place, taken in enumerate(given.frames()):
-        frame = zero.seen(taken)
-        detector = detector or Detector.of(given.case.scene.panel, given.patch_mm, frame)
-        if not (given.enough[place] and (source is None or source.solved[place])):
-            verdict, zero = None, zero.broken()
-        else:
-            shown = frame if source is None else _compared(frame, source.cell_resistance[place])
-            detector, verdict = detector.push(shown)
-            zero, detector = zero.after(frame, verdict, detector)
-        verdicts.append(verdict)
-        tared.append(zero.said)
-    name = SHARED if source is None else source.estimator
-    return Detection.of(given.case.recording, name, given.case.frame, given.case.time, tuple(verdicts), tuple(tared))
+def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, frames: range | None = None) -> Detected:
+    """What a recording shows, read part by part. Raises InputError where it cannot be read."""
+    stored = StoredRecording.of(path)
+    head = _head(stored)
+    watched = known_of(head, settings)
+    if isinstance(watched, Detected):
+        return watched
+    asked = range(stored.frames) if frames is None else frames
+
+    def each() -> Frames:
+        for block in stored.blocks():
+            part = stored.part(block)
+            yield from measured_frames(part, watched, np.isin(block, asked))
+
+    return watched.answer(each(), settings)
 
 
-def _compared(frame: Direct, estimate: Array) -> Observation:
-    """The frame with an estimate of its cells."""
-    known = frame.measured, frame.sigma, frame.baseline, frame.water, frame.seconds
-    return TwoStep(*known, estimate, common=frame.common)
+def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "Known | Detected":
+    """What the first frames of a recording tell, or why nothing can be said."""
+    readings, notes = head.readings(), []
+    unloaded = np.flatnonzero(head.role == UNLOADED)
+    resting = resting_readings(head, readings)
+    if not resting.enough(head.scene):
+        return Detected.unknown(head.name, "no frame has enough readings to compare with")
+    if not len(unloaded):
+        notes.append("no frame is marked as unloaded: the first one is taken for it")
+    noise, error = None, 0.0
+    if readings.sigma is None:
+        if len(head.time) < 3:
+            return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
+        sigma, said = _scattered(readings.plain_values, settings)
+        notes += said
+    else:
+        seen = noise_seen(head)
+        noise, error = seen.frame, seen.reading_error
+        sigma = seen.used * np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
+    begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
+    known = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, tuple(notes)
+    return Known(head.name, head.scene, *known)
 
 
-def _complete(measured: Array) -> Array:
-    """A frame (rows, columns) with substitutes for its missing readings."""
-    known = np.isfinite(measured)
-    return measured if known.all() else np.where(known, measured, StandIn.of(measured, known).value)
+def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
+    """(value, sigma, s) of the measured frames that were asked for; σ is infinite where a reading is no value."""
+    readings = part.readings()
+    sigma = readings.sigma_of_values
+    for number in np.flatnonzero((part.role == MEASURED) & asked):
+        own = watched.sigma if sigma is None else sigma[number]
+        valued = np.isfinite(readings.plain_values[number])
+        yield readings.value[number], np.where(valued, own, np.inf), float(part.time[number])
 
 
-def _noise(case: CaseResult, sigma: Array | None, measured: Array, settings: RecognitionSettings) -> Array:
-    if sigma is None and settings.noise_percent is None:
-        raise InputError(
-            f"{case.recording}: the noise of the readings is unknown, and without it nothing can be told from noise; "
-            "add a readout to the scene or sigma to the recording and run again, or give the noise in percent"
-        )
-    if sigma is None:
-        return np.asarray(measured * (settings.noise_percent or 0.0) / 100)
-    return counting(sigma, measured)
+def _head(stored: StoredRecording) -> Recording:
+    """The frames up to the first HEAD measured ones, of the first part."""
+    part = stored.part(stored.blocks()[0])
+    measured = np.flatnonzero(part.role == MEASURED)
+    if not len(measured):
+        raise InputError(f"{stored.path}: no frame is measured (role 1)")
+    return stored.part(range(int(measured[:HEAD][-1]) + 1))
+
+
+def _scattered(value: Array, settings: RecognitionSettings) -> tuple[Array, tuple[str, ...]]:
+    """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
+    middle = np.nanmedian(value, axis=0)
+    if settings.noise_percent is not None:
+        return middle * settings.noise_percent / 100, ()
+    with np.errstate(invalid="ignore"):
+        relative = OF_DIFFERENCES * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
+    size = float(np.nanmedian(relative))
+    said = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
+    return middle * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (said,)

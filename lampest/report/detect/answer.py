@@ -1,0 +1,287 @@
+"""What a recording is answered with: one sentence, its attachments and events; as a table, as JSON and as a file."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lampest.files import hdf5
+from lampest.loads.recognition.breathing import LEAST_RATE, LEAST_S
+from lampest.loads.recognition.watch import Attachment, Pair
+from lampest.panel.panel import Array, Panel
+from lampest.report.compare import Table
+
+FORMAT, FILE = "detections/2", "detections.h5"
+LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS = (
+    "lamprey",
+    "sucks",
+    "suction cup",
+    "presses",
+    "nothing",
+    "cannot say",
+)
+SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
+IN_WORDS = {
+    SUCKS: "something sucks (lamprey or cup)",
+    CUP: "suction cup",
+    LAMPREY: "lamprey",
+    PRESSES: "something presses",
+}
+PAIRS = {
+    "x_mm": ("mm", "centre across the columns, column 0 at 0"),
+    "y_mm": ("mm", "centre across the rows, row 0 at 0"),
+    "diameter_mm": ("mm", "outer diameter"),
+    "suction_kpa": ("kPa", "pressure inside against the surroundings"),
+    "breathing_hz": ("Hz", "rate at which the suction changes"),
+    "breathing_depth": ("1", "relative amplitude of that"),
+    "area_mm2": ("mm2", "area of the touched cells"),
+    "conductance_s": ("S", "what the touched cells conduct more than at rest"),
+}
+NUMBERS = {
+    "sucks": ("1", "probability that it sucks"),
+    "breathes": ("1", "probability that its suction changes as breathing does"),
+    "since_s": ("s", "time at which it came"),
+    "until_s": ("s", "time at which it left; NaN: it is there"),
+    "cells": ("1", "number of touched cells"),
+}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that changed. kind : touched, attached (it sucks), moved or released; number : of the attachment."""
+
+    kind: str
+    time_s: float
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What one recording is answered with.
+
+    answer : one of ANSWERS. probability : of it. why : why nothing more can be said, a sentence, or ''.
+    notes : what was assumed or computed. attachments : loads in the order in which they came. course : (2, frames) s
+    and by how many standard deviations the readings stand out. change : (rows, columns) ln r/r0 when something was
+    recognised last, or None. panel : its cells.
+    """
+
+    recording: str
+    answer: str
+    probability: float
+    why: str = ""
+    frames_per_second: float | None = None
+    notes: tuple[str, ...] = ()
+    attachments: tuple[Attachment, ...] = ()
+    course: Array | None = None
+    change: Array | None = None
+    panel: Panel | None = None
+
+    @classmethod
+    def of(
+        cls,
+        recording: str,
+        attachments: Sequence[Attachment],
+        rate: float,
+        notes: tuple[str, ...] = (),
+        course: Array | None = None,
+        change: Array | None = None,
+        panel: Panel | None = None,
+    ) -> "Detected":
+        """The most alarming of all attachments, of these the last one; rate : frames a second."""
+        if not attachments:
+            return cls(recording, NOTHING, 1.0, "", rate, notes, (), course, change, panel)
+        order = [ANSWERS.index(answer_of(one, rate)[0]) for one in attachments]
+        chosen = attachments[max(number for number, rank in enumerate(order) if rank == min(order))]
+        answer, probability, why = answer_of(chosen, rate)
+        return cls(recording, answer, probability, why, rate, notes, tuple(attachments), course, change, panel)
+
+    @classmethod
+    def unknown(cls, recording: str, why: str) -> "Detected":
+        """Where nothing can be said."""
+        return cls(recording, CANNOT_SAY, 1.0, why)
+
+    @property
+    def chosen(self) -> Attachment | None:
+        """The attachment that the answer is about."""
+        rate = self.frames_per_second or 0.0
+        found = [one for one in self.attachments if answer_of(one, rate)[0] == self.answer]
+        return found[-1] if found else None
+
+    @property
+    def sentence(self) -> str:
+        """The answer for people."""
+        one = self.chosen
+        if one is None:
+            return self.answer + (f": {self.why}" if self.why else "")
+        until = "" if one.until_s is None else f" to {one.until_s:.1f} s"
+        there = "attached" if one.sucks > 0.5 else "there"
+        words = f"{IN_WORDS[self.answer]}, {there} {'from' if until else 'since'} {one.since_s:.1f} s{until}"
+        words = words.replace(", attached", " attached", 1)
+        said = [f"{words}, {_shown(one.diameter_mm, 'mm')}".removesuffix(", ")]
+        said[0] += f" at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"
+        said += [_shown(one.suction_kpa, "kPa")] if one.sucks > 0.5 else []
+        if one.diameter_mm is None and one.area_mm2 is not None:
+            said += [f"{one.cells} cells", _shown(one.area_mm2, "mm²")]
+        if self.answer == LAMPREY and one.breathing_hz and one.breathing_depth:
+            depth = (100 * one.breathing_depth[0], 100 * one.breathing_depth[1])
+            said += [f"breathing {one.breathing_hz[0]:.1f} Hz, {_shown(depth, '%')}"]
+        more = sum(other.here for other in self.attachments) - one.here
+        said += [f"and {more} more"] if more else []
+        text = ", ".join(part for part in said if part) + f" (P = {self.probability:.2f})"
+        return text + (f": {self.why}" if self.why else "")
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened, in the order of time."""
+        found: list[Event] = []
+        for number, one in enumerate(self.attachments):
+            if one.sucks_s is None or one.sucks_s > one.since_s:
+                found.append(Event("touched", one.since_s, number))
+            found += [] if one.sucks_s is None else [Event("attached", one.sucks_s, number)]
+            found += [Event("moved", time, number) for time in one.moved_s]
+            found += [] if one.until_s is None else [Event("released", one.until_s, number)]
+        return tuple(sorted(found, key=lambda event: event.time_s))
+
+    def content(self) -> dict[str, Any]:
+        """As `--json` has it."""
+        rate = self.frames_per_second
+        return {
+            "recording": self.recording,
+            "answer": self.answer,
+            "probability": round(self.probability, 4),
+            "sentence": self.sentence,
+            "frames_per_second": None if rate is None else round(rate, 4),
+            "why": self.why,
+            "notes": list(self.notes),
+            "attachments": [self._content(one) for one in self.attachments],
+        }
+
+    def _content(self, one: Attachment) -> dict[str, Any]:
+        known = asdict(one)
+        pairs = {name: None if known[name] is None else [_round(number) for number in known[name]] for name in PAIRS}
+        times = {"since_s": _round(one.since_s), "until_s": None if one.until_s is None else _round(one.until_s)}
+        odds = {"sucks": round(one.sucks, 4), "breathes": round(one.breathes, 4)}
+        return {
+            "answer": answer_of(one, self.frames_per_second or 0.0)[0],
+            **odds,
+            **times,
+            "cells": one.cells,
+            **pairs,
+        }
+
+
+def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
+    """(one of ANSWERS, its probability, why no more can be said or '') of a load at so many frames a second."""
+    if one.sucks <= 0.5:
+        return PRESSES, 1 - one.sucks, ""
+    if one.sucks * one.breathes >= SURE:
+        return LAMPREY, one.sucks * one.breathes, ""
+    why = ""
+    if rate < LEAST_RATE:
+        why = f"{rate:.3g} frames a second do not show breathing, four do"
+    elif one.shaken:
+        why = "it moves at a breathing rate, but not by its suction alone: shaken, or in waves"
+    elif one.breathing_hz is None:
+        why = f"breathing shows after {LEAST_S:g} s at the earliest"
+    elif one.sucks * (1 - one.breathes) >= SURE:
+        return CUP, one.sucks * (1 - one.breathes), ""
+    else:
+        why = f"whether it breathes is not clear (P = {one.breathes:.2f})"
+    return SUCKS, one.sucks, why
+
+
+def _round(number: float) -> float:
+    """To six significant digits."""
+    return float(f"{number:.6g}")
+
+
+def _shown(pair: Pair | None, unit: str) -> str:
+    """Value ± standard deviation, with as many digits as that has; '' where there is none."""
+    if pair is None:
+        return ""
+    digits = 0 if pair[1] >= 1 else 1 if pair[1] >= 0.05 else 2
+    error = max(pair[1], 0.01)
+    return f"{pair[0]:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−")
+
+
+def event_table(answers: Sequence[Detected]) -> Table:
+    """One row for each event; none where nothing happened."""
+    rows = []
+    for one in answers:
+        for event in one.events:
+            load = one.attachments[event.number]
+            rate = one.frames_per_second or 0.0
+            place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
+            numbers = [_shown(pair, "") for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
+            what = answer_of(load, rate)[0]
+            rows.append(
+                (one.recording, f"{event.time_s:.1f}", event.kind, what, place, *(text.strip() for text in numbers))
+            )
+    headers = ("recording", "time [s]", "event", "what", "x, y [mm]", "diameter [mm]", "inside [kPa]", "breathing [Hz]")
+    return Table(headers, tuple(rows))
+
+
+def load_table(answers: Sequence[Detected]) -> Table:
+    """One row for each attachment: probabilities, and what the touched cells show whatever it is."""
+    rows = []
+    for one in answers:
+        for load in one.attachments:
+            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
+            conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
+            odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}"
+            rows.append((one.recording, f"{load.since_s:.1f}", *odds, str(load.cells), area, conductance))
+    headers = ("recording", "since [s]", "P(sucks)", "P(breathes)", "cells", "area [mm²]", "conductance [mS]")
+    return Table(headers, tuple(rows))
+
+
+def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
+    """Write all answers into one file, whole or not at all. Raises InputError where it cannot be written.
+
+    A group for each recording with the names of `Detected.content`: one number of an attachment is one dataset.
+    """
+    path = Path(path)
+    with hdf5.new_file(path) as file:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry")
+        for order, one in enumerate(answers):
+            group = entry.create_group(one.recording)
+            known = one.content()
+            texts = {name: known[name] for name in ("answer", "sentence", "why")}
+            rate = np.nan if one.frames_per_second is None else one.frames_per_second
+            hdf5.set_attributes(
+                group,
+                NX_class="NXsubentry",
+                order=order,
+                probability=one.probability,
+                frames_per_second=rate,
+                notes="\n".join(one.notes),
+                **texts,
+            )
+            if one.attachments:
+                _write_attachments(group.create_group("attachments"), known["attachments"])
+                _write_events(group.create_group("events"), one.events)
+    return path
+
+
+def _write_attachments(group: Any, known: Sequence[dict[str, Any]]) -> None:
+    """A table by columns; pairs as two columns, the second `<name>_errors`."""
+    hdf5.set_attributes(group, NX_class="NXcollection")
+    hdf5.write_dataset(group, "answer", hdf5.ascii_array([one["answer"] for one in known]), "1", "what it is")
+    for name, (units, text) in NUMBERS.items():
+        values = np.array([np.nan if one[name] is None else one[name] for one in known], dtype=float)
+        hdf5.write_dataset(group, name, values, units, text)
+    for name, (units, text) in PAIRS.items():
+        pairs = np.array([[np.nan, np.nan] if one[name] is None else one[name] for one in known], dtype=float)
+        hdf5.write_dataset(group, name, pairs[:, 0], units, text)
+        hdf5.write_dataset(group, f"{name}_errors", pairs[:, 1], units, f"standard deviation: {text}")
+
+
+def _write_events(group: Any, happened: Sequence[Event]) -> None:
+    hdf5.set_attributes(group, NX_class="NXcollection")
+    kinds = hdf5.ascii_array([one.kind for one in happened])
+    hdf5.write_dataset(group, "event", kinds, "1", "touched, attached, moved or released")
+    hdf5.write_dataset(group, "time", np.array([one.time_s for one in happened]), "s", "when it was first seen")
+    hdf5.write_dataset(group, "attachment", np.array([one.number for one in happened]), "1", "number of the attachment")

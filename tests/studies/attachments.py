@@ -1,0 +1,295 @@
+"""Attachments and what is none, at 1 to 10 frames a second: whether it sucks, whether it breathes, how large, when.
+
+Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here they get a course over
+time: touch, suction, breathing with a phase that wanders, leaks, hands that tremble, release; and films that creep and
+keep a part of their answer. Only the panel's two-point resistances are the package's.
+
+    python -m tests.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
+    python -m tests.studies.attachments --read seen.csv other.csv
+"""
+
+import argparse
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from lampest import two_point_resistance
+from lampest.loads.response import ratio_from_pressure
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import PublishedResponse
+from lampest.panel.scene import Scene
+from lampest.recording.recording import Recording
+from lampest.report.detect.answer import Detected
+from lampest.report.detect.detection import AS_PUBLISHED, Known, known_of, measured_frames
+from tests.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
+from tests.studies.mouth_scenes import Scene as Made
+
+UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
+CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
+KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
+SHAKEN = "shaken cup"
+KINDS = (*MAKERS, SHAKEN)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One recording and its first attachment; times in s after the touch, NaN where there is none.
+
+    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it.
+    """
+
+    kind: str
+    rate: float
+    seed: int
+    depth: float
+    hertz: float
+    answer: str
+    early: float
+    sucks: float
+    breathes: float
+    touched: float
+    released: float
+    count: int
+    true_diameter: float
+    diameter: float
+    diameter_sd: float
+    true_suction: float
+    suction: float
+    suction_sd: float
+    seen_depth: float
+    seen_hertz: float
+    cpu: float
+
+
+def courses(rng: np.random.Generator, kind: str, time: Array) -> tuple[Array, float, float]:
+    """((frames, 2) factors of contact and suction, breathing depth, rate)."""
+    since = time - TOUCH_S
+    on = (since >= 0) & (since < ATTACHED_S)
+    press, suck = np.clip(since / 0.4, 0, 1) * on, np.clip((since - 0.3) / 1.2, 0, 1) * on
+    depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
+    phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
+    tremble = 1 + 0.015 * _wandering(rng, step)
+    if kind in MOUTHS:
+        breath = 1 + depth * np.sin(phase)
+        return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath], axis=1), depth, hertz
+    leak = np.exp(-np.maximum(since, 0) * rng.uniform(0, 0.01)) * (1 + 0.004 * _wandering(rng, step))
+    return np.stack([press * (leak if "cup" in kind else tremble), suck * leak], axis=1), 0.0, hertz
+
+
+def _wandering(rng: np.random.Generator, step: Array) -> Array:
+    """Noise of unit variance that is alike within 0.3 s."""
+    value, found = 0.0, []
+    for one in step:
+        kept = np.exp(-one / 0.3)
+        value = kept * value + np.sqrt(1 - kept**2) * rng.standard_normal()
+        found.append(value)
+    return np.array(found)
+
+
+def cells(
+    rng: np.random.Generator, panel: Panel, made: Made, layer: Film, course: Array, time: Array, shake: Array
+) -> Array:
+    """(frames, rows, columns) ohm of a film that creeps; shake : (frames) mm by which the load stands off."""
+    offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * layer.patch_mm
+    inside = np.hypot(*np.meshgrid(offset, offset)) < (layer.patch_mm / 2 if layer.round else np.inf)
+    across, down = panel.centres_mm()
+    x = across[None, :, None, None] + np.broadcast_to(offset, (GRID, GRID)) + np.zeros((panel.rows, 1, 1, 1))
+    y = down[:, None, None, None] + np.broadcast_to(offset[:, None], (GRID, GRID)) + np.zeros((1, panel.columns, 1, 1))
+    places = np.unique(np.round(shake, 2))
+    maps = {
+        at: [part(x - at, y)[..., inside].mean(axis=-1) for part in (made.contact, made.suction)]
+        for at in places.tolist()
+    }
+    each = [maps[at] for at in np.round(shake, 2).tolist()]
+    pressure = np.array([c * one[0] + s * one[1] for (c, s), one in zip(course, each, strict=True)])
+    resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
+    answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
+    logarithm = answer * np.log(ratio_from_pressure(pressure))
+    late, most, shown = [np.zeros(panel.shape) for _ in CREEP], np.zeros(panel.shape), []
+    for now, step in zip(logarithm, np.diff(time, prepend=time[0]), strict=True):
+        late = [old + (now - old) * (1 - np.exp(-step / lag)) for old, (lag, _) in zip(late, CREEP, strict=True)]
+        most = np.where(np.abs(now) > np.abs(most), now, now + (most - now) * np.exp(-step / FADES_S))
+        shown.append(now + sum(part * old for old, (_, part) in zip(late, CREEP, strict=True)) + KEPT * (most - now))
+    return np.asarray(resting * np.exp(np.array(shown)))
+
+
+def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
+    """Two-point resistances, 140 ohm in series included, from a divider of 1 kohm, 10 bit, 20 readings, with ripple."""
+    rows, columns = resistance.shape[1:]
+    drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
+    total = two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None])) + 140.0
+    channels = 3.0 * rng.standard_normal(rows + columns)
+    total = total + channels[:rows, None] + channels[rows:]
+    reference = 1000 * (1 + rng.uniform(-0.01, 0.01))
+    gain = 1 + rng.uniform(0, 0.001) * rng.standard_normal((len(time), 1, 1))
+    ripple = rng.uniform(0, 0.4) * rng.standard_normal((len(time), 1, columns))
+    codes = 1023 * reference / (total + reference) * gain + ripple
+    codes = np.round(codes + 0.7 * rng.standard_normal((20, *codes.shape)))
+    wild = rng.random(codes.shape) < 1e-4
+    mean = np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0)
+    return np.asarray(1000 * (1023 - mean) / mean)
+
+
+def recording(kind: str, rate: float, seed: int, side: int = 10) -> tuple[Recording, Made, float, float]:
+    """(the recording, what stood there, breathing depth and rate)."""
+    rng = np.random.default_rng([seed, side, KINDS.index(kind)])
+    panel = Panel(side, side)
+    made, layer = MAKERS["cup" if kind == SHAKEN else kind](rng, panel), film(rng, rng.choice(["real", "other"]))
+    frames = round((TOUCH_S + ATTACHED_S + BARE_S) * rate)
+    time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
+    course, depth, hertz = courses(rng, kind, time)
+    shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
+    resistance = cells(rng, panel, made, layer, course, time - time[0], shake)
+    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
+    role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
+    return (
+        Recording(scene, recorded(rng, resistance, time - time[0]), time - time[0], role, name=kind.replace(" ", "_")),
+        made,
+        depth,
+        hertz,
+    )
+
+
+def seen(kind: str, rate: float, seed: int) -> Seen:
+    """One recording, and how `lampest detect` answers it at three times."""
+    whole, made, depth, hertz = recording(kind, rate, seed)
+    touch = float(whole.time[UNLOADED]) + TOUCH_S
+    begin = process_time()
+    watched = known_of(whole)
+    assert isinstance(watched, Known)
+    watch, moments = watched.watch(AS_PUBLISHED), []
+    for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
+        watch = watch.push(value, sigma, time)
+        moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
+    early, later, full = (Detected.of(kind, one.attachments, rate) for one in (*moments, watch))
+    cpu = process_time() - begin
+    first, best = full.chosen, later.chosen
+    sucking = max((one.sucks for one in early.attachments if one.here), default=0.0)
+    x = np.zeros(1)
+    suction = float(min(made.suction(x + at[0], x + at[1])[0] for at in made.centres_mm)) if made.centres_mm else np.nan
+    value, sd = (first and first.suction_kpa) or (np.nan, np.nan)
+    size, size_sd = (first and first.diameter_mm) or (np.nan, np.nan)
+    rhythm = first.breathing_hz if first and first.breathing_hz else (np.nan, np.nan)
+    deep = first.breathing_depth if first and first.breathing_depth else (np.nan, np.nan)
+    return Seen(
+        kind,
+        rate,
+        seed,
+        depth,
+        hertz,
+        later.answer,
+        sucking,
+        best.sucks if best else 0.0,
+        best.breathes if best else 0.5,
+        first.since_s - touch if first else np.nan,
+        first.until_s - touch - ATTACHED_S if first and first.until_s is not None else np.nan,
+        sum(one.until_s is None or one.until_s - one.since_s > 3 for one in full.attachments),
+        made.diameters_mm[0] if len(made.diameters_mm) == 1 else np.nan,
+        size,
+        size_sd,
+        suction or np.nan,
+        value,
+        sd,
+        deep[0],
+        rhythm[0],
+        cpu,
+    )
+
+
+def read(path: Path) -> Iterator[Seen]:
+    """What an earlier run has seen."""
+    kinds = {field.name: field.type for field in fields(Seen)}
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            yield Seen(**{name: kinds[name](text) for name, text in row.items()})  # type: ignore[operator]
+
+
+def write(path: Path, one: Seen) -> None:
+    """Append a recording to a table."""
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        table = csv.writer(file)
+        if new:
+            table.writerow([field.name for field in fields(Seen)])
+        table.writerow(list(asdict(one).values()))
+
+
+def area_under_curve(true: Array, false: Array) -> float:
+    """P(a score of those that are exceeds one of those that are not), ties half."""
+    return float(np.mean((true[:, None] > false).astype(float) + 0.5 * (true[:, None] == false)))
+
+
+def report(everything: Sequence[Seen]) -> None:
+    """Print the tables of docs/studies/mouths.md."""
+    for rate in sorted({one.rate for one in everything}):
+        here = [one for one in everything if one.rate == rate]
+        print(
+            f"\n{rate:g} frames a second\n| scene | recordings | answers after 10 s | P(sucks) after 5 s "
+            "| P(breathes) | touched | released | kept as one | diameter: error, in 95 % | suction over true, in 95 % |"
+        )
+        for kind in KINDS:
+            some = [one for one in here if one.kind == kind]
+            if not some:
+                continue
+            answers = {name: sum(one.answer == name for one in some) for name in sorted({one.answer for one in some})}
+            size = np.array([(one.diameter - one.true_diameter, one.diameter_sd) for one in some])
+            force = np.array([(one.suction, one.true_suction, one.suction_sd) for one in some])
+            print(
+                f"| {kind} | {len(some)} | {', '.join(f'{name} {n}' for name, n in answers.items())} "
+                f"| {np.median([one.early for one in some]):.2f} | {np.median([one.breathes for one in some]):.2f} "
+                f"| {_middle([one.touched for one in some])} | {_middle([one.released for one in some])} "
+                f"| {np.mean([one.count == 1 for one in some]):.0%} "
+                f"| {_middle(np.abs(size[:, 0]))} mm, {_held(size[:, 0], size[:, 1])} "
+                f"| {_middle(force[:, 0] / force[:, 1])}, {_held(force[:, 0] - force[:, 1], force[:, 2])} |"
+            )
+        sucking = ("mouth", "cup")
+        early = {
+            one: [seen.early for seen in here if any(word in seen.kind for word in sucking) is one]
+            for one in (True, False)
+        }
+        if all(early.values()):
+            print(f"sucks, after 5 s: AUC {area_under_curve(*map(np.array, early.values())):.4f}")
+        breathing = [np.array([one.breathes for one in here if one.kind in kinds]) for kinds in (MOUTHS, ("cup",))]
+        if all(map(len, breathing)):
+            print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
+        called = np.array([one.sucks * one.breathes for one in here])
+        are = np.array([one.kind in MOUTHS for one in here])
+        for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
+            of = (called >= low) & (called < high)
+            share = are[of].mean() if of.any() else np.nan
+            print(f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are mouths")
+    print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
+
+
+def _middle(values: Sequence[float] | Array) -> str:
+    numbers = np.asarray(values, dtype=float)
+    return f"{np.nanmedian(numbers):.2f}" if np.isfinite(numbers).any() else "–"
+
+
+def _held(error: Array, sd: Array) -> str:
+    known = np.isfinite(error) & np.isfinite(sd)
+    return f"{np.mean(np.abs(error[known]) < 1.96 * sd[known]):.0%}" if known.any() else "–"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=4, help="of every kind and rate")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--rates", type=float, nargs="+", default=[4.0])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--out", type=Path, help="a table, to which recordings are appended")
+    parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
+    given = parser.parse_args()
+    found = [one for path in given.read or () for one in read(path)]
+    for number in range(0 if given.read else given.scenes):
+        for rate in given.rates:
+            for kind in given.kinds:
+                found.append(seen(kind, rate, 1000 * given.seed + number))
+                if given.out is not None:
+                    write(given.out, found[-1])
+    report(found)
