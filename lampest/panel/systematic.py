@@ -144,7 +144,7 @@ class Shared:
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root)
 
     def beyond(self, told: "Shared | None") -> "Shared | None":
-        """What is left where a method has unknowns for what is told; None where nothing is."""
+        """The errors that remain where a method has unknowns for the specified ones; None where none do."""
         if self.systematic is None:
             return None
         if told is None or told.systematic is None:

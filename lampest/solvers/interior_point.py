@@ -180,7 +180,7 @@ class _Barrier:
         return _Barrier(found, self.below + length * below, self.above + length * above, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
-        """The cost with cells at the bound that bends their way more than the readings do."""
+        """The cost with cells at the bound whose barrier curves more than the readings do."""
         data = self.at.data
         own = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
         below, above = (_over(*pair) > own for pair in zip((self.below, self.above), self.rooms, strict=True))

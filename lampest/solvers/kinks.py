@@ -25,7 +25,7 @@ PROJECTIONS = 50  # between |z| ≤ 1 and duals that balance the gradient, where
 
 @dataclass(frozen=True, eq=False)
 class Unsmoothed(Smoothing):
-    """Nothing rounded: slopes are the duals, and nothing bends at a kink."""
+    """Nothing rounded: slopes are the duals, and a kink has no curvature."""
 
     def slope(self, residual: Array) -> Array:
         """z."""

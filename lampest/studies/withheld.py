@@ -119,7 +119,7 @@ def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
     if estimator.relative:
         return "it compares with an earlier frame"
     if not estimator.penalised:
-        return "it has no penalty, and says nothing of a cell whose reading is withheld"
+        return "without a penalty, it leaves a cell open whose reading is withheld"
     return None if scene.panel.modules is None else "its panel is one of modules"
 
 

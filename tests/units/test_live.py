@@ -178,7 +178,7 @@ def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lampre
     exact[7, 4, 4] *= 1.3
     role = np.where(np.arange(10) < 3, UNLOADED, MEASURED).astype(np.uint8)
     found = pictures(LSM, Recording(scene, exact, np.arange(10.0), role))
-    assert [picture.leaps for picture in found] == [0, 0, 0, 0, 1, 0, 0]
+    assert [picture.outliers for picture in found] == [0, 0, 0, 0, 1, 0, 0]
     told = Message(scene.panel, found[4], View("here", "LSM", "receiving", scene.panel)).text()
     assert json.loads(told)["health"]["leaps"] == 1
     assert np.abs(found[4].relative_change).max() < 1
@@ -192,7 +192,7 @@ def test_where_a_reading_hears_its_own_cell_alone_nothing_is_taken_for_a_leap() 
     cells[6:, 2, 3] = 1000.0
     role = np.where(np.arange(8) < 3, UNLOADED, MEASURED).astype(np.uint8)
     found = pictures(LSM, Recording(scene, readout.exact_reading(cells), np.arange(8.0), role))
-    assert [picture.leaps for picture in found] == [0] * 5
+    assert [picture.outliers for picture in found] == [0] * 5
     assert found[3].relative_change[2, 3] == pytest.approx(-66.7, abs=1)
 
 

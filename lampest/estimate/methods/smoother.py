@@ -41,7 +41,7 @@ class Window:
 
 @dataclass(frozen=True)
 class SmootherMethod(Method):
-    """Φ = misfits + what cells do from frame to frame + what all readings share, over all frames and the baseline.
+    """Φ = misfits + changes of cells between frames + errors common to all readings, over all frames and the baseline.
 
     Most cells stand still, some never do, and any may jump (`lampest.estimate.smoothing.walk`); a step that all cells
     have in common is free. Frames as they come are estimated together with those before, back to `lag`.

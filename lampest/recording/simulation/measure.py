@@ -106,7 +106,7 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
 
 
 def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
-    """What is in series beyond what the scene tells: (rows) and (columns) ohm, δ_j of rows and δ_k of columns.
+    """Series resistance beyond the scene's: (rows) and (columns) ohm, δ_j of rows and δ_k of columns.
 
     The series resistance that the scene is silent about stands on the driven side.
     """

@@ -55,7 +55,7 @@ class Picture:
     where the frame failed or the scene names no response; its deviation may come later.
     status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
     cell_resistance, pressure : (rows, columns) ohm and kPa; None where they are not known. saturated : (rows, columns)
-    where the response leaves the pressure open. verdict : one of VERDICTS. leaps : outliers among the
+    where the response leaves the pressure open. verdict : one of VERDICTS. outliers : single-frame ones among the
     readings, each replaced by what the frames before say.
     """
 
@@ -73,7 +73,7 @@ class Picture:
     pressure: Array | None = None
     saturated: NDArray[np.uint8] | None = None
     verdict: str = UNSOLVED
-    leaps: int = 0
+    outliers: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ class Message:
                 "solve_seconds": picture.seconds,
                 "lost": view.lost,
                 "skipped": view.skipped,
-                "leaps": picture.leaps,
+                "leaps": picture.outliers,
                 "open": np.flatnonzero(picture.open_cell).tolist(),
                 "saturated": saturated,
                 "state": view.state,

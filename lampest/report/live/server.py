@@ -199,7 +199,7 @@ class PageHandler(BaseHTTPRequestHandler):
                 self._start("text/plain; charset=utf-8", 0)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Say what a number means and nothing of what was asked."""
+        """Log the status code, without the request."""
         status = HTTPStatus(code)
         hint = HINT if status is HTTPStatus.FORBIDDEN else ""
         text = f"{status.value} {status.phrase}{hint}\n".encode()

@@ -181,8 +181,8 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
 
     Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
     """
-    state, readings, leaps = state.without_outliers(readings)
-    picture = replace(picture, leaps=leaps)
+    state, readings, outliers = state.without_outliers(readings)
+    picture = replace(picture, outliers=outliers)
     try:
         stream, step = state.stream.push(readings)
     except InputError as error:
