@@ -259,4 +259,5 @@ def check(
 def _repaired(file: Path) -> str:
     from lampest.recording.board.record import repair
 
-    return f"{repair(file)} frames: {file}"
+    frames, dropped = repair(file)
+    return f"{frames} frames: {file}" + (f"; {dropped} damaged frames are dropped and count as lost" if dropped else "")

@@ -18,14 +18,14 @@ from lampest.files.typed import Validated
 from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
-from lampest.recording.acquisition import FRAME_FIELDS, Acquisition
+from lampest.recording.acquisition import Acquisition
 from lampest.recording.readings import Readings, check_sigma
+from lampest.recording.unfinished import undamaged_frames
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
-AT_ONCE = 1000  # frames of an unfinished file that are looked at together
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
@@ -157,7 +157,7 @@ class Recording(Validated):
                 return None
             kept = part
             if part == hdf5.ALL:
-                kept = whole_frames(file, group, signal)
+                kept = undamaged_frames(file, scene, group)
                 _check_held(file, f"{group}/{signal}", f"{group}/sigma", *TRUTHS)
 
             def read(path: str, dimensions: int | tuple[int, int] = 3) -> Array | None:
@@ -295,21 +295,3 @@ def _check_held(file: h5py.File, signal: str, *others: str) -> None:
 def group_of(circuit: Readout) -> str:
     """The group of a recording that holds the recorded values: two-point resistances have one of their own."""
     return "two_point" if circuit.unit == "ohm" else "readings"
-
-
-def whole_frames(file: h5py.File, group: str, signal: str) -> slice:
-    """The frames that every dataset holds: all of a finished file, those before the crash of an unfinished one."""
-    if "lampest_unfinished" not in file.attrs:
-        return hdf5.ALL
-    acquired = (f"/entry/acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    paths = (*(f"{group}/{name}" for name in ("time", "role", signal)), "/entry/raw/sums", *acquired)
-    frames, kept = min(hdf5.length_of(file, path) for path in paths), 0
-    for begin in range(0, frames, AT_ONCE):
-        recorded = hdf5.read_array(file, f"{group}/{signal}", 3, part=slice(begin, min(begin + AT_ONCE, frames)))
-        # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
-        unwritten = np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))
-        if len(unwritten):
-            return slice(begin + int(unwritten[0]))
-        seen = np.flatnonzero(~np.all(np.isnan(recorded), axis=(1, 2)))
-        kept = begin + int(seen[-1]) + 1 if len(seen) else kept
-    return slice(kept)

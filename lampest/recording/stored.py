@@ -13,7 +13,8 @@ from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of, whole_frames
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
+from lampest.recording.unfinished import undamaged_frames
 
 WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more
@@ -37,7 +38,7 @@ class StoredRecording:
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
                 raise InputError(f"{path}: {group}/{signal} holds no frame")
-            kept = whole_frames(file, group, signal).stop
+            kept = undamaged_frames(file, scene, group).stop
             for axis in (f"{group}/time", f"{group}/role") if kept is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
                     raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")

@@ -9,9 +9,13 @@ import numpy as np
 from attack.attack import HELD, Attack, called, command
 from attack.targets import small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
+from unclosed import unclosed_recording
 
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Panel, Scene
+from lampest.recording.board.record import repair
 from lampest.recording.recording import Recording
 from lampest.runs.results import read_results
 
@@ -154,11 +158,47 @@ def _allocations(rng: np.random.Generator, folder: Path, count: int) -> Iterator
             yield HELD if fine else ended.said("an older file, damaged")
 
 
+def _unclosed(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
+    path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
+    whole, meant = path.read_bytes(), Recording.load(path)
+    for _ in range(count):
+        damaged, harm = bytearray(whole), str(rng.choice(("bit", "bit", "tail", "page")))
+        if harm == "bit":
+            damaged[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
+        else:
+            begin = int(rng.integers(len(whole)))
+            end = len(whole) if harm == "tail" else min(begin + 512, len(whole))
+            damaged[begin:end] = bytes(end - begin)
+        path.write_bytes(damaged)
+        outcome = _outcome(path, Recording.load, said(meant))
+        yield outcome if outcome != HELD else _repaired(path, meant)
+
+
+def _repaired(path: Path, meant: Recording) -> str:
+    left = path.read_bytes()
+    try:
+        frames, dropped = repair(path)
+    except InputError:
+        return HELD if path.read_bytes() == left else "repair refused, and changed the file"
+    found = Recording.load(path)
+    assert found.acquisition is not None and found.raw_sums is not None and meant.raw_sums is not None
+    kept = found.acquisition.sequence
+    if frames + dropped != len(meant.time) or len(kept) != frames:
+        return f"repair kept {frames} and dropped {dropped} of {len(meant.time)} frames"
+    same = found.recorded.tobytes() == meant.recorded[kept].tobytes()
+    same = (
+        same and np.array_equal(found.raw_sums, meant.raw_sums[kept]) and np.array_equal(found.time, meant.time[kept])
+    )
+    return HELD if same else "repair changed what it kept"
+
+
 ATTACKS = (
     Attack("damage", "bits of a recording", _flipped("a.h5", Recording.load, _recording), 100, 2500),
     Attack("damage", "bits of results", _flipped("b.h5", read_results, good_results), 50, 2500),
     Attack("damage", "a recording with pages lost or doubled", _cut("c.h5", Recording.load, _recording), 40, 400),
     Attack("damage", "results with pages lost or doubled", _cut("d.h5", read_results, good_results), 20, 400),
+    Attack("damage", "bits, pages and tails of an unclosed recording", _unclosed, 20, 400),
     Attack("damage", "a bit in each dataset", _named),
     Attack("damage", "files without checksums", _older_files),
     Attack("damage", "sizes in files without checksums", _allocations, 0, 400),

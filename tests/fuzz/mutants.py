@@ -185,7 +185,7 @@ def good_recordings(folder: Any) -> tuple[bytes, bytes]:
     board = Acquisition(count * 1.0, count, count, 0 * count, 0 * count, 0 * count, np.array([0.5]), ("mark",))
     recording = Recording(
         Scene(Panel(3, 4), readout, 140.0),
-        readout.recorded_from_volt(codes / 20 / 1024 * 5),
+        readout.recorded_from_sums(codes, 20),
         count * 1.0,
         (count > 0).astype(np.uint8),
         np.full((3, 4), 5.0),

@@ -14,13 +14,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from unclosed import unclosed_recording
 
 import lampest
 from lampest.panel.panel import Array
 from lampest.recording import stored
-from lampest.recording.board.journal import Journal
 from lampest.recording.board.record import repair
-from lampest.recording.board.stream import Sample
 from lampest.recording.recording import Recording
 from lampest.report.info import checked_sentence
 from lampest.runs import long_case
@@ -259,27 +258,14 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     assert some.number is not None and list(some.number) == [5, 6, 7, 8]
 
 
-def journal(path: Path, count: int) -> None:
-    """A recording that was never closed, with an event, and a frame that was begun and not written."""
-    rng, codes = np.random.default_rng(8), frames(count)
-    hello = SimpleNamespace(readings=20)
-    with Journal.create(path, SCENE, hello.readings) as growing:
-        for number, values in enumerate(codes):
-            sums = rng.integers(2000, 2010, SCENE.panel.shape, dtype=np.uint16)
-            frame: Any = SimpleNamespace(device_ms=100 * number, sequence=number, missed=0, sums=sums)
-            sample: Any = Sample(frame, hello, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)  # type: ignore[arg-type]
-            growing.append((sample,), values[None], [int(number >= UNLOADED)])
-        growing.mark(1.0, "touch")
-        growing.file[f"entry/{growing.group}/{growing.signal}"].resize(count + 1, axis=0)
-
-
 def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("whole", "parts"):
-        journal(tmp_path / f"{name}.h5", 50)
-    assert repair(tmp_path / "whole.h5") == 50
+        unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, UNLOADED)
+        (tmp_path / "growing.h5").unlink()
+    assert repair(tmp_path / "whole.h5") == (50, 0)
     monkeypatch.setattr(stored, "WHOLE", 600)
     monkeypatch.setattr(stored, "BLOCK", 400)
-    assert repair(tmp_path / "parts.h5") == repair(tmp_path / "parts.h5") == 50
+    assert repair(tmp_path / "parts.h5") == repair(tmp_path / "parts.h5") == (50, 0)
     same(*(content(tmp_path / f"{name}.h5") for name in ("whole", "parts")), 1e-12)
     with h5py.File(tmp_path / "whole.h5") as whole, h5py.File(tmp_path / "parts.h5") as parts:
         assert dict(whole.attrs) == dict(parts.attrs)

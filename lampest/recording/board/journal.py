@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.document import to_yaml
@@ -21,6 +22,16 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
+from lampest.recording.unfinished import (
+    AT_ONCE,
+    EVENT_CHECKSUM,
+    EVENT_PATHS,
+    FRAME_CHECKSUM,
+    checksums,
+    frame_paths,
+    stored_rows,
+    whole_events,
+)
 
 CHUNK_FRAMES = 16
 MOST_SESSIONS, MOST_LOST = 2**16 - 1, 2**32 - 1  # what their fields hold
@@ -57,36 +68,61 @@ class Journal:
         Raises InputError where the disk is full.
         """
         frames = [sample.frame for sample in samples]
-        self._push(
-            {
-                "acquisition/host_time": [sample.host_time for sample in samples],
-                "acquisition/device_ms": [frame.device_ms for frame in frames],
-                "acquisition/sequence": [frame.sequence for frame in frames],
-                "acquisition/missed": [frame.missed for frame in frames],
-                "acquisition/lost": [min(sample.lost, MOST_LOST) for sample in samples],
-                "acquisition/session": [min(sample.session, MOST_SESSIONS) for sample in samples],
-                "raw/sums": [frame.sums for frame in frames],
-                f"{self.group}/time": [sample.time for sample in samples],
-                f"{self.group}/role": roles,
-                f"{self.group}/{self.signal}": recorded,
-            }
+        values: tuple[Any, ...] = (
+            recorded,
+            [sample.time for sample in samples],
+            roles,
+            [frame.sums for frame in frames],
+            [sample.host_time for sample in samples],
+            [frame.device_ms for frame in frames],
+            [frame.sequence for frame in frames],
+            [frame.missed for frame in frames],
+            [min(sample.lost, MOST_LOST) for sample in samples],
+            [min(sample.session, MOST_SESSIONS) for sample in samples],
         )
+        self._push(frame_paths(self.group, self.signal), values, FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
         """Add an event at a time on the recording's axis."""
         text = np.bytes_(label.encode("ascii", "replace")[:LABEL_BYTES])
-        self._push({"acquisition/event_time": [time], "acquisition/event_label": [text]})
+        self._push(EVENT_PATHS, ([time], [text]), EVENT_CHECKSUM)
 
-    def _push(self, values: dict[str, Sequence[Any] | Array]) -> None:
+    def keep(self, other: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
+        """Add what is whole of another journal like this; its damaged frames count as lost before the next one."""
+        paths = frame_paths(self.group, self.signal)
+        whole = np.setdiff1d(np.arange(frames), damaged)
+        dropped = np.diff(whole, prepend=-1) - 1
+        for begin in range(0, len(whole), AT_ONCE):
+            numbers = whole[begin : begin + AT_ONCE]
+            rows = stored_rows(other, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
+            values = [column[numbers - numbers[0]] for column in rows]
+            lost = paths.index("acquisition/lost")
+            values[lost] = np.minimum(values[lost] + dropped[begin : begin + AT_ONCE], MOST_LOST)
+            self._push(paths, values, FRAME_CHECKSUM)
+        events = whole_events(other)
+        rows = stored_rows(other, EVENT_PATHS, slice(len(events)))
+        self._push(EVENT_PATHS, [column[events] for column in rows], EVENT_CHECKSUM)
+
+    def _push(self, paths: Sequence[str], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
+        """Add rows; their checksums follow once the rows are in the file."""
         try:
-            for path, value in values.items():
-                dataset = self.file[f"entry/{path}"]
-                length = dataset.shape[0]
-                dataset.resize(length + len(value), axis=0)
-                dataset[length:] = value
+            columns = [
+                np.asarray(value, dtype=self.file[f"entry/{path}"].dtype)
+                for path, value in zip(paths, values, strict=True)
+            ]
+            for path, column in zip(paths, columns, strict=True):
+                self._extend(path, column)
             self.file.flush()
+            self._extend(checksum, checksums(columns))
+            self.file[f"entry/{checksum}"].flush()
         except (OSError, RuntimeError) as error:
             raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
+
+    def _extend(self, path: str, column: NDArray[Any]) -> None:
+        dataset = self.file[f"entry/{path}"]
+        length = dataset.shape[0]
+        dataset.resize(length + len(column), axis=0)
+        dataset[length:] = column
 
 
 def is_finished(path: Path) -> bool:
@@ -113,6 +149,8 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     hdf5.set_attributes(acquisition, NX_class="NXcollection")
     for name, kind, units, long_name in FRAME_FIELDS:
         _grow(acquisition, name, kind, units, long_name)
+    _grow(entry, FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
+    _grow(entry, EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
     _grow(acquisition, "event_time", "f8", "s", "time of the event")
     _grow(acquisition, "event_label", f"S{LABEL_BYTES}", "1", "what was marked")
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.interrupts import deaf, ending_signals
-from lampest.files.whole import check_output, is_locked, own
+from lampest.files.whole import check_output, folder_beside, is_locked, own
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal, is_finished
@@ -19,8 +20,9 @@ from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
 from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 from lampest.recording.stored import StoredRecording, opened, save_parts
+from lampest.recording.unfinished import damaged_frames, whole_events
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,25 +198,45 @@ def _is_last(sample: Sample, seconds: float) -> bool:
     return sample.time + sample.hello.period_us * 1e-6 > seconds - 1e-3
 
 
-def repair(path: Path) -> int:
+def repair(path: Path) -> tuple[int, int]:
     """Rewrite an unfinished recording as a clean one, with σ of every reading; a finished one stays as it is.
 
-    Returns the number of frames. Raises InputError where nothing can be read, or someone is still recording into it.
+    Returns the number of frames, and of damaged ones that are dropped and count as lost. Raises InputError where
+    nothing can be read, or someone is still recording into it.
     """
     own(path)
     if is_finished(path):
         recording = opened(path)
-        return recording.frames if isinstance(recording, StoredRecording) else len(recording.time)
+        return recording.frames if isinstance(recording, StoredRecording) else len(recording.time), 0
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
-    return finished(path)[1]
+    with folder_beside(path) as folder:
+        whole, dropped = _salvaged(path, folder / path.name)
+        return finished(path, whole)[1], dropped
 
 
-def finished(path: Path) -> tuple[Scene, int, float | None]:
-    """Rewrite a journal as a clean recording, whatever signals come: its scene and frames, its baseline's noise."""
+def _salvaged(path: Path, beside: Path) -> tuple[Path, int]:
+    """(a journal without damage, damaged frames): the journal itself, or a copy of what is whole in it."""
+    with hdf5.existing_file(path) as file:
+        scene, group, _ = head_of(file, path)
+        frames, damaged = damaged_frames(file, scene, group)
+        if not len(damaged) and np.all(whole_events(file)):
+            return path, 0
+        if len(damaged) == frames:
+            raise InputError(f"{path}: every frame is damaged")
+        with Journal.create(beside, scene, int(hdf5.read_number(file, "/entry/raw", "readings"))) as journal:
+            journal.keep(file, damaged, frames)
+    return beside, len(damaged)
+
+
+def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
+    """Rewrite a journal as a clean recording, whatever signals come: its scene and frames, its baseline's noise.
+
+    journal : what is rewritten, where it is not the file at `path`.
+    """
     own(path)
     with deaf():
-        recording = opened(path)
+        recording = opened(journal or path)
         if isinstance(recording, Recording):
             noise = noise_from_repeats([recording])
             _with_sigma(recording, noise).save(path)

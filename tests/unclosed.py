@@ -1,0 +1,31 @@
+"""What a recorder leaves that was killed."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.scene import Scene
+from lampest.recording.board.journal import Journal
+from lampest.recording.board.stream import Sample
+
+READINGS = 20
+
+
+def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int) -> Path:
+    """Frames at 10 Hz, two events and a frame that was begun, as kill -9 leaves them, beside `growing.h5`."""
+    rng, readout, hello = np.random.default_rng(8), scene.readout, SimpleNamespace(readings=READINGS)
+    assert readout is not None
+    with Journal.create(path.with_name("growing.h5"), scene, READINGS) as journal:
+        for number in range(frames):
+            sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)
+            frame: Any = SimpleNamespace(device_ms=100 * number, sequence=number, missed=0, sums=sums)
+            sample: Any = Sample(frame, hello, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)  # type: ignore[arg-type]
+            journal.append((sample,), readout.recorded_from_sums(sums, READINGS)[None], [int(number >= unloaded)])
+        journal.mark(0.3, "touch")
+        journal.mark(0.5, "leave")
+        journal.file[f"entry/{journal.group}/{journal.signal}"].resize(frames + 1, axis=0)
+        journal.file.flush()
+        path.write_bytes(path.with_name("growing.h5").read_bytes())
+    return path
