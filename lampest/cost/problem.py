@@ -130,7 +130,10 @@ class Evaluation:
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
         networks = _solved(data, cell_resistance)
-        return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
+        reading = np.empty_like(cell_resistance)
+        for frame, network in enumerate(networks):
+            reading[frame] = network.reading()
+        return cls(cost, data, cell_resistance, reading, networks)
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
         """The same cost and data at other cells, evaluated in the same way."""
@@ -150,7 +153,7 @@ class Evaluation:
             "dual": dual,
         }
         given = self.data.given.flat
-        return function(*(here[name] if name in here else given[name] for name in function.names))
+        return function(*[here[name] if name in here else given[name] for name in function.names])
 
     def of_terms(self, function: Compiled) -> Array:
         """A function of the terms' residuals at this point, which knows neither weights nor duals."""

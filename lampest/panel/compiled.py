@@ -20,13 +20,16 @@ class Compiled:
     function: "casadi.Function"
 
     @cached_property
-    def _buffer(self) -> Any:
-        return self.function.buffer()
-
-    @cached_property
-    def _size(self) -> int:
-        """Of the output's nonzeros."""
-        return int(self.function.nnz_out(0))
+    def _buffer(self) -> tuple[Any, Any, list[Array], Array]:
+        """(buffer, what evaluates it, its arguments, its result): arrays that stay where they are."""
+        buffer: Any
+        buffer, trigger = self.function.buffer()
+        held: list[Array] = [np.empty(self.function.nnz_in(number)) for number in range(self.function.n_in())]
+        result: Array = np.empty(self.function.nnz_out(0))
+        for number, argument in enumerate(held):
+            buffer.set_arg(number, argument.data)
+        buffer.set_res(0, result.data)
+        return buffer, trigger, held, result
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -34,14 +37,11 @@ class Compiled:
         return tuple(self.function.name_in())
 
     def __call__(self, *arguments: Array) -> Array:
-        buffer, trigger = self._buffer
-        held = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
-        for number, argument in enumerate(held):
-            buffer.set_arg(number, argument.data)
-        result = np.empty(self._size)
-        buffer.set_res(0, result.data)
+        _, trigger, held, result = self._buffer
+        for place, argument in zip(held, arguments, strict=True):
+            place[:] = argument
         trigger()
-        return result
+        return result.copy()
 
     @cached_property
     def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -3,6 +3,7 @@
 Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,12 +31,16 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 def laplacian(conductance: Array) -> Array:
     """L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
-    Panel(rows, columns).check_memory()
-    lines = np.arange(rows + columns)
-    matrix = np.zeros((*conductance.shape[:-2], len(lines), len(lines)), dtype=conductance.dtype)
+    _panel(rows, columns).check_memory()
+    matrix = np.zeros((*conductance.shape[:-2], rows + columns, rows + columns), dtype=conductance.dtype)
     matrix[..., :rows, rows:], matrix[..., rows:, :rows] = -conductance, -conductance.swapaxes(-1, -2)
-    matrix[..., lines, lines] = line_sums(conductance)
+    np.einsum("...ii->...i", matrix)[...] = line_sums(conductance)
     return matrix
+
+
+@lru_cache(maxsize=64)
+def _panel(rows: int, columns: int) -> Panel:
+    return Panel(rows, columns)
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
@@ -49,4 +54,4 @@ def injected(conductance: Array, potentials: Array) -> Array:
 
 def line_sums(values: Array) -> Array:
     """(…, rows + columns) sums over every row and every column of values (…, rows, columns)."""
-    return np.concatenate([values.sum(axis=-1), values.sum(axis=-2)], axis=-1)
+    return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)

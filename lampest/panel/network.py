@@ -171,6 +171,5 @@ class Network(ABC):
 def inverse_of(conductance: Array, ties: Array) -> Array:
     """Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
     matrix = laplacian(conductance)
-    lines = np.arange(ties.shape[-1])
-    matrix[..., lines, lines] += ties
+    np.einsum("...ii->...i", matrix)[...] += ties
     return np.linalg.inv(matrix)

@@ -76,6 +76,8 @@ def steihaug(
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
     """The part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
+    if len(chosen) == size:
+        return product
     whole = np.zeros(size)
 
     def part(values: Array) -> Array:

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
 from lampest.solvers.descent import downhill, free_cells, within_bounds
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
 from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, Squares
-from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel
+from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, between
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
@@ -60,7 +61,7 @@ class Certificate:
     decrement: float
     deviations: float
     left: float = float("inf")
-    factor: Preconditioner | None = None
+    factor: Cholesky | None = None
     descent: Array | None = None
 
     @classmethod
@@ -77,6 +78,17 @@ class Certificate:
         if self.definiteness is not Definiteness.POSITIVE:
             return False
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
+
+    def after(self, at: Evaluation, gradient: Array) -> "Certificate":
+        """The same at the end of its short step: by the gradient there, second derivatives have hardly changed."""
+        if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
+            return self
+        cells = self.factor.cells
+        part = self.factor.solve(-gradient.ravel()[cells])
+        decrement = float(np.sqrt(max(-float(gradient.ravel()[cells] @ part), 0.0)))
+        share = decrement / (self.decrement or 1.0)
+        step = within_bounds(at, cells, part)
+        return replace(self, step=step, decrement=decrement, deviations=self.deviations * share)
 
     def converged(self, cost_scale: float) -> bool:
         """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
@@ -172,12 +184,12 @@ def at_kinks(hessian: Hessian, free: NDArray[np.intp], kinks: Kinks) -> Certific
 
 def _by_factorisation(hessian: Hessian, free: NDArray[np.intp]) -> Certificate:
     """By Cholesky; where that fails, by eigenvectors."""
-    matrix, slope = hessian.matrix[np.ix_(free, free)], hessian.gradient[free]
+    matrix, slope = between(hessian.matrix, free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None
-    if np.all(np.diag(matrix) > least):
+    if np.all(matrix.diagonal() > least):
         factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
-    if factor is not None and clear_of_rounding(factor.triangle, matrix / factor.size / factor.size[:, None]):
+    if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
         definiteness, part, left, descent = Definiteness.POSITIVE, factor.solve(-slope), 0.0, None
     else:
         definiteness, part, left = newton_step(matrix, slope, least)
@@ -221,20 +233,20 @@ def _by_squares(hessian: Hessian, free: NDArray[np.intp]) -> Certificate | None:
     return Certificate.at(hessian, Definiteness.POSITIVE, within_bounds(hessian.at, free, found[2]), found[3])
 
 
-def clear_of_rounding(triangle: Array, unit: Array) -> bool:
-    """Whether 1/‖H⁻¹‖₁ of H = UᵀU with a unit diagonal is more than rounding.
+def clear_of_rounding(triangle: Array, norm: float) -> bool:
+    """Whether 1/‖H⁻¹‖₁ of H = UᵀU with a unit diagonal is more than rounding; norm : ‖H‖₁.
 
     Rounding may leave every pivot positive. Source: Higham, Accuracy and Stability, 2002, section 15.3.
     """
-    norm = float(np.abs(unit).sum(axis=0).max())
     return bool(lapack.dpocon(triangle, norm)[0] * norm > ROUNDING)
 
 
 def _usual_curvature(hessian: Hessian) -> Array:
     """(cells) ∂²φ/∂u² from a cell's own reading, were it weighed as the others are."""
     response = np.concatenate([network.own_response().ravel() for network in hessian.at.networks])
-    weight = hessian.curvature
-    return np.asarray(np.median(weight[weight > 0]) * response**2 if np.any(weight > 0) else np.ones_like(response))
+    weight = hessian.curvature[hessian.curvature > 0]
+    middle = len(weight) // 2
+    return np.asarray(np.partition(weight, middle)[middle] * response**2 if len(weight) else np.ones_like(response))
 
 
 def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Preconditioner | None) -> Certificate:

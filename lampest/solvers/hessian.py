@@ -69,8 +69,10 @@ class Hessian:
 
     def adjoint(self, weights: Array) -> Array:
         """Jᵀ·w, flat, for w (frames, rows, columns)."""
-        pairs = zip(self.at.networks, weights, strict=True)
-        return np.stack([network.adjoint(frame) for network, frame in pairs]).ravel()
+        pulled = np.empty_like(weights)
+        for frame, network in enumerate(self.at.networks):
+            pulled[frame] = network.adjoint(weights[frame])
+        return pulled.ravel()
 
     @cached_property
     def _second_orders(self) -> list[SecondOrder]:

@@ -50,28 +50,34 @@ class Preconditioner(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Cholesky(Preconditioner):
-    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers); diagonal : of M, for the other cells."""
+    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers); diagonal : of M, for the other cells. norm : ‖UᵀU‖₁.
+
+    Below its diagonal, `triangle` holds what nobody reads.
+    """
 
     cells: Numbers
     triangle: Array
     size: Array
     diagonal: Array
+    norm: float
 
     @classmethod
     def of(cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0) -> "Cholesky | None":
         """Of a matrix over some cells, with `least` added to its unit diagonal; None where it is not definite."""
-        size = np.diag(matrix)
-        if not (np.all(size > 0) and np.all(np.isfinite(matrix))):
+        own = matrix.diagonal()
+        if not own.min() > 0:
             return None
-        size = np.sqrt(size)
-        unit = matrix / size / size[:, None]
+        size = np.sqrt(own)
+        unit = matrix / size
+        unit /= size[:, None]
         unit.flat[:: len(size) + 1] += least
-        triangle, failed = lapack.dpotrf(unit)
-        if failed:
+        norm = float(np.abs(unit).sum(axis=0).max())
+        triangle, failed = lapack.dpotrf(unit.T, clean=0, overwrite_a=1)  # symmetric, and in LAPACK's order
+        if failed or not np.isfinite(norm):
             return None
-        diagonal = np.full(cell_resistance.size, float(np.mean(size**2)))
-        diagonal[cells] = size**2
-        return cls(cell_resistance, cells, triangle, size, diagonal)
+        diagonal = np.full(cell_resistance.size, float(np.mean(own)))
+        diagonal[cells] = own
+        return cls(cell_resistance, cells, triangle, size, diagonal, norm)
 
     def solve(self, values: Array) -> Array:
         """M⁻¹·p over its own cells."""
@@ -251,14 +257,18 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
-    among = np.ix_(chosen, chosen)
-    found = Cholesky.of(cells, chosen, hessian.matrix[among])
+    found = Cholesky.of(cells, chosen, between(hessian.matrix, chosen))
     if found is None:
-        matrix = hessian.gauss_newton_matrix[among]
+        matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
         matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
         tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in SHIFTS)
         found = next((one for one in tried if one is not None), None)
     return TwoLevel.of(hessian) if found is None else found
+
+
+def between(matrix: Array, chosen: Numbers) -> Array:
+    """The part of a matrix between some unknowns; itself where these are all."""
+    return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
 
 
 def floored(diagonal: Array) -> Array:

@@ -41,6 +41,8 @@ WORN = {True: 5, False: 30}  # products of a step after which a kept preconditio
 MOVED = 0.7  # of log r: the same
 MOST_UNSETTLED = 8  # steps of an estimate that satisfies first-order conditions: they converge quadratically
 NEAR = 0.01  # of log r: second derivatives change by as much, and a predicted step with them
+SOON = 1e-4  # of log r: before a step that short ∇²φ is factored; nearby its change is a ten-thousandth as well
+LEFT = 1e-9  # of log r: a step that is not worth another evaluation
 DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
 
 
@@ -91,7 +93,8 @@ class Iterate:
     """A point with its derivatives; objective : φ, smoothed. kept : M, or None.
 
     gauss_newton : how many more steps with JᵀWJ may avoid negative curvature. convex : whether no direction on the way
-    here had any.
+    here had any. expected : the length of the next step of log r, as the residual fell in the one before it.
+    nearby : the certificate of a point before, or None.
     """
 
     hessian: Hessian
@@ -99,6 +102,8 @@ class Iterate:
     kept: Preconditioner | None = None
     gauss_newton: int = GAUSS_NEWTON
     convex: bool = True
+    expected: float = inf
+    nearby: Certificate | None = None
 
     @classmethod
     def of(
@@ -136,18 +141,33 @@ class Iterate:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """What one more step would do."""
+        """What one more step would do; by the factor of a point before, where ∇²φ has hardly changed since."""
+        before, cells = self.nearby, self.at.cell_resistance
+        if before is not None and before.factor is not None and before.factor.distance(cells) <= SOON:
+            free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
+            if before.definiteness is Definiteness.POSITIVE and np.array_equal(free, before.factor.cells):
+                return before.after(self.at, self.hessian.gradient)
         return certificate(self.hessian, self.kept)
+
+    @property
+    def known(self) -> Certificate | None:
+        """The newest certificate that was made."""
+        found: Certificate | None = self.__dict__.get("certificate")
+        return found or self.nearby
+
+    @property
+    def newest(self) -> Preconditioner | None:
+        """The last factor of ∇²φ, where there is one, or what was kept."""
+        return self.kept if self.known is None or self.known.factor is None else self.known.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """What the caller gets, after the certificate's own step where that comes from a factor and certifies."""
-        found, cells, kept = self.__dict__.get("certificate"), self.at.cell_resistance, self.kept
+        found, cells = self.__dict__.get("certificate"), self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.rough)
-        if found is not None and found.factor is not None:
-            kept = found.factor
-            if found.settled and not len(dual) and float(np.abs(found.step).max()) <= NEAR:
-                cells = np.exp(self.at.position + found.step.reshape(cells.shape))
-        return Outcome(cells, dual, status, iterations, found, kept, self.convex)
+        factored = found is not None and found.factor is not None and found.settled and not len(dual)
+        if found is not None and factored and LEFT < float(np.abs(found.step).max()) <= NEAR:
+            cells = np.exp(self.at.position + found.step.reshape(cells.shape))
+        return Outcome(cells, dual, status, iterations, found, self.newest, self.convex, self.at)
 
     def unsmoothed(self, iterations: int) -> Outcome | None:
         """The minimum nearby without any smoothing; None where there are no absolute losses, or none is found."""
@@ -167,6 +187,11 @@ class Iterate:
             return None
         hessian = Hessian(at, smoothing.moved(self.at, at))
         return Iterate(hessian, smoothing.objective(at), kept=self.kept, convex=self.convex)
+
+    def expects(self, trial: "Iterate") -> float:
+        """How long the step after one to `trial` will be, of log r; infinite where losses are smoothed."""
+        moved = float(np.abs(trial.at.position - self.at.position).max())
+        return inf if len(self.at.rough) else moved * trial.residual / (self.residual or 1.0)
 
     def accepts(self, trial: "Iterate | None", predicted: float) -> float:
         """The ratio of actual to predicted decrease; where rounding hides it, 1 or −1: did the gradient halve?"""
@@ -200,7 +225,9 @@ def advanced(point: Iterate) -> Iterate | None:
     the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
-    free, kept = free_cells(point.at, hessian.gradient), point.kept
+    if point.expected <= SOON and not len(point.at.rough):
+        _ = point.certificate
+    free, kept = free_cells(point.at, hessian.gradient), point.newest
     if kept is None or kept.distance(cells) > MOVED:
         kept = preconditioner(hessian, free)
     radius, patience, convex = inf, point.gauss_newton, point.convex
@@ -218,7 +245,9 @@ def advanced(point: Iterate) -> Iterate | None:
         if trial is not None and ratio >= ACCEPTED:
             worn = found.products > WORN[hessian.dense]
             patience = patience if found.negative or product is not exact else GAUSS_NEWTON
-            return replace(trial, kept=None if worn else kept, gauss_newton=patience, convex=convex)
+            expected = point.expects(trial) if hessian.dense else inf
+            kept, nearby = None if worn else kept, None if worn else point.known
+            return Iterate(trial.hessian, trial.objective, kept, patience, convex, expected, nearby)
         radius = SHORTER * found.length
         if not radius > 0:
             break

@@ -124,6 +124,7 @@ class Outcome:
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
     these cells, where the solver asked for one. kept : a preconditioner that serves a frame like this one, or None.
     convex : whether the cost curved upwards along every direction from the start to here, as far as anybody looked.
+    at : the cost at these cells or near them, where that is known.
 
     >>> cells, dual = found.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
@@ -137,6 +138,7 @@ class Outcome:
     certificate: Certificate | None = None
     kept: Preconditioner | None = None
     convex: bool = False
+    at: Evaluation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +215,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
-    evaluation = start.elsewhere(cells)
+    known = outcome.at is not None and np.array_equal(outcome.at.cell_resistance, cells)
+    evaluation = outcome.at if outcome.at is not None and known else start.elsewhere(cells)
     gradient = evaluation.log_gradient(outcome.dual)
     residual = evaluation.kkt_residual(outcome.dual, gradient)
     worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale + evaluation.rounding

@@ -100,8 +100,9 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
         chosen = np.flatnonzero(free)
-        curvature = network.transfer[np.ix_(chosen, chosen)] ** 2
-        step[free] = lapack.dposv(curvature, -gradient[free], lower=1)[1]
+        transfer = network.transfer if len(chosen) == free.size else network.transfer[np.ix_(chosen, chosen)]
+        curvature = (transfer * transfer).T  # symmetric, and in LAPACK's order
+        step[free] = lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
         return step
     stencil = Stencil.of(network.conductance, network.reading(), free)
 
