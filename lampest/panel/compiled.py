@@ -39,7 +39,7 @@ class Compiled:
     def __call__(self, *arguments: Array) -> Array:
         _, trigger, held, result = self._buffer
         for place, argument in zip(held, arguments, strict=True):
-            place[:] = argument
+            place[:] = argument.reshape(-1)
         trigger()
         return result.copy()
 

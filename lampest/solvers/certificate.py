@@ -22,7 +22,7 @@ from lampest.solvers.descent import downhill, free_cells, within_bounds
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
 from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, Squares
-from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, between
+from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, matrix_between
 
 MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
@@ -184,7 +184,7 @@ def at_kinks(hessian: Hessian, free: NDArray[np.intp], kinks: Kinks) -> Certific
 
 def _by_factorisation(hessian: Hessian, free: NDArray[np.intp]) -> Certificate:
     """By Cholesky; where that fails, by eigenvectors."""
-    matrix, slope = between(hessian.matrix, free), hessian.gradient[free]
+    matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None
     if np.all(matrix.diagonal() > least):

@@ -257,7 +257,7 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
-    found = Cholesky.of(cells, chosen, between(hessian.matrix, chosen))
+    found = Cholesky.of(cells, chosen, matrix_between(hessian.matrix, chosen))
     if found is None:
         matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
         matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
@@ -266,7 +266,7 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     return TwoLevel.of(hessian) if found is None else found
 
 
-def between(matrix: Array, chosen: Numbers) -> Array:
+def matrix_between(matrix: Array, chosen: Numbers) -> Array:
     """The part of a matrix between some unknowns; itself where these are all."""
     return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
 

@@ -51,9 +51,7 @@ def watch(monkeypatch: pytest.MonkeyPatch, counts: dict[str, int]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
-def test_second_derivatives_are_factored_once_and_serve_to_the_end(
-    monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     counts = counted(monkeypatch, "LSR-gdCR", number)
     assert counts["of"] == 1
     assert counts["product"] <= 7  # 8 where ∇²φ is factored at the end alone
