@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.frame import Observation
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.watch import Attachment, Panelled, Watch
+from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes import OralDisc, Rod, Shape
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
@@ -33,10 +37,13 @@ def recorded(
     return simulate(Simulation(1, 5, SCENE, frames=frames, loads=(load,), course=course, film=film))
 
 
-def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0) -> tuple[Attachment, ...]:
+def watched(
+    recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0, period: float = 1.0
+) -> tuple[Attachment, ...]:
     """What is attached in recordings, one after the other; the first has the baseline.
 
-    minutes : between the first frames of the load and its last, a frame a second. drift : of ln y a decade.
+    minutes : between the first frames of the load and its last. drift : of ln y a decade, of each reading by itself a
+    tenth of that. period : s, between frames.
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
@@ -44,7 +51,7 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
     panelled = Panelled(SCENE, 6.0, np.zeros(SCENE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng, time = np.random.default_rng(3), 0.0
-    wander = drift * (1 + 0.03 * rng.standard_normal(SCENE.panel.shape))
+    wander = drift * (1 + 0.1 * rng.standard_normal(SCENE.panel.shape))
 
     def pushed(watch: Watch, value: Array, sigma: Array, time: float) -> Watch:
         return watch.push(value * np.exp(wander * np.log10(1 + time / 10)), sigma, time)
@@ -53,10 +60,10 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
         readings = recording.readings()
         assert readings.sigma is not None
         for number in range(3, len(readings.value)):
-            time += 1
+            time += period
             watch = pushed(watch, readings.value[number], readings.sigma[number], time)
-            for _ in range(round(60 * minutes) if number == 14 else 0):
-                time += 1
+            for _ in range(round(60 * minutes / period) if number == 14 else 0):
+                time += period
                 noise = readings.sigma[number] * rng.standard_normal(SCENE.panel.shape)
                 watch = pushed(watch, readings.value[number] + noise, readings.sigma[number], time)
     return watch.attachments
@@ -74,6 +81,33 @@ def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: floa
     (one,) = watched([recorded(Film(0.24, 0.03), load)], minutes=5, drift=drift)
     assert one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(316, abs=5)
     assert (one.sucks > 0.5) == (load is MOUTH)
+
+
+def test_an_hour_at_a_frame_every_ten_seconds_is_kept_from_the_first_frame_to_the_last() -> None:
+    (one,) = watched([recorded(Film(0.24, 0.03))], minutes=60, drift=0.02, period=10)
+    assert one.since_s == pytest.approx(55, abs=6) and one.until_s == pytest.approx(3765, abs=6)
+    assert one.sucks > 0.5
+
+
+def test_a_known_load_ends_by_a_step_and_not_by_an_opinion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However probable drift makes it afterwards that nothing is there."""
+    first, verdicts = Detector.push, list[Verdict]()
+
+    def pushed(self: Detector, frame: Observation) -> tuple[Detector, Verdict]:
+        detector, verdict = first(self, frame)
+        verdicts.append(verdict)
+        nothing = (1.0, *(0.0 for _ in verdict.fits[1:]))
+        return detector, verdict if len(verdicts) == 1 else replace(verdict, shares=nothing)
+
+    monkeypatch.setattr(Detector, "push", pushed)
+    (one,) = watched([recorded(None)])
+    assert len(verdicts) > 1 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
+
+
+def test_drift_of_hours_is_little_and_mostly_common_to_all_cells() -> None:
+    covariance = ModelErrors().resting_covariance(6 * 3600, 4)
+    assert 0.02 < np.sqrt(covariance[0, 0]) < 0.1 and covariance[0, 1] > 0.5 * covariance[0, 0]
+    assert ModelErrors().resting_sd(86400) < 2 * ModelErrors().resting_sd(3600)
 
 
 def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:

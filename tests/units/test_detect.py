@@ -13,8 +13,8 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
+from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
-from lampest.loads.recognition.watch import Attachment
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout

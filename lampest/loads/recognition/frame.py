@@ -70,13 +70,14 @@ class Observation:
         return np.clip(change, -MOST_CHANGED, MOST_CHANGED), slope * (np.abs(change) < MOST_CHANGED)
 
     def covariance(self, change: Array) -> Array:
-        """σ² + V Vᵀ + H C Hᵀ + τ² J Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
+        """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
 
         Of each reading, of all in a frame, of the baseline, and of cells at rest.
         """
-        slope, resting = self.slope(change), self.baseline.model_errors.resting_sd(self.seconds)
+        slope = self.slope(change)
+        resting = self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
         both = np.hstack([slope, self.offsets])
-        total = both @ self.baseline.covariance @ both.T + resting**2 * (slope @ slope.T)
+        total = both @ self.baseline.covariance @ both.T + slope @ resting @ slope.T
         if self.common is not None:
             total += self.common @ self.common.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))

@@ -59,7 +59,7 @@ def _departure(frame: Observation, fit: Fit) -> Array:
     cells, errors = fit.change.size, frame.baseline.model_errors
     shared = fit.explained.shared(errors.bent)
     film = fit.scatter**2 * fit.explained.uneven(frame.baseline.alike) + shared.T @ shared
-    spread = np.diag(np.full(cells, errors.resting_sd(frame.seconds) ** 2)) + film
+    spread = errors.resting_covariance(frame.seconds, cells) + film
     both = np.hstack([frame.slope(fit.change), frame.offsets])
     before = frame.baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
     return np.asarray((before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape))

@@ -1,7 +1,7 @@
 """What recognition assumes: errors beside the noise of the readings, and what a user may set beside the results."""
 
 from dataclasses import dataclass, field, replace
-from math import hypot, isfinite
+from math import hypot, isfinite, log10
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,7 +25,9 @@ class ModelErrors:
         between 0.5 and 2.5 times this.
     bent : of the same, alike in all cells: bent film answers less, by half where it is bent sharply.
     cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
-    drift_per_minute : of the rate at which the logarithm of a cell's resistance drifts.
+    drift : of the logarithm of a cell's resistance at rest, for each decade of time, of a panel that had been on
+        for a minute. common_drift : of the same, alike in all cells: temperature. Films settle logarithmically, so
+        hours add little.
     settled : of the logarithm of a cell's resistance at rest, apart from drift.
     creep, creep_sd : the film's creep per decade, see `lampest.panel.film`, and its standard deviation. Wider than a
         scene that leaves it open, because false alarms cost more than weak loads that come back to a place just left.
@@ -42,7 +44,8 @@ class ModelErrors:
     response: float = RESPONSE_SD
     bent: float = 0.15
     cell_spread: float = 0.4
-    drift_per_minute: float = 0.01
+    drift: float = 0.01
+    common_drift: float = 0.02
     settled: float = 0.002
     creep: float = OPEN_CREEP[0]
     creep_sd: float = 0.05
@@ -72,8 +75,13 @@ class ModelErrors:
         return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
-        """Standard deviation of ln r of a cell at rest, `seconds` after the baseline."""
-        return hypot(self.drift_per_minute * seconds / 60, self.settled)
+        """Standard deviation of ln r of a cell at rest by itself, `seconds` after the baseline."""
+        return hypot(self.drift * log10(1 + seconds / 60), self.settled)
+
+    def resting_covariance(self, seconds: float, cells: int) -> Array:
+        """(cells, cells) of ln r of all cells at rest: their own, and what they share."""
+        own, common = self.resting_sd(seconds), self.common_drift * log10(1 + seconds / 60)
+        return own**2 * np.eye(cells) + common**2
 
     def offsets(self, measured: Array, scene: Scene) -> Array:
         """E·sd (cells, offsets): what one standard deviation of every offset adds to the readings, in their unit.

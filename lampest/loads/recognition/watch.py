@@ -6,24 +6,21 @@ A load that is there goes only by a step back to that, up to what film and drift
 slowly as it likes. While nothing is there, the panel at rest follows the readings.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp, hypot, inf, log
 from typing import Protocol
 
 import numpy as np
 
+from lampest.loads.recognition.attachment import Attachment, attachment_of, continued_by
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, Breath, Patterns, breath
-from lampest.loads.recognition.candidates import LOADS, Several
+from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.frame import Observation, counting
-from lampest.loads.recognition.search import cell_map, cells_about
+from lampest.loads.recognition.search import cell_map
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.steps import StepTest
-from lampest.loads.recognition.verdict import Verdict
-from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -34,17 +31,11 @@ CHANGED = 0.5
 # Of a load's ln r/r0, the most that a film keeps of it: 12 %, and 5 % for each decade, as `ModelErrors` have it.
 FILM_KEEPS = 0.25
 FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least
-OFTEN = 0.9  # of its windows in which a mouth breathes
-SURE, PAUSED = 10.0, 5.0  # of ln odds, the most that breathing, and its absence, can bring together
-# Standard deviations of what may move with time: mm, tilts; of suction and rim, relative.
 AGAIN_S = 1.0  # after which breathing is judged again while the window fills
-SUPPLY = 0.01  # relative
-CLEAR = 3.0  # standard deviations of a touched cell
-MOVED_MM = 3.0  # beyond which a centre has moved
+# Standard deviations of what may move with time: the supply, relative; mm, tilts; suction and rim, relative.
+SUPPLY = 0.01
 MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
-BREATHES = 0.1  # relative, of suction and the rim that bears it
-
-Pair = tuple[float, float]
+BREATHES = 0.1
 
 
 class SharedNoise(Protocol):
@@ -76,92 +67,14 @@ class Panelled:
         return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
 
 
-@dataclass(frozen=True)
-class Attachment:
-    """A load from when it came until it left.
-
-    sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
-    None where it is not known. cells : how many it touches; conductance_s : what these conduct more than at rest.
-    breathing, before : ln of the odds that it breathes, and those without the last window.
-    shaken : whether it moves at a breathing rate, but not its suction. watched_s : how long that was looked for.
-    sucks_s, moved_s : when it began to suck, None: it does not; when it moved.
-    """
-
-    sucks: float
-    since_s: float
-    x_mm: Pair
-    y_mm: Pair
-    diameter_mm: Pair | None = None
-    suction_kpa: Pair | None = None
-    cells: int = 0
-    area_mm2: Pair | None = None
-    conductance_s: Pair | None = None
-    until_s: float | None = None
-    breathing: float = 0.0
-    before: float = 0.0
-    breathing_hz: Pair | None = None
-    breathing_depth: Pair | None = None
-    shaken: bool = False
-    watched_s: float = 0.0
-    sucks_s: float | None = None
-    moved_s: tuple[float, ...] = ()
-
-    @property
-    def breathes(self) -> float:
-        """Probability that its suction changes as breathing does, given that it sucks; 1/2 where nothing was seen."""
-        return 1 / (1 + exp(-self.breathing))
-
-    @property
-    def here(self) -> bool:
-        """Whether it is still there."""
-        return self.until_s is None
-
-    @property
-    def place(self) -> tuple[float, float]:
-        """Its centre, mm."""
-        return self.x_mm[0], self.y_mm[0]
-
-    @property
-    def size(self) -> float:
-        """Its diameter, mm; without one infinite: it may be anywhere."""
-        return inf if self.diameter_mm is None else self.diameter_mm[0]
-
-    def distance(self, place: tuple[float, float]) -> float:
-        """To a place, mm."""
-        return hypot(self.place[0] - place[0], self.place[1] - place[1])
-
-    def continued(self, later: "Attachment") -> "Attachment":
-        """As it was recognised later."""
-        far = max(MOVED_MM, 4 * hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
-        moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
-        began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        kept = ("breathing", "before", "breathing_hz", "breathing_depth", "shaken", "watched_s")
-        heard = {name: getattr(self, name) for name in kept}
-        return replace(later, since_s=self.since_s, sucks_s=began, moved_s=moved, **heard)
-
-    def breathed(self, seen: Breath, full: bool, lasted: float) -> "Attachment":
-        """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
-        odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), -PAUSED, SURE))
-        clear = seen.odds > 0 or self.breathing_hz is None
-        return replace(
-            self,
-            breathing=odds,
-            before=odds if full else self.before,
-            breathing_hz=seen.hertz if clear else self.breathing_hz,
-            breathing_depth=seen.depth if clear else self.breathing_depth,
-            shaken=seen.shaken,
-            watched_s=self.watched_s + lasted * full,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Watch:
     """Where a sequence of frames stands. Readings are logarithms, (cells).
 
     test : of steps. rest, rested : the panel before a load, and how many frames that is a mean of. rest_s : its last.
     mean, begun : of the frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the
-    step, WINDOW_S at most. present : whether something is there. size : (discs) what patterns see of it, or of the last
-    one. known : whether it was recognised; next_s : when it will be again. verdict : what it was recognised as.
+    step, of WINDOW_S or FRAMES if that is more. present : whether something is there. size : (discs) what patterns see
+    of it, or of the last one. known : whether it was recognised; next_s : when it will be again. verdict : as what.
     """
 
     panelled: Panelled
@@ -223,7 +136,8 @@ class Watch:
         allowed = CHANGED * self.size if self.present else self._kept(time)
         if np.all(scores < self.test.least() + allowed):
             follows = max(1 / (len(self.window) + 1), min((time - before) / FOLLOWS_S, 1.0))
-            window = (*(one for one in self.window if one[0] > time - WINDOW_S), (time, logarithm))
+            lately = sum(one[0] > time - WINDOW_S for one in self.window)
+            window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
             here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
             if self.present:
                 return here
@@ -285,15 +199,15 @@ class Watch:
         else:
             detector = replace(self.detector, starts=self.detector.starts.against(frame))
         detector, verdict = detector.push(frame)
+        again = time + max(time - self.begun, FIRST_S)
         if verdict.nothing > 0.5:
-            return replace(self, detector=detector)._gone(self.begun)
-        found = [_attachment(frame, verdict, number, self.begun) for number in range(verdict.count)]
-        again = self.begun + 2 * max(time - self.begun, FIRST_S)
+            return replace(self, next_s=again) if self.known else replace(self, detector=detector)._gone(self.begun)
+        found = [attachment_of(frame, verdict, number, self.begun) for number in range(verdict.count)]
         here = replace(self, detector=detector, seen=frame, known=True, next_s=again, change=verdict.best.change)
         here = replace(
             here, left=self.test.sizes(self.mean - self.rest), left_s=time, size=self.test.sizes(self.mean - self.rest)
         )
-        return replace(here, attachments=_matched(self.attachments, found, self.begun))
+        return replace(here, attachments=continued_by(self.attachments, found, self.begun))
 
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""
@@ -345,65 +259,3 @@ class Watch:
         free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
         slope = self.seen.slope(best.change) @ self.seen.change(pressure)[1].ravel() / self.seen.measured.ravel()
         return np.asarray(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300))
-
-
-def _attachment(frame: Observation, verdict: Verdict, number: int, since: float) -> Attachment:
-    """One load of the most probable candidate."""
-    best, panel = verdict.best, frame.baseline.scene.panel
-    candidate, own = best.loads[number]
-    disc = candidate.disc(own)
-    touched = _touched(frame, best.change, disc)
-    if disc is None:
-        return replace(touched, sucks=verdict.sucks, since_s=since)
-    several, at = best.candidate, best.parameters
-    values, slopes = several.of_part(number, at) if isinstance(several, Several) else several.report(at)
-    errors = np.sqrt(np.einsum("qi,ij,qj->q", slopes, best.covariance, slopes))
-    named = zip(candidate.quantities, values, errors, strict=True)
-    pairs = {one.name: (float(value), float(error)) for one, value, error in named}
-    sucks = sum(share for fit, share in zip(verdict.fits, verdict.shares, strict=True) if _sucks_there(fit, disc))
-    sucks /= max(1 - verdict.nothing, 1e-9)
-    x, y = (pairs.get(f"centre_{name}", (at, panel.pitch_mm / 2)) for name, at in (("x", disc.x_mm), ("y", disc.y_mm)))
-    began = since if sucks > 0.5 else None
-    here = replace(touched, sucks=sucks, since_s=since, sucks_s=began, x_mm=x, y_mm=y)
-    return replace(here, diameter_mm=pairs.get("diameter"), suction_kpa=pairs.get("inner_pressure"))
-
-
-def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment:
-    """Cells that differ clearly from those at rest, near a disc or anywhere: their centre, area and conductance."""
-    panel = frame.baseline.scene.panel
-    found, sd = cells_about(frame, change)
-    x, y = np.meshgrid(*panel.centres_mm())
-    moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
-    if disc is not None:
-        moved &= np.hypot(x - disc.x_mm, y - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
-    weight = np.abs(found) * (moved if moved.any() else 1.0)
-    at = [(float((weight * line).sum() / weight.sum()), panel.pitch_mm / 2) for line in (x, y)]
-    resting = np.exp(-frame.baseline.logarithm)
-    more, error = resting * np.expm1(-found), resting * np.exp(-found) * sd
-    count, square = int(moved.sum()), panel.pitch_mm**2
-    conductance = float(more[moved].sum()), float(np.sqrt((error[moved] ** 2).sum()))
-    area = count * square, square * (max(count, 1) / 3) ** 0.5
-    return Attachment(0.0, 0.0, at[0], at[1], cells=count, area_mm2=area, conductance_s=conductance)
-
-
-def _sucks_there(fit: Fit, disc: Disc) -> bool:
-    """Whether one of its loads sucks, and stands where the disc is."""
-    discs = [part.disc(own) for part, own in fit.loads if part.sucks]
-    return any(
-        one is not None and hypot(one.x_mm - disc.x_mm, one.y_mm - disc.y_mm) < disc.diameter_mm / 2 for one in discs
-    )
-
-
-def _matched(before: Sequence[Attachment], found: Sequence[Attachment], time: float) -> tuple[Attachment, ...]:
-    """All attachments once loads were recognised since a time: those nearest by are continued, the others have left."""
-    attachments, left = list(before), [number for number, one in enumerate(before) if one.here]
-    for load in found:
-        near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
-        if near is not None and attachments[near].distance(load.place) < max(attachments[near].size, load.size):
-            attachments[near] = attachments[near].continued(load)
-            left.remove(near)
-        else:
-            attachments.append(load)
-    for number in left:
-        attachments[number] = replace(attachments[number], until_s=time)
-    return tuple(attachments)

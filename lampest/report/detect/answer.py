@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lampest.files import hdf5
+from lampest.loads.recognition.attachment import Attachment, Pair
 from lampest.loads.recognition.breathing import LEAST_RATE, LEAST_S
-from lampest.loads.recognition.watch import Attachment, Pair
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from lampest.loads.recognition.watch import Attachment
+from lampest.loads.recognition.attachment import Attachment
 from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, plain_number, write_all
