@@ -26,6 +26,7 @@ from lampest.recording.stored import StoredRecording, first_unloaded, measured_p
 LEAD = 500  # unloaded frames, and no more than a part has: more tell no more of the noise than a scene does
 AROUND = 250  # measured frames before, and after, the one that differs most; no more than a part has
 BESIDE = 4  # frames in time that show whether a reading is an outlier
+MOST_BESIDE = 4  # frames that decide on weights beside the strongest one
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 
@@ -103,7 +104,8 @@ def _unrested_stream(
     if estimator.automatic and estimator.auto_weight.per == "recording":
         frame = deciding_frame(recording, readings, resting)
         if frame is not None:
-            estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame])
+            beside = frames_beside(recording, readings, frame)
+            estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame], readings[beside])
     period = frame_period(recording) if period is None else period
     return Stream.unrested(estimator, scene, period, resting, noise)
 
@@ -125,10 +127,25 @@ def deciding_frame(recording: Recording, readings: Readings, resting: Readings) 
     return strongest_frame(readings.plain_values, resting.value, frames)
 
 
-def with_weights_of_a_recording(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Estimator:
-    """The estimator with the weights that suit one frame; with the baseline where terms compare it with that."""
+def frames_beside(recording: Recording, readings: Readings, frame: int) -> NDArray[np.intp]:
+    """Frames that decide beside the deciding one: where some of its readings are no values, as in theirs.
+
+    They are spread evenly. What is left of a frame differs from frame to frame, and so does the weight that suits it.
+    """
+    frames = recording.measured_frames()
+    frames = frames[readings.enough(recording.scene)[frames] & (frames != frame)]
+    alike = [number for number in frames if readings[number].partial] if readings[frame].partial else []
+    spread = np.linspace(0, len(alike) - 1, MOST_BESIDE if alike else 0)
+    return np.array([alike[number] for number in np.unique(spread.round().astype(int))], dtype=int)
+
+
+def with_weights_of_a_recording(
+    estimator: Estimator, scene: Scene, resting: Readings, frame: Readings, others: Readings
+) -> Estimator:
+    """The estimator with the weights that suit a frame and others; with the baseline where terms compare with that."""
     data = deciding_data(estimator, scene, resting, frame)
-    return with_chosen_weights(estimator, scene, data, None, frame.sigma is not None)
+    beside = [deciding_data(estimator, scene, resting, others[number]) for number in range(len(others.value))]
+    return with_chosen_weights(estimator, scene, data, None, frame.sigma is not None, beside)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:

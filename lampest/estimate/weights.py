@@ -20,7 +20,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.posterior.spectrum import Rule, Spectrum, best_weight
 from lampest.posterior.track import MOST_DENSE
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -32,15 +32,23 @@ AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 
 def with_chosen_weights(
-    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, noisy: bool
+    estimator: AnyObjective,
+    scene: Scene,
+    data: Data,
+    near: Array | None,
+    noisy: bool,
+    others: Sequence[Data] = (),
 ) -> AnyObjective:
     """The objective with numbers for the weights that it leaves open, from one solve's data.
 
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
+    others : of further solves, which a rule's weight is to suit as well; partial, as `data` then is.
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
-    search = WeightSearch(estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver)
+    search = WeightSearch(
+        estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver, tuple(others)
+    )
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
     single = len(penalties) == 1 and estimator.terms[penalties[0]].loss.squared
     first = convex(data, near) if near is None else near
@@ -69,11 +77,12 @@ def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
 
 @dataclass(frozen=True)
 class WeightSearch:
-    """cost : with weights that are numbers or 'auto'. data : of one solve."""
+    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones, all partial."""
 
     cost: Cost
     data: Data
     settings: Settings
+    others: tuple[Data, ...] = ()
 
     @property
     def _given(self) -> list[float | None]:
@@ -91,7 +100,7 @@ class WeightSearch:
         return weights
 
     def tried(self, penalty: int, rule: Rule, first: Array, by_default: bool = False) -> list[float]:
-        """What a rule calls the best weight at a start, and then at the estimate for each weight before.
+        """What a rule calls the best weight at a start, and then at the estimates for each weight before.
 
         Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
         readings are bounds, a start that takes them for values is no place to linearise: the estimate for what its
@@ -99,34 +108,41 @@ class WeightSearch:
         by_default : whether press takes the rule's place where noise is not what such a frame's readings are missed by.
         """
         weights = [1.0 if given is None else given for given in self._given]
-        model: LinearModel | None = LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))
+        models = [LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))]
         found: list[float] = []
         with suppress(*BROKEN):
             if self.data.partial:
-                weights[penalty] = self._suggested((penalty,), self.data.uniform_start)[penalty]
-                model = self._solved(weights, self.data.uniform_start)
-            while model is not None and len(found) < MOST_SOLVES:
-                spectrum = Spectrum.of(model)
-                doubted = by_default and self.data.partial
-                if doubted and spectrum.unexplained(spectrum.best("press")) > UNEXPLAINED:
-                    rule = "press"
-                best = spectrum.best(rule)
+                alone = (replace(self, data=data, others=()) for data in (self.data, *self.others))
+                models = [model for search in alone if (model := search._where_bounds_suggest(penalty)) is not None]
+            while models and len(found) < MOST_SOLVES:
+                spectra = [Spectrum.of(model) for model in models]
+                if by_default and self.data.partial:
+                    predicting = best_weight(spectra, "press")
+                    if np.median([spectrum.unexplained(predicting) for spectrum in spectra]) > UNEXPLAINED:
+                        rule = "press"
+                best = best_weight(spectra, rule)
                 damped = bool(found) and self.data.partial
                 weights[penalty] = float(np.sqrt(best * found[-1])) if damped else best
                 found.append(weights[penalty])
                 if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:
                     break
-                model = self._solved(weights, model.at.cell_resistance) if len(found) < MOST_SOLVES else None
+                again = (self._solved(weights, model.at.cell_resistance, model.at.data) for model in models)
+                models = [model for model in again if model is not None] if len(found) < MOST_SOLVES else []
         return found or [self._suggested((penalty,), first)[penalty]]
+
+    def _where_bounds_suggest(self, penalty: int) -> LinearModel | None:
+        """What surrounds the estimate for the weight that the residuals of even cells suggest."""
+        start = self.data.uniform_start
+        return self._solved(self._suggested((penalty,), start), start, self.data)
 
     def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
         weights = [1.0 if given is None else given for given in self._given]
         at = evaluated(self.weighted(weights), self.data, first)
         return first_weights(LinearModel(at, np.zeros(0)), weights, penalties)
 
-    def _solved(self, weights: Sequence[float], start: Array) -> LinearModel | None:
+    def _solved(self, weights: Sequence[float], start: Array, data: Data) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
-        found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), self.data, start)
+        found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, start)
         return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
 
     def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
@@ -135,7 +151,7 @@ class WeightSearch:
         weights, near = self._suggested(sought, first), first
         with suppress(*BROKEN):
             for _ in range(MOST_SOLVES):
-                model = self._solved(weights, near)
+                model = self._solved(weights, near, self.data)
                 if model is None:
                     break
                 near, before = model.at.cell_resistance, weights

@@ -5,7 +5,8 @@ T = R⁻ᵀ Q and q(λ) = −f·(b + λd), f = 1/(1 + λκ), where b and d are t
 rule asks for, determinants and traces too, is a sum over κ.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -135,11 +136,25 @@ class Spectrum:
         seen = stiffness[stiffness > LEAST * stiffness.max()]
         return -float(np.log(BEYOND * seen.max())), float(np.log(BEYOND / seen.min()))
 
-    def best(self, rule: Rule) -> float:
-        """The λ that minimises a rule's function, over all λ that make a difference."""
-        value: Callable[[float], float] = getattr(self, rule)
-        grid = np.linspace(*self.extent, POINTS)
-        least = int(np.argmin([value(float(np.exp(place))) for place in grid]))
-        between = (grid[max(least - 1, 0)], grid[min(least + 1, POINTS - 1)])
-        found = minimize_scalar(lambda place: value(float(np.exp(place))), bounds=between, options={"xatol": 0.01})
-        return float(np.exp(found.x))
+
+def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
+    """The λ that minimises a rule's function over several estimates, among all λ that make a difference to any.
+
+    Beyond the λ that make one to an estimate its function stays as it is.
+
+    Functions that need the noise are summed. Those of `press` are multiplied: nothing but a frame's own errors says by
+    how much its readings are missed, and the likelihood with an unknown variance has the logarithm of their sum.
+    """
+    together = math.prod if rule == "press" else sum
+
+    extents = [spectrum.extent for spectrum in spectra]
+
+    def value(place: float) -> float:
+        places = (float(np.exp(min(max(place, least), most))) for least, most in extents)
+        return float(together(getattr(spectrum, rule)(at) for spectrum, at in zip(spectra, places, strict=True)))
+
+    lowest, highest = zip(*extents, strict=True)
+    grid = np.linspace(min(lowest), max(highest), POINTS)
+    least = int(np.argmin([value(place) for place in grid]))
+    between = (grid[max(least - 1, 0)], grid[min(least + 1, POINTS - 1)])
+    return float(np.exp(minimize_scalar(value, bounds=between, options={"xatol": 0.01}).x))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.two_point.exact import exact_two_point_resistance
 from lampest.panel.scene import Scene
@@ -129,6 +130,34 @@ def test_a_weight_is_chosen_by_prediction_where_noise_is_not_why_readings_are_mi
     by_default = error(lampest.AutoWeight())
     assert by_default == error(lampest.AutoWeight(rule="press"))
     assert by_default < 0.7 * error(lampest.AutoWeight(rule="risk"))
+
+
+def test_several_frames_choose_the_weight_where_readings_are_missing() -> None:
+    """The strongest frame alone would choose another; whole frames leave the choice to it."""
+    rng = np.random.default_rng(8)
+    unevenness = np.array([0.05, 0.05, 0.05, 1.0])[:, None, None] * rng.standard_normal((4, 6, 6))
+    frames = [exact_two_point_resistance(cells) for cells in 500 * np.exp(unevenness)]
+    whole = np.array(frames) * np.exp(0.01 * rng.standard_normal((4, 6, 6)))
+
+    def chosen(readings: np.ndarray) -> float:
+        time, role = np.arange(len(readings), dtype=float), np.ones(len(readings), dtype=np.uint8)
+        sigma = 0.01 * np.nan_to_num(readings, nan=1e3)
+        recording = lampest.Recording(Scene(Panel(6, 6)), readings, time, role, sigma=sigma)
+        terms = (lampest.Misfit(weighting="noise"), lampest.LogGradient(weight="auto"))
+        return float(first_stream(recording, recording.readings(), lampest.Estimator(terms)).estimator.terms[1].weight)
+
+    assert chosen(whole) == chosen(whole[[0, 3]])
+    missing = whole.copy()
+    missing[:, 1, 2] = np.nan
+    assert chosen(missing) > 1.005 * chosen(missing[3:])
+
+
+def test_a_region_is_refused_where_crossings_have_no_cell() -> None:
+    """Its blocks are rectangles of crossings, and a load in a glove of strips went unseen."""
+    panel, cells = drawn("glove", 1)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
+    with pytest.raises(lampest.InputError, match="formulation: region needs a cell at every crossing"):
+        solved(panel, np.stack([readings, readings]), lampest.Misfit(), formulation="region")
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])

@@ -12,6 +12,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.state import S, Step
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.solvers.linearised import LinearisedSolver
@@ -90,6 +91,12 @@ class RegionMethod(AnchoredMethod):
     def __post_init__(self) -> None:
         if not 0 < self.significance < float("inf"):
             raise ValueError("significance must be positive and finite")
+
+    def begin(self, state: S, solved: Step | None = None) -> S:
+        """As all anchored methods. Raises InputError where crossings have no cell: blocks are rectangles of them."""
+        if not state.scene.panel.present.all():
+            raise InputError("formulation: region needs a cell at every crossing of its panel; take reduced")
+        return super().begin(state, solved)
 
     def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
         """The baseline's network."""

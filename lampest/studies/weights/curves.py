@@ -13,7 +13,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
-from lampest.estimate.sequence import deciding_data, deciding_frame, resting_readings
+from lampest.estimate.sequence import deciding_data, deciding_frame, frames_beside, resting_readings
 from lampest.estimate.weights import WeightSearch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -36,7 +36,8 @@ class WeightSubject:
 
     recording, name : of the recording and of the estimator. frame : index into the recording. noisy : whether σ is
     known. cost, data : of the solves; the last of their frames is the measured one. truth : log r (rows, columns) of
-    that frame, NaN in cells that are known to be broken; None where it is unknown.
+    that frame, NaN in cells that are known to be broken; None where it is unknown. others : data of further frames
+    that a rule's weight is to suit.
     """
 
     recording: str
@@ -48,6 +49,7 @@ class WeightSubject:
     cost: Cost
     data: Data
     truth: Array | None
+    others: tuple[Data, ...]
 
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
@@ -65,9 +67,11 @@ class WeightSubject:
             truth = np.log(recording.truth_cell_resistance[frame])
             truth[scene.broken] = np.nan
         cost = case.estimator.cost(scene, len(data.measured), data.partial)
-        return cls(
-            case.recording, case.name, case.estimator, scene, frame, readings.sigma is not None, cost, data, truth
-        )
+        beside = readings[frames_beside(recording, readings, frame)]
+        numbers = range(len(beside.value))
+        others = tuple(deciding_data(case.estimator, scene, resting, beside[number]) for number in numbers)
+        names, noisy = (case.recording, case.name), readings.sigma is not None
+        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, others)
 
     @cached_property
     def penalty(self) -> int:
@@ -83,7 +87,7 @@ class WeightSubject:
     @property
     def search(self) -> WeightSearch:
         """What chooses weights for these data."""
-        return WeightSearch(self.cost, self.data, self.estimator.solver)
+        return WeightSearch(self.cost, self.data, self.estimator.solver, self.others)
 
     def with_weight(self, weight: float) -> Cost:
         """The cost with a weight of the penalty."""
