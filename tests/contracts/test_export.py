@@ -142,6 +142,9 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
         assert_array_equal(ours["cost_misfit"], case.costs["misfit"])
         assert tuple(ours["status"]) == case.status
         assert_array_equal(ours["x"], 10 * np.arange(case.measured.shape[2]))
+        rows, columns = case.measured.shape[1:]
+        assert_array_equal(ours["row"], np.arange(rows))
+        assert_array_equal(ours["column"], np.arange(columns))
         assert ("pressure" in ours) == (case.pressure is not None)
         assert (ours["units"]["cell_resistance"], ours["units"]["x"]) == ("ohm", "mm")
         assert ours["long_name"]["cell_resistance"] == "estimated cell resistance"

@@ -2,6 +2,7 @@
 
 import ctypes
 import dataclasses
+import logging
 import multiprocessing
 import os
 import signal
@@ -21,7 +22,7 @@ from lampest.files import interrupts
 from lampest.files.errors import InputError
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
-from lampest.runs.executors import Dask, Processes, Serial, local
+from lampest.runs.executors import Dask, Processes, Serial, dask, local
 from lampest.runs.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
@@ -193,6 +194,18 @@ def slow_case(task: Task) -> Any:
     solved = solve_case(task)
     time.sleep(0.0 if task.case.name == "LSM" else 30.0)
     return solved
+
+
+def test_levels_of_loggers_are_as_before_once_dask_is_done() -> None:
+    log = logging.getLogger("distributed.scheduler")
+    before = log.level
+    try:
+        log.setLevel(logging.ERROR)
+        with dask._silence():
+            assert not log.isEnabledFor(logging.CRITICAL)
+        assert log.level == logging.ERROR
+    finally:
+        log.setLevel(before)
 
 
 @pytest.mark.slow

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wild_board import IDLE, Script, wild_board, wire
+from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
+from lampest.cli.board import report_recorded
 from lampest.recording.board import stream
 from lampest.recording.board.protocol import Frame, Hello, hello_body, message
 from lampest.recording.board.record import Recorded, record
@@ -85,6 +86,22 @@ def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> No
     with pytest.raises(InputError, match="ended before the first frame"):
         recorded(script, tmp_path, seconds=0.2)
     assert time.monotonic() - began < 10
+
+
+def falls_silent(hello: Hello) -> Sent:
+    """Thirty frames, and then nothing."""
+    for number in range(30):
+        yield 0.01, wire(hello, number)
+
+
+def test_silence_at_the_end_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with wild_board(falls_silent) as board:
+        done = record(board.port, tmp_path / "out.h5", seconds=1.0, period=0.01)
+    assert (done.frames, done.lost, done.silent) == (30, 0, 0.7)
+    report_recorded(done)
+    assert "lampest: no frame came in the last 0.7 s\n" in capsys.readouterr().err
+    with wild_board(hundred_a_second) as board:
+        assert record(board.port, tmp_path / "whole.h5", seconds=0.5, period=0.01).silent == 0.0
 
 
 def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:

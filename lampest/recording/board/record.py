@@ -27,12 +27,16 @@ from lampest.recording.unfinished import damaged_frames, whole_events
 
 @dataclass(frozen=True, kw_only=True)
 class FrameCount:
-    """Frames in the file, frames known to be missing, restarts of the board; frames that the port held at the end."""
+    """Frames in the file, frames known to be missing, restarts of the board; frames that the port held at the end.
+
+    until : s on the recording's time axis, when the last frame's period ended.
+    """
 
     frames: int = 0
     lost: int = 0
     restarts: int = 0
     behind: int = 0
+    until: float = 0.0
 
     def after(self, sample: Sample, behind: bool) -> "FrameCount":
         """With one more; `behind` where the end had been asked for before it was read."""
@@ -41,6 +45,7 @@ class FrameCount:
             lost=self.lost + sample.lost,
             restarts=sample.session,
             behind=self.behind + behind,
+            until=sample.time + sample.hello.period_us * 1e-6,
         )
 
 
@@ -49,13 +54,15 @@ class Recorded(FrameCount):
     """What `record` did.
 
     ended_by : the signal that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : noise of one reading as the
-    baseline's repeats show it, or None where they do not suffice. scene : what board and user agreed on.
+    baseline's repeats show it, or None where they do not suffice. scene : what board and user agreed on. silent : s at
+    the end of those asked for in which no frame came.
     """
 
     path: Path
     scene: Scene
     ended_by: str
     noise_lsb: float | None
+    silent: float = 0.0
 
     @property
     def interrupted(self) -> bool:
@@ -102,9 +109,7 @@ def record(
     where the board does not answer or does not fit, `out` exists, no frame came, or nothing fits any more; what came
     before is in the file then.
     """
-    check_output(out)
-    if out.exists():
-        raise InputError(f"{out}: exists already; a recording is never written over")
+    _check_new(out)
     port_url = port_url or only_port()
     count, state = FrameCount(), ""
 
@@ -135,7 +140,16 @@ def record(
         if made is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         agreed, _, noise = made
-        return Recorded(path=out, scene=agreed, ended_by=asked(), noise_lsb=noise, **asdict(count))
+        done = Recorded(path=out, scene=agreed, ended_by=asked(), noise_lsb=noise, **asdict(count))
+        short = seconds is not None and not done.interrupted and count.frames != frames
+        return dataclasses.replace(done, silent=round(max((seconds or 0.0) - count.until, 0.0), 3)) if short else done
+
+
+def _check_new(out: Path) -> None:
+    """Raise InputError where the recording cannot be made, or would be written over another."""
+    check_output(out)
+    if out.exists():
+        raise InputError(f"{out}: exists already; a recording is never written over")
 
 
 def _written(

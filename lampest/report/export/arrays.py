@@ -17,7 +17,7 @@ class MatlabExport(Export):
     """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` says 'ohm'.
 
     `long_name` has the meanings in words; `flags.open_cell.values` and `.meanings` what the values of a flag say; `y`
-    and `x` the positions of rows and columns in mm; texts of frames are cells of texts.
+    and `x` the positions in mm of the lines in `row` and `column`; texts of frames are cells of texts.
     """
 
     kind: ClassVar[str] = "mat"
@@ -50,7 +50,8 @@ def _struct(case: CaseResult) -> dict[str, Any]:
     values = {one.name: _cells(one.values) if one.is_text else one.values for one in held}
     units = {one.name: one.units for one in held} | {"x": "mm", "y": "mm"}
     names = {one.name: one.long_name for one in held}
-    return about(case) | values | {"x": x, "y": y, "units": units, "long_name": names, "flags": flags}
+    lines = {axis: np.arange(size) for axis, size in zip(("row", "column"), case.scene.panel.shape, strict=True)}
+    return about(case) | values | lines | {"x": x, "y": y, "units": units, "long_name": names, "flags": flags}
 
 
 def _cells(things: Sequence[Any]) -> NDArray[Any]:

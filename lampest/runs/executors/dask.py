@@ -137,6 +137,7 @@ class Dask(Validated):
     def _client(self, distributed: Any, tasks: int) -> Iterator[Any]:
         """A client whose cluster is closed with it unless it ran before."""
         with ExitStack() as stack:
+            stack.enter_context(_silence())
             stack.enter_context(library("dask").config.set(SCHEDULING))
             stack.enter_context(one_thread())
             where: dict[str, Any] = {"address": self.address, "scheduler_file": self.scheduler_file}
@@ -144,7 +145,6 @@ class Dask(Validated):
                 workers = min(self.workers or cores(), tasks)
                 where = {"address": stack.enter_context(_of_this_machine(distributed, workers))}
             security = None if self.tls is None else self.tls.security()
-            _silence()
             try:
                 client = stack.enter_context(
                     distributed.Client(**where, timeout=self.wait_s, set_as_default=False, security=security)
@@ -178,11 +178,19 @@ def dask_setup(worker: Any) -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
-def _silence() -> None:
+@contextmanager
+def _silence() -> Iterator[None]:
     """Dask tells of a scheduler that is gone in dozens of lines of its own; a user reads one sentence."""
-    for name in list(logging.root.manager.loggerDict):
-        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+    noisy = ("distributed", "tornado", "asyncio")
+    names = [*noisy, *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy)]
+    before = {name: logging.getLogger(name).level for name in names}
+    try:
+        for name in names:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def _outcomes(distributed: Any, client: Any, function: Function, tasks: dict[int, Any]) -> Iterator[tuple[int, Any]]:
