@@ -222,14 +222,14 @@ def test_hidden_suction_counts_less() -> None:
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance through them."""
-    frame = frames_of(recorded(frames=1))[0]
+    frame, cells = frames_of(recorded(frames=1))[0], PANEL.rows * PANEL.columns
     fit = field_fit(frame, np.zeros(PANEL.shape))
     slope = frame.slope(fit.change)
-    prior = SD[0] ** 2 * (OWN * np.eye(PANEL.cells) + (1 - OWN) * frame.baseline.near)
+    prior = SD[0] ** 2 * (OWN * np.eye(cells) + (1 - OWN) * frame.baseline.near)
     spread = frame.covariance(fit.change) + slope @ prior @ slope.T
     apart = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
-    expected = multivariate_normal(np.zeros(PANEL.cells), spread, allow_singular=False).logpdf(apart)
-    constant = PANEL.cells * np.log(2 * np.pi) / 2 - EACH * PANEL.cells
+    expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(apart)
+    constant = cells * np.log(2 * np.pi) / 2 - EACH * cells
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
 
 
