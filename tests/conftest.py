@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lampest.runs.executors import ONE_THREAD
+from lampest.files.memory import ONE_THREAD
 
 # Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})

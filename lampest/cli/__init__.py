@@ -15,8 +15,8 @@ from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
 from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ending_signals
 from lampest.files.log import libraries_to_the_log
+from lampest.files.memory import ONE_THREAD
 from lampest.files.whole import refuse_inputs, sparing
-from lampest.runs.executors import ONE_THREAD
 
 app = typer.Typer(
     help="Cell resistances of passive resistive matrix sensors from two-point measurements.",

@@ -325,11 +325,15 @@ def to_yaml(value: Any) -> str:
 
 
 def plain_content(value: Any) -> Any:
-    """Dataclasses as mappings without their None entries; tuples and arrays as lists, numpy's numbers as plain ones."""
+    """Dataclasses as mappings, tuples and arrays as lists, numpy's numbers as plain ones.
+
+    Left out are None, and empty entries that take no part in comparing.
+    """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        entries = ((field, getattr(value, field.name)) for field in dataclasses.fields(value))
+        value = {field.name: entry for field, entry in entries if field.compare or entry}
     if isinstance(value, dict):
         return {key: plain_content(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""How much memory there is to take, and the sentence where something declares that it needs more."""
+"""What a process may take: one thread for its arrays, and memory, with the sentence where something needs more."""
 
 import ctypes
 import os
@@ -10,6 +10,7 @@ import psutil
 
 from lampest.files.errors import InputError
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
 SHARE = 0.9  # of what is free: the rest is for what was not counted
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}

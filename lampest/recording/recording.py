@@ -26,6 +26,7 @@ FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
+FAR_BELOW = 10  # a reading in ohm includes the resistance in series, but for noise and a wrong scene
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
@@ -110,10 +111,10 @@ class Recording(Validated):
         )
 
     def _check_unit(self) -> None:
-        """Raise InputError where no reading is as large as what stands in series: ohm were meant as kohm."""
+        """Raise InputError where every reading is far below the resistance in series: ohm were meant as kohm."""
         plain = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
         series = float(np.min(self.scene.series_ohm)) if self.scene.circuit.unit == "ohm" else 0.0
-        if plain.size and plain.max() < series:
+        if plain.size and FAR_BELOW * plain.max() < series:
             raise InputError(
                 f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
                 "are these kohm?"

@@ -118,10 +118,12 @@ def command(
     addresses: int | None = None,
     without: str = "",
     script: str = MAIN,
+    memory: str | None = None,
 ) -> Ended:
     """The command in a process of its own, ended after so many seconds, with at most so many bytes of addresses.
 
     without : libraries, apart by commas, that are as if they were not installed. script : what runs instead.
+    memory : the variable LAMPEST_MEMORY.
     """
     blocked = f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
 
@@ -129,7 +131,11 @@ def command(
         if addresses is not None:
             resource.setrlimit(resource.RLIMIT_AS, (addresses, addresses))
 
-    environment = os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"}
+    environment = (
+        os.environ
+        | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"}
+        | ({} if memory is None else {"LAMPEST_MEMORY": memory})
+    )
     begin = time.monotonic()
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
         process = subprocess.Popen(

@@ -112,14 +112,14 @@ def _wide_panels(rng: np.random.Generator, folder: Path, count: int) -> Iterator
     run = (made / "run.yaml").read_text()
     (made / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
     for arguments in (
-        ("simulate", "wide.yaml", "--memory", "4GB"),
-        ("calibrate", "wide.h5", "--known", "1000", "--memory", "4GB"),
+        ("simulate", "wide.yaml"),
+        ("calibrate", "wide.h5", "--known", "1000"),
     ):
-        ended = command(*arguments, folder=made, seconds=SECONDS)
+        ended = command(*arguments, folder=made, seconds=SECONDS, memory="4GB")
         yield _bounded(ended, "60001", "GiB of memory are needed", "there are 4.0 GiB")
-    looked = command("info", "wide.h5", "--memory", "4GB", folder=made, seconds=SECONDS)
+    looked = command("info", "wide.h5", folder=made, seconds=SECONDS, memory="4GB")
     yield looked.within(SECONDS, MEGABYTES) if looked.code == 0 else looked.said("a look at a wide panel")
-    ended = command("run", "run.yaml", "--out", "out", "--jobs", "1", "--memory", "4GB", folder=made, seconds=SECONDS)
+    ended = command(*("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=made, seconds=SECONDS, memory="4GB")
     sentence = ended.code == 3 and "there are 4.0 GiB" in ended.err and "Traceback" not in ended.err
     yield ended.within(SECONDS, MEGABYTES) if sentence else ended.said("a run of a wide panel")
 
@@ -128,7 +128,7 @@ def _told(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """What is no size is refused in a sentence."""
     made = small_folder(folder / "work")
     for word in ("", "-1GB", "0", "lots", "1e9", "nan"):
-        yield command("info", "small.h5", "--memory", word, folder=made).refused("--memory")
+        yield command("info", "small.h5", folder=made, memory=word).refused("LAMPEST_MEMORY")
 
 
 def _bounded(ended: Ended, *words: str) -> str:

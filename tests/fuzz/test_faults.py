@@ -1,6 +1,7 @@
 """A full disk, a read-only folder, files that go or change under way, Ctrl-C: what is finished stays, and is right."""
 
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -67,6 +68,11 @@ def started(made: Batch, out: Path, jobs: int) -> "subprocess.Popen[str]":
     return run
 
 
+def without_progress(said: str) -> list[str]:
+    """Lines on standard error; a machine that is slow sees how far a run is, too."""
+    return [line for line in said.splitlines() if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)]
+
+
 def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
     """Its cases fail with a sentence each; those that are finished, and those of the other recording, are complete."""
     made = batch(tmp_path, 12)
@@ -74,8 +80,9 @@ def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
     (tmp_path / "two.h5").unlink()
     _, said = run.communicate(timeout=120)
     assert run.returncode == 3
-    assert said.count("\n") == made.cases // 2
-    for line in said.splitlines():
+    lines = without_progress(said)
+    assert len(lines) == made.cases // 2
+    for line in lines:
         assert line.startswith("lampest: two × ") and "two.h5" in line
     cases = read_results(tmp_path / "out" / "results.h5").cases
     assert [case.recording for case in cases] == ["one"] * (made.cases // 2)
@@ -124,7 +131,8 @@ def test_ctrl_c_at_a_terminal(tmp_path: Path, jobs: int) -> None:
     run = started(made, out, jobs)
     os.killpg(run.pid, signal.SIGINT)
     printed, said = run.communicate(timeout=120)
-    assert (run.returncode, printed, said) == (130, "", "lampest: interrupted; what was finished is kept\n")
+    assert (run.returncode, printed) == (130, "")
+    assert without_progress(said) == ["lampest: interrupted; what was finished is kept"]
     until(lambda: not session(run.pid))
     cases = read_results(out / "results.h5").cases
     assert 2 <= len(cases) < made.cases

@@ -192,7 +192,8 @@ def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
     assert told.count("local optima") == 1
 
 
-def test_describe(tmp_path: Path) -> None:
+def test_describe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     write_results(tmp_path / "r.h5", [invented_case(name) for name in METHODS], PUBLISHED)
     lines = describe(tmp_path / "r.h5")
     assert lines[0].endswith("results/1") and any("10 rows × 10 columns" in line for line in lines)

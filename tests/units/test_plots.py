@@ -48,6 +48,7 @@ def test_every_kind_is_drawn_by_its_word(
     plot: Plot, disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
 ) -> None:
     assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
+    disk.recording(disk.folder / "small.h5", disk.scene + "response: {kind: published}\n")
     run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n")
     assert lampest("run", run, "--out", disk.folder / "out", "--jobs", "1").code == 0
     ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)

@@ -39,7 +39,7 @@ class Converter(Validated):
     adc_bits: int = 10
     readings: int = 20
     noise_lsb: PerLine | Literal["estimated"] | None = None
-    floor_code: int = 0
+    floor_code: int | None = None
 
     def __post_init__(self) -> None:
         if not (isfinite(self.supply_volt) and self.supply_volt > 0):
@@ -53,7 +53,7 @@ class Converter(Validated):
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
-        if not 0 <= self.floor_code <= 2**self.adc_bits - 3:
+        if self.floor_code is not None and not 0 <= self.floor_code <= 2**self.adc_bits - 3:
             raise ValueError(
                 f"floor_code must lie between 0 and {2**self.adc_bits - 3}, so that codes are left above it"
             )
@@ -152,5 +152,5 @@ class Converter(Validated):
     @cached_property
     def _rails(self) -> tuple[float, float]:
         top = 2.0**self.adc_bits - 1
-        ends = self.recorded_from_volt(np.array([self.floor_code + 1.0, top]) * self.lsb_volt)
+        ends = self.recorded_from_volt(np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt)
         return float(ends.min()), float(ends.max())

@@ -162,6 +162,7 @@ class Message:
             "panel": _panel(self.panel),
             **{name: _numbers(maps[name], digits) for name, digits in (("cells", 2), ("change", 3), ("pressure", 4))},
             "force": _number(picture.force.newton, 4),
+            "force_saturated": picture.force.saturated,
             "force_sd": _number(view.deviation, 4),
             "force_sd_of": view.deviation_of or None,
             "verdict": picture.verdict,

@@ -6,11 +6,10 @@ from typing import Annotated, Any
 
 from lampest.files.tagged import ByKind
 from lampest.runs.executors.dask import Dask, Tls
-from lampest.runs.executors.executor import ONE_THREAD, Executor, Function, LostError, cores
+from lampest.runs.executors.executor import Executor, Function, LostError, cores
 from lampest.runs.executors.processes import Processes, Serial, Worker
 
 __all__ = [
-    "ONE_THREAD",
     "AnyExecutor",
     "Dask",
     "Executor",

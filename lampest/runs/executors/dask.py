@@ -12,11 +12,11 @@ from typing import Any, ClassVar, Literal
 
 from lampest.files.errors import InputError, extra
 from lampest.files.interrupts import ENDING
+from lampest.files.memory import ONE_THREAD
 from lampest.files.typed import Validated
 from lampest.runs.executors.executor import (
     DIED,
     MOST_TRIES,
-    ONE_THREAD,
     Function,
     LostError,
     Pairs,

@@ -5,7 +5,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+from lampest.files.memory import ONE_THREAD
+
 MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
 DIED = f"its process died {MOST_TRIES} times"
 HUNG = (
