@@ -96,8 +96,7 @@ class AutoWeight(Validated):
     """How `weight: auto` is chosen.
 
     rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
-    of every reading from all others. By default risk; press where the noise is unknown, or is not why
-    readings are missed beside others that are bounds or missing.
+    of every reading from all others. By default risk; press where the noise is unknown.
     per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
 
     >>> lampest.AutoWeight().per

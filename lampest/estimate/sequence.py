@@ -128,15 +128,16 @@ def deciding_frame(recording: Recording, readings: Readings, resting: Readings) 
 
 
 def frames_beside(recording: Recording, readings: Readings, frame: int) -> NDArray[np.intp]:
-    """Frames that decide beside the deciding one: where some of its readings are no values, as in theirs.
+    """Frames that decide beside the deciding one: where some of its readings are one-sided, as in theirs.
 
     They are spread evenly. What is left of a frame differs from frame to frame, and so does the weight that suits it.
     """
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames] & (frames != frame)]
-    alike = [number for number in frames if readings[number].partial] if readings[frame].partial else []
-    spread = np.linspace(0, len(alike) - 1, MOST_BESIDE if alike else 0)
-    return np.array([alike[number] for number in np.unique(spread.round().astype(int))], dtype=int)
+    one_sided = np.any(readings.side != 0, axis=(1, 2))
+    alike = frames[one_sided[frames]] if one_sided[frame] else frames[:0]
+    spread = np.linspace(0, len(alike) - 1, MOST_BESIDE if len(alike) else 0)
+    return np.asarray(alike[np.unique(spread.round().astype(int))])
 
 
 def with_weights_of_a_recording(

@@ -27,7 +27,6 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
-UNEXPLAINED = 4.0  # times the noise's variance: readings missed by more are missed for another reason
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 
@@ -42,7 +41,7 @@ def with_chosen_weights(
     """The objective with numbers for the weights that it leaves open, from one solve's data.
 
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
-    others : of further solves, which a rule's weight is to suit as well; partial, as `data` then is.
+    others : of further solves, which a rule's weight is to suit as well; with one-sided readings, as `data` then.
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
@@ -54,8 +53,7 @@ def with_chosen_weights(
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:
-            preferred = estimator.auto_weight.rule is None
-            return estimator.with_weights(search.by_rule(penalties[0], rule, first, preferred))
+            return estimator.with_weights(search.by_rule(penalties[0], rule, first))
         if rule == "press":
             raise InputError(
                 "weight: auto of more than one penalty, or of a loss that is not squared, needs the noise: name "
@@ -77,7 +75,8 @@ def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
 
 @dataclass(frozen=True)
 class WeightSearch:
-    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones, all partial."""
+    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones, all with
+    one-sided readings."""
 
     cost: Cost
     data: Data
@@ -93,35 +92,30 @@ class WeightSearch:
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
-    def by_rule(self, penalty: int, rule: Rule, first: Array, by_default: bool = False) -> list[float]:
-        """The weights with that of the only penalty that a rule calls the best; by_default : as `tried` has it."""
+    def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
+        """The weights with that of the only penalty that a rule calls the best."""
         weights = [1.0 if given is None else given for given in self._given]
-        weights[penalty] = self.tried(penalty, rule, first, by_default)[-1]
+        weights[penalty] = self.tried(penalty, rule, first)[-1]
         return weights
 
-    def tried(self, penalty: int, rule: Rule, first: Array, by_default: bool = False) -> list[float]:
+    def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
         """What a rule calls the best weight at a start, and then at the estimates for each weight before.
 
         Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
         readings are bounds, a start that takes them for values is no place to linearise: the estimate for what its
         residuals suggest is. From there half a step is taken from weight to weight, which else may alternate.
-        by_default : whether press takes the rule's place where noise is not what such a frame's readings are missed by.
         """
         weights = [1.0 if given is None else given for given in self._given]
         models = [LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))]
         found: list[float] = []
         with suppress(*BROKEN):
-            if self.data.partial:
+            if self.data.bounded:
                 alone = (replace(self, data=data, others=()) for data in (self.data, *self.others))
                 models = [model for search in alone if (model := search._where_bounds_suggest(penalty)) is not None]
             while models and len(found) < MOST_SOLVES:
                 spectra = [Spectrum.of(model) for model in models]
-                if by_default and self.data.partial:
-                    predicting = best_weight(spectra, "press")
-                    if np.median([spectrum.unexplained(predicting) for spectrum in spectra]) > UNEXPLAINED:
-                        rule = "press"
                 best = best_weight(spectra, rule)
-                damped = bool(found) and self.data.partial
+                damped = bool(found) and self.data.bounded
                 weights[penalty] = float(np.sqrt(best * found[-1])) if damped else best
                 found.append(weights[penalty])
                 if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:

@@ -102,12 +102,6 @@ class Spectrum:
         leverage = self.directions**2 @ (1 / (1 + weight * self.stiffness))
         return float(np.sum((residual / np.maximum(1 - leverage, 1e-12)) ** 2))
 
-    def unexplained(self, weight: float) -> float:
-        """ρ/(n − tr H): by how many times the variance of their noise the readings are missed; 1 if by noise alone."""
-        followed = self.directions**2 @ (1 / (1 + weight * self.stiffness))
-        readings = np.any(self.directions != 0, axis=1)
-        return self.misfit(weight) / (self.scale * max(float(np.sum(readings - followed)), 1.0))
-
     def risk(self, weight: float) -> float:
         """An estimate of Σ (log r̂ − log r)²: the noise that is left, and the square of what the penalty pulls away.
 
