@@ -102,27 +102,39 @@ class WeightSearch:
         """What a rule calls the best weight at a start, and then at the estimates for each weight before.
 
         Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
-        readings are bounds, a start that takes them for values is no place to linearise: the estimate for what its
-        residuals suggest is. From there half a step is taken from weight to weight, which else may alternate.
+        readings are bounds, a start that takes them for values is a poor place to linearise: the estimate for what its
+        residuals suggest comes first. The start itself serves where the weight found there has no estimate.
         """
-        weights = [1.0 if given is None else given for given in self._given]
-        models = [LinearModel(evaluated(self.weighted(weights), self.data, first), np.zeros(0))]
-        found: list[float] = []
         with suppress(*BROKEN):
             if self.data.bounded:
                 alone = (replace(self, data=data, others=()) for data in (self.data, *self.others))
                 models = [model for search in alone if (model := search._where_bounds_suggest(penalty)) is not None]
-            while models and len(found) < MOST_SOLVES:
-                spectra = [Spectrum.of(model) for model in models]
-                best = best_weight(spectra, rule)
-                damped = bool(found) and self.data.bounded
-                weights[penalty] = float(np.sqrt(best * found[-1])) if damped else best
-                found.append(weights[penalty])
-                if len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED:
-                    break
-                again = (self._solved(weights, model.at.cell_resistance, model.at.data) for model in models)
-                models = [model for model in again if model is not None] if len(found) < MOST_SOLVES else []
+                found, solved = self._followed(penalty, rule, models)
+                if found and solved:
+                    return found
+        found = []
+        with suppress(*BROKEN):
+            weights = [1.0 if given is None else given for given in self._given]
+            at = evaluated(self.weighted(weights), self.data, first)
+            found, _ = self._followed(penalty, rule, [LinearModel(at, np.zeros(0))])
         return found or [self._suggested((penalty,), first)[penalty]]
+
+    def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:
+        """(best weights from model to model, whether the last one that was tried has an estimate).
+
+        With bounds half a step is taken from weight to weight, which else may alternate.
+        """
+        weights = [1.0 if given is None else given for given in self._given]
+        found: list[float] = []
+        while models and len(found) < MOST_SOLVES:
+            best = best_weight([Spectrum.of(model) for model in models], rule)
+            weights[penalty] = float(np.sqrt(best * found[-1])) if found and self.data.bounded else best
+            found.append(weights[penalty])
+            if len(found) == MOST_SOLVES or (len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED):
+                break
+            again = (self._solved(weights, model.at.cell_resistance, model.at.data) for model in models)
+            models = [model for model in again if model is not None]
+        return found, bool(models)
 
     def _where_bounds_suggest(self, penalty: int) -> LinearModel | None:
         """What surrounds the estimate for the weight that the residuals of even cells suggest."""

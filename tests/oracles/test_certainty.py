@@ -237,7 +237,7 @@ def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> Non
     deviation = np.array([[[0.3, 0.01, 0.6]]])
     reach = 1.96 * deviation
     zero = np.zeros_like(reach)
-    found = Certainty(deviation, reach, reach, zero, zero).by_conductance()
+    found = Certainty(deviation, reach, reach, zero, zero, zero).by_conductance()
     assert_allclose(found.above[0, 0, :2], [np.log(10 / (10 - 1.96 * 3)), np.log(10 / (10 - 1.96 * 0.1))])
     assert np.isinf(found.above[0, 0, 2]) and np.array_equal(found.below, reach)
 

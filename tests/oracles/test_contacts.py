@@ -37,7 +37,7 @@ PRIOR = Contacts(ContactPrior(60.0, 20.0), ContactPrior(150.0, 50.0))
 
 
 def recorded(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1, shape: Any = (5, 6)) -> Recording:
-    scene = Scene(Panel(*shape), readout, contacts=PRIOR)
+    scene = Scene(Panel(*shape), readout, contacts=PRIOR, systematic="none")
     return simulate(Simulation(1, seed, scene, Cells(spread=spread), frames=frames))
 
 
