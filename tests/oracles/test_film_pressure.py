@@ -18,7 +18,7 @@ from lampest.loads.shapes import Rod
 from lampest.panel.film import OPEN_CREEP, Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import TableResponse
+from lampest.panel.response import PublishedResponse, TableResponse
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
@@ -34,7 +34,9 @@ COURSE = Course(approach_s=10, release_at_s=30, release_s=10)
 def made(truth: Film, told: Film | None, seed: int = 3, course: Course = COURSE, mass_g: float = 2400) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
     rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=mass_g)
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, systematic=EXACT, film=told)
+    scene = Scene(
+        Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, systematic=EXACT, film=told, response=PublishedResponse()
+    )
     return simulate(Simulation(1, seed, scene, frames=60, loads=(rod,), course=course, film=truth))
 
 

@@ -226,5 +226,5 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
 def test_steps_are_those_between_neighbours(shape: tuple[int, int]) -> None:
     cells = np.exp(np.random.default_rng(7).standard_normal(shape))
     steps = State(panel=Panel(*shape), cell_resistance=None, reading=None).log_steps(casadi.DM(cells.ravel()))
-    down, right = (100 * np.diff(np.log(cells), axis=axis).ravel() for axis in (0, 1))
+    down, right = (np.diff(np.log(cells), axis=axis).ravel() for axis in (0, 1))
     assert_allclose(np.asarray(steps).ravel(), np.concatenate([down, right]), rtol=1e-12, atol=1e-12)
