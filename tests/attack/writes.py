@@ -23,7 +23,7 @@ WRITERS: tuple[tuple[str, ...], ...] = (
     ("plot", "results.h5", "--out"),
     ("detect", "results.h5", "--out"),
     ("calibrate", "known.h5", "--known", "1000", "--out"),
-    ("record", "--port", "loop://", "--frames", "1", "--out"),
+    ("record", "--port", "loop://", "--count", "1", "--out"),
 )
 OVER_INPUTS = (
     ("tare", "small.h5", "--frames", "0:1", "--out"),
