@@ -31,7 +31,7 @@ Port = Annotated[
 ]
 SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
 Count = Annotated[int | None, typer.Option("--count", min=1, help="End after so many frames, such as 600.")]
-OldCount = Annotated[int | None, typer.Option("--frames", min=1, hidden=True)]
+OldCount = Annotated[int | None, typer.Option("--frames", min=1, hidden=True, help="Old name of --count, such as 600.")]
 TOKEN = "What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up."
 Token = Annotated[str | None, typer.Option("--token", envvar="LAMPEST_TOKEN", help=TOKEN)]
 PUBLISH = "lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest. Repeatable."
