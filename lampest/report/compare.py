@@ -23,8 +23,8 @@ LEAST = 1e-3  # percent or ms: less is rounding
 MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
 STEPS = {"all": "", "initial": " first", "following": " later"}
 SOLVED_NOTE = (
-    "solved: frames whose estimate was checked outside the solver: a local optimum (no small change of the cells costs "
-    "less), the lowest that its starts reached (lampest info tells how many); or what else the formulation promises"
+    "solved: frames that converged to a local minimum, verified outside the solver; of several starts the lowest one "
+    "(lampest info has their number). Approximate formulations count as solved when they end"
 )
 LATER_NOTE = (
     "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames after it"

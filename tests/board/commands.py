@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from board.bench import scene
 
 from lampest.files.document import to_yaml
+from lampest.panel.response import PublishedResponse
 
 COMMAND = Path(sys.executable).with_name("lampest")
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -30,5 +32,6 @@ def lampest(*words: object, code: int = 0) -> tuple[str, str]:
 def scene_file(folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float) -> Path:
     """The simulated board's scene as YAML."""
     path = folder / "scene.yaml"
-    path.write_text(to_yaml(scene(rows, columns, readings, **changes)))
+    made = scene(rows, columns, readings, **changes)
+    path.write_text(to_yaml(replace(made, response=PublishedResponse())))
     return path
