@@ -106,7 +106,8 @@ def check_message(told: dict[str, Any]) -> None:
     assert told["health"]["solved"] and told["health"]["arrived"] <= told["health"]["sent"]
     pressed = sum(min(kpa, 40.0) for kpa in told["pressure"] if kpa > 0)
     assert 0 < told["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
-    assert 0 < told["force_saturated"] <= len(told["health"]["saturated"])
+    assert told["force_saturated"] <= len(told["health"]["saturated"]), "a cell that sucks adds no force"
+    assert (told["force_saturated"] > 0) == (max(told["pressure"]) > 40.0), "the response's curve ends at 40 kPa"
     assert told["verdict"].startswith("pressing"), "the rim of a mouth presses"
 
 
