@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import SmootherMethod as SmootherMethod
     from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
     from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
-    from lampest.estimate.model_check.check import ModelCheck as ModelCheck
+    from lampest.estimate.model_check import ModelCheck as ModelCheck
     from lampest.estimate.state import Step as Step
     from lampest.estimate.stream import Stream as Stream
     from lampest.files.errors import InputError as InputError

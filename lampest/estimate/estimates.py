@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check.check import ModelCheck, recording_check
-from lampest.estimate.noise.seen import NoiseSeen, noise_seen
+from lampest.estimate.model_check import ModelCheck, recording_check
+from lampest.estimate.noise import NoiseSeen, noise_seen
 from lampest.estimate.state import Step
 from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise.outliers import TO_SIGMA
+from lampest.estimate.outliers import TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError

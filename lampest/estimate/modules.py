@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import pushed_together, rested_together
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise.seen import NoiseSeen
+from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.modules import Modules

@@ -12,7 +12,7 @@ from lampest.estimate.batch import rested_together
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import ModulesStream
-from lampest.estimate.noise.seen import NoiseSeen, noise_seen, noise_seen_in_part
+from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights

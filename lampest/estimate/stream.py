@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise.seen import NoiseSeen
+from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array

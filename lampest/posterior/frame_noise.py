@@ -18,7 +18,7 @@ class FrameNoise:
     """scene : with a readout, whose converter it acts on. unloaded : frames that the baseline is the mean of.
 
     gain : standard deviation of the factor of a frame's voltages, as a fraction. together, apart : (channels of a
-    scanned line, n) volt, see `lampest.estimate.noise.scatter`.
+    scanned line, n) volt, see `lampest.estimate.scatter`.
     """
 
     scene: Scene

@@ -11,10 +11,10 @@ from studies.model_check import named, sound, wrong
 import lampest
 from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
-from lampest.estimate.model_check.cells_fit import MOST_CELLS, fitted
-from lampest.estimate.model_check.check import recording_check
-from lampest.estimate.model_check.rivals import standing_frames
-from lampest.estimate.noise.outliers import without_outliers
+from lampest.estimate.cells_fit import MOST_CELLS, fitted
+from lampest.estimate.model_check import recording_check
+from lampest.estimate.outliers import without_outliers
+from lampest.estimate.rivals import standing_frames
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point.readout import four_point_excess

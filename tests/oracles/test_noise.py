@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
-from lampest.estimate.noise.motion import passing, swept
-from lampest.estimate.noise.outliers import Outliers
-from lampest.estimate.noise.scatter import scatter
-from lampest.estimate.noise.seen import noise_seen
+from lampest.estimate.motion import passing, swept
+from lampest.estimate.noise import noise_seen
+from lampest.estimate.outliers import Outliers
+from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
@@ -39,7 +39,7 @@ def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: floa
     return np.asarray(noise - noise.mean(axis=0))
 
 
-def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.scatter.Scatter:
+def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.scatter.Scatter:
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 

@@ -15,9 +15,9 @@ from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import SmootherMethod
+from lampest.estimate.methods.graduated import Walk, smoothed
+from lampest.estimate.methods.joint import Joint, JointData
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.smoothing.graduated import Walk, smoothed
-from lampest.estimate.smoothing.joint import Joint, JointData
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel

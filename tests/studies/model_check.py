@@ -16,10 +16,10 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.model_check.check import ModelCheck, recording_check
-from lampest.estimate.model_check.comparison import Explanation
-from lampest.estimate.model_check.joint_fit import PRICE
-from lampest.estimate.model_check.rivals import Question, rivals_of
+from lampest.estimate.comparison import Explanation
+from lampest.estimate.joint_fit import PRICE
+from lampest.estimate.model_check import ModelCheck, recording_check
+from lampest.estimate.rivals import Question, rivals_of
 from lampest.recording.simulation.measure import measured
 
 SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence

@@ -21,7 +21,7 @@ from support import live_pictures
 from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.model_check.check import model_check
+from lampest.estimate.model_check import model_check
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.force import Force, pressing_cells, total_force

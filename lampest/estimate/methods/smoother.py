@@ -12,10 +12,10 @@ import numpy as np
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, Term
+from lampest.estimate.methods.graduated import Walk, smoothed
+from lampest.estimate.methods.joint import NO_DUAL, Joint, JointData, error_bars
 from lampest.estimate.methods.method import Method
 from lampest.estimate.methods.optimal import OptimalMethod
-from lampest.estimate.smoothing.graduated import Walk, smoothed
-from lampest.estimate.smoothing.joint import NO_DUAL, Joint, JointData, error_bars
 from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.interrupts import delayed_interrupt
@@ -43,7 +43,7 @@ class Window:
 class SmootherMethod(Method):
     """Φ = misfits + changes of cells between frames + errors common to all readings, over all frames and the baseline.
 
-    Most cells stand still, some never do, and any may jump (`lampest.estimate.smoothing.walk`); a step that all cells
+    Most cells stand still, some never do, and any may jump; a step that all cells
     have in common is free. Frames as they come are estimated together with those before, back to `lag`.
 
     walk : the least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise.seen import noise_seen
+from lampest.estimate.noise import noise_seen
 from lampest.estimate.sequence import resting_readings
 from lampest.files import hdf5
 from lampest.files.errors import InputError

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check.check import ModelCheck, model_check
-from lampest.estimate.noise.outliers import without_outliers
+from lampest.estimate.model_check import ModelCheck, model_check
+from lampest.estimate.outliers import without_outliers
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import CellsFit, fitted, residual_of
-from lampest.estimate.model_check.rivals import Question, Rival
+from lampest.estimate.cells_fit import CellsFit, fitted, residual_of
+from lampest.estimate.rivals import Question, Rival
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

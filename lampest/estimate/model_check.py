@@ -7,11 +7,11 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import LEVEL
-from lampest.estimate.model_check.comparison import Better, Explanation, better_rival, broken_law
-from lampest.estimate.model_check.rivals import Question, nearly_gaussian, rivals_of, standing_frames
-from lampest.estimate.noise.outliers import without_outliers
-from lampest.estimate.noise.scatter import LEAST_FACTOR
+from lampest.estimate.cells_fit import LEVEL
+from lampest.estimate.comparison import Better, Explanation, better_rival, broken_law
+from lampest.estimate.outliers import without_outliers
+from lampest.estimate.rivals import Question, nearly_gaussian, rivals_of, standing_frames
+from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

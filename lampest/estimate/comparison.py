@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import LEVEL, CellsFit, fitted
-from lampest.estimate.model_check.joint_fit import PRICE, JointFit, in_series, joint_fit, moved_score
-from lampest.estimate.model_check.rivals import Question, Rival, nearly_gaussian
+from lampest.estimate.cells_fit import LEVEL, CellsFit, fitted
+from lampest.estimate.joint_fit import PRICE, JointFit, in_series, joint_fit, moved_score
+from lampest.estimate.rivals import Question, Rival, nearly_gaussian
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_of

@@ -8,12 +8,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import LEVEL
-from lampest.estimate.noise.motion import scan_share, swept
-from lampest.estimate.noise.outliers import LEAST_FRAMES, without_outliers
-from lampest.estimate.noise.plain_warnings import plain_warnings
-from lampest.estimate.noise.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
-from lampest.estimate.noise.still_cells import errors_left_possible
+from lampest.estimate.cells_fit import LEVEL
+from lampest.estimate.motion import scan_share, swept
+from lampest.estimate.outliers import LEAST_FRAMES, without_outliers
+from lampest.estimate.plain_warnings import plain_warnings
+from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
+from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.modules import Modules
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout

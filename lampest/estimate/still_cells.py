@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.model_check.cells_fit import LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
-from lampest.estimate.model_check.joint_fit import CREEP
+from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
+from lampest.estimate.joint_fit import CREEP
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic

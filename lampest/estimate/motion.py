@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check.cells_fit import LEVEL, fitted
+from lampest.estimate.cells_fit import LEVEL, fitted
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

@@ -26,7 +26,7 @@ from time import monotonic
 
 import numpy as np
 
-from lampest.estimate.smoothing.joint import Joint, JointData
+from lampest.estimate.methods.joint import Joint, JointData
 from lampest.panel.panel import Array
 from lampest.posterior.dense import positive_inverse
 from lampest.posterior.linear import IGNORANCE

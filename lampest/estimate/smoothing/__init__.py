@@ -1,1 +1,0 @@
-"""A whole recording's frames estimated together."""
