@@ -228,6 +228,12 @@ def report_recorded(done: "Recorded") -> None:
     """Say what was recorded, and which resistance may be missing; a recording that was interrupted ends with 130."""
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    if done.clock_jumps:
+        say(
+            f"lampest: the board's clock jumped {done.clock_jumps} times; events mark where, and time goes on by the "
+            "period",
+            to=sys.stderr,
+        )
     if done.silent:
         say(f"lampest: no frame came in the last {done.silent:.1f} s", to=sys.stderr)
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:

@@ -260,4 +260,6 @@ def _repaired(file: Path) -> str:
     from lampest.recording.board.record import repair
 
     frames, dropped = repair(file)
-    return f"{frames} frames: {file}" + (f"; {dropped} damaged frames are dropped and count as lost" if dropped else "")
+    one = dropped == 1
+    damage = f"; {dropped} damaged frame{' is' if one else 's are'} dropped and count{'s' if one else ''} as lost"
+    return f"{frames} frames: {file}{damage if dropped else ''}"

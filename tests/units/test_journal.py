@@ -47,7 +47,7 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str) 
     for reader in (Recording.load, StoredRecording.of):
         with pytest.raises(lampest.InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
             reader(killed)
-    assert _repaired(killed) == f"11 frames: {killed}; 1 damaged frames are dropped and count as lost"
+    assert _repaired(killed) == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost"
     found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
     assert found.acquisition is not None and meant.acquisition is not None and found.raw_sums is not None
     np.testing.assert_array_equal(found.recorded, meant.recorded[left])

@@ -170,6 +170,63 @@ def test_numbers_that_begin_anew_while_the_clock_goes_on_are_a_new_session() -> 
     assert places(found)[3:] == [(0, 3, 1), (1, 0, 1)], "what the clock says is missing"
 
 
+@pytest.mark.parametrize("jump_ms", [5_000, -5_000, 2**31, -(2**31)])
+def test_a_jump_of_the_clock_costs_no_frame_and_is_marked(jump_ms: int) -> None:
+    sent = [(number, 100_000 + 10 * number + (jump_ms if number >= 10 else 0)) for number in range(30)]
+    _, found = run_of(*sent)
+    assert places(found) == [(number, 0, 0) for number in range(30)]
+    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(30), atol=1e-9)
+    assert [number for number, sample in enumerate(found) if sample.clock_jump] == [10]
+
+
+def test_a_single_wild_clock_is_no_jump() -> None:
+    _, found = run_of((0, 500), (1, 510), (2, 5520), (3, 530), (4, 540))
+    assert [(place, lost) for place, lost, _ in places(found)] == [(0, 0), (1, 0), (3, 1), (4, 0)]
+    assert not any(sample.clock_jump for sample in found)
+
+
+def test_ticks_that_the_board_missed_are_no_jump() -> None:
+    run, _ = run_of((0, 500), (1, 510))
+    _, (sample,) = run.taking(replace(frame(2, 5520), missed=500))
+    assert sample.time == pytest.approx(5.02) and not sample.clock_jump
+
+
+def jumping(hello: Hello) -> Sent:
+    """Good frames; the clock goes back by 5 s twice, and forward by 5 s."""
+    for number in itertools.count():
+        jumps = np.searchsorted((40, 80, 120), number, side="right")
+        yield 0.01, wire(hello, number, 20_000 + 10 * number + (0, -5_000, 0, -5_000)[jumps])
+
+
+def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = recorded(jumping, tmp_path, frames=160)
+    found = Recording.load(tmp_path / "r.h5").acquisition
+    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (160, 0, 0, 3)
+    assert found is not None and found.event_label == ("clock jump",) * 3
+    np.testing.assert_allclose(found.event_time, (0.4, 0.8, 1.2), atol=1e-9)
+    report_recorded(done)
+    assert "the board's clock jumped 3 times" in capsys.readouterr().err
+
+
+def test_garbage_on_the_line_is_no_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise for longer than a silence is waited for, in which even the board's answers are lost."""
+    monkeypatch.setattr(stream, "SILENCE_SECONDS", 0.2)
+    monkeypatch.setattr("lampest.recording.board.port.ANSWER_SECONDS", 0.05)
+    rng = np.random.default_rng(32)
+
+    def noisy(hello: Hello) -> Sent:
+        for number in itertools.count():
+            if number % 20 == 19:
+                board.deaf = True
+                yield from ((0.01, rng.bytes(50)) for _ in range(120))
+                board.deaf = False
+            yield 0.01, wire(hello, number)
+
+    with wild_board(noisy) as board:
+        done = record(board.port, tmp_path / "r.h5", frames=50, period=0.01)
+    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
+
+
 def test_a_single_frame_out_of_order_is_dropped() -> None:
     _, found = run_of((0, 500), (1, 510), (900, 515), (2, 520), (3, 530))
     assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)]

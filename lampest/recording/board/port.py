@@ -86,11 +86,11 @@ class Board:
         self._receiver = Receiver()
         self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
         self._tags = count(1)
-        self._heard = False
+        self._heard = 0
 
     @property
-    def heard(self) -> bool:
-        """Whether anything at all has arrived."""
+    def heard(self) -> int:
+        """How many bytes have arrived."""
         return self._heard
 
     @classmethod
@@ -190,7 +190,7 @@ class Board:
 
     def _arrived(self) -> tuple[Message, ...]:
         data = self._port.read(self._port.in_waiting or 1)
-        self._heard = self._heard or bool(data)
+        self._heard += len(data)
         self._receiver, found = self._receiver.feed(data)
         for item in found:
             if isinstance(item, Foreign):

@@ -24,17 +24,21 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 from lampest.recording.stored import StoredRecording, opened, save_parts
 from lampest.recording.unfinished import damaged_frames, whole_events
 
+CLOCK_JUMP = "clock jump"  # label of the event
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameCount:
-    """Frames in the file, frames known to be missing, restarts of the board; frames that the port held at the end.
+    """Frames in the file, frames known to be missing, restarts of the board and jumps of its clock.
 
-    until : s on the recording's time axis, when the last frame's period ended.
+    behind : frames that the port held at the end. until : s on the recording's time axis, when the last frame's period
+    ended.
     """
 
     frames: int = 0
     lost: int = 0
     restarts: int = 0
+    clock_jumps: int = 0
     behind: int = 0
     until: float = 0.0
 
@@ -44,6 +48,7 @@ class FrameCount:
             frames=self.frames + 1,
             lost=self.lost + sample.lost,
             restarts=sample.session,
+            clock_jumps=self.clock_jumps + sample.clock_jump,
             behind=self.behind + behind,
             until=sample.time + sample.hello.period_us * 1e-6,
         )
@@ -186,6 +191,9 @@ def appended(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, u
     """Write samples of which the first so many are unloaded."""
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
+    for sample in batch:
+        if sample.clock_jump:
+            journal.mark(sample.time, CLOCK_JUMP)
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:

@@ -88,6 +88,7 @@ class Sample:
     host_time : s since 1970-01-01 UTC.
     lost : frames missing before this one.
     session : number of restarts and reconnections before it, and of times the board's numbers began anew.
+    clock_jump : whether the board's clock jumped before it; time goes on by the period then.
     """
 
     frame: Frame
@@ -96,6 +97,7 @@ class Sample:
     host_time: float
     lost: int
     session: int
+    clock_jump: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class Scanning:
     """A board that was started, and how far it came: numbers grow and the clock at least as they do, modulo 2³².
 
     What came before is sent again by some lines; that is no frame. Where two frames in a row do not follow the newest
-    one, but each other, and the clock went on, the numbers have begun anew.
+    one, but each other, the clock has jumped if the numbers went on, and the numbers began anew if the clock did.
 
     hello : how the board is set. session : of its next frame. last : the recording's newest sample.
     before, earlier : the two newest samples of this run. stray : a frame that followed none. since : s since 1970-01-01
@@ -120,19 +122,21 @@ class Scanning:
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
-        if self.before is None or self._follows(frame, self.before.frame, self.before.host_time):
-            return self._with(self._placed(frame))
         stray = self.stray
         if (
             stray is not None
             and (frame.sequence - stray.sequence) % ROUND == 1
             and self._follows(frame, stray, time.time())
+            and (sample := self._resumed(stray)) is not None
         ):
-            elapsed_ms = (stray.device_ms - self.before.frame.device_ms) % ROUND
-            if 0 < elapsed_ms < ROUND // 2:
-                run, samples = self._with(self._renumbered(stray, elapsed_ms))
-                run, more = run.taking(frame)
-                return run, samples + more
+            run, samples = self._with(sample)
+            run, more = run.taking(frame)
+            return run, samples + more
+        if self.before is None:
+            return self._with(self._placed(frame))
+        for before in (self.last, self.before):  # which differ where the last one is in doubt
+            if before is not None and self._follows(frame, before.frame, before.host_time):
+                return replace(self, before=before)._with(self._placed(frame, before))
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
@@ -146,18 +150,24 @@ class Scanning:
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         steps = (frame.sequence - before.sequence) % ROUND
         elapsed_ms = (frame.device_ms - before.device_ms) % ROUND
-        most_ms = 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3e-6 * self.hello.period_us)
-        return 0 < steps < ROUND // 2 and 0.99e-3 * steps * self.hello.period_us - 2 <= elapsed_ms <= most_ms
+        period_ms, most_ms = self.hello.period_us / 1000, self._most_ms(host_time)
+        if steps == 1:  # the board counts what it missed since; a scan may begin up to a period late
+            most_ms = min(most_ms, 1.01 * (2 + frame.missed) * period_ms + 2)
+        return 0 < steps < ROUND // 2 and 0.99 * steps * period_ms - 2 <= elapsed_ms <= most_ms
 
-    def _placed(self, frame: Frame) -> Sample:
+    def _most_ms(self, host_time: float) -> float:
+        """By how much the board's clock can have advanced since a time of the host's."""
+        return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS) + 3e-3 * self.hello.period_us
+
+    def _placed(self, frame: Frame, before: Sample | None = None) -> Sample:
         now, period, last = time.time(), self.hello.period_us * 1e-6, self.last
         if last is None:
             return Sample(frame, self.hello, 0.0, now, self._lost_at_first(frame), self.session)
         moved = max(now - last.host_time, period)
-        if self.before is None:
+        if before is None:
             return Sample(frame, self.hello, last.time + moved, now, max(round(moved / period) - 1, 0), self.session)
-        at = self.before.time + (frame.device_ms - self.before.frame.device_ms) % ROUND / 1000
-        lost = (frame.sequence - self.before.frame.sequence) % ROUND - 1
+        at = before.time + (frame.device_ms - before.frame.device_ms) % ROUND / 1000
+        lost = (frame.sequence - before.frame.sequence) % ROUND - 1
         return Sample(frame, self.hello, at if at > last.time else last.time + moved, now, lost, self.session)
 
     def _lost_at_first(self, frame: Frame) -> int:
@@ -166,12 +176,20 @@ class Scanning:
         most = FASTEST * max(time.time() - self.since, 0.0) + AHEAD_SECONDS
         return frame.sequence if least <= min(1e-3 * frame.device_ms + 2e-3, most) else 0
 
-    def _renumbered(self, frame: Frame, elapsed_ms: int) -> Sample:
-        """The first frame whose number began anew; the clock that went less far says how many are missing."""
+    def _resumed(self, frame: Frame) -> Sample | None:
+        """The first frame after a jump of the clock or of the numbers; None where it was sent before."""
         assert self.before is not None and self.last is not None
-        now, period = time.time(), self.hello.period_us * 1e-6
+        now, period, before = time.time(), self.hello.period_us * 1e-6, self.before
+        steps = (frame.sequence - before.frame.sequence) % ROUND
+        elapsed_ms = (frame.device_ms - before.frame.device_ms) % ROUND
+        forward = 0 < elapsed_ms < ROUND // 2
+        if steps == 1 or (not forward and 0 < 1e3 * steps * period <= self._most_ms(before.host_time)):
+            at = max(before.time, self.last.time) + (steps + frame.missed) * period
+            return Sample(frame, self.hello, at, now, steps - 1, self.session, clock_jump=True)
+        if not forward:
+            return None
         moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(now - self.last.host_time, period))
-        at = max(self.before.time, self.last.time) + moved
+        at = max(before.time, self.last.time) + moved
         return Sample(frame, self.hello, at, now, max(round(moved / period) - 1, 0), self.session + 1)
 
 
@@ -248,7 +266,7 @@ def board_samples(
     session = 0
     patience = Patience(url)
     while not ending():
-        heard = False
+        heard = 0
         try:
             with Board.open(url) as board:
                 try:
@@ -324,7 +342,14 @@ def _one_run(board: Board, run: Scanning, patience: Patience, ending: Callable[[
             return
         patience.check(hello.period_us)
         if time.monotonic() - heard > silent_after:
-            now = board.identify()
+            came = board.heard
+            try:
+                now = board.identify()
+            except NoBoardError:
+                if board.heard == came:
+                    raise
+                heard = time.monotonic()  # the line is noisy, which is no reason to reset the board
+                continue
             patience.hear(now, False)
             if not now.running or (now.rows, now.columns, now.readings) != (hello.rows, hello.columns, hello.readings):
                 return
