@@ -63,6 +63,8 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
     from lampest.loads.tare import Tare as Tare
+    from lampest.panel.conditions import Experiment as Experiment
+    from lampest.panel.conditions import MeasuredSubject as MeasuredSubject
     from lampest.panel.faults import Faults as Faults
     from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
@@ -73,7 +75,7 @@ if TYPE_CHECKING:
     from lampest.panel.readouts import TwoPointReadout as TwoPointReadout
     from lampest.panel.readouts import VirtualGroundReadout as VirtualGroundReadout
     from lampest.panel.readouts.loaded_columns import Diode as Diode
-    from lampest.panel.readouts.two_point.exact import two_point_resistance as two_point_resistance
+    from lampest.panel.readouts.star_mesh import two_point_resistance as two_point_resistance
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
@@ -85,8 +87,6 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
-    from lampest.panel.subject import Experiment as Experiment
-    from lampest.panel.subject import MeasuredSubject as MeasuredSubject
     from lampest.recording import datasets as datasets
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.foreign.importing import read_scene as read_scene

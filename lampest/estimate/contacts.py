@@ -20,8 +20,7 @@ import numpy as np
 from lampest.estimate.state import S, SequenceState, Step
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
-from lampest.panel.readouts.wired import contact_responses
-from lampest.panel.readouts.wiring import Contacts
+from lampest.panel.readouts.wiring import Contacts, contact_responses
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings

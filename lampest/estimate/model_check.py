@@ -12,8 +12,7 @@ from lampest.estimate.comparison import Better, Explanation, better_rival, broke
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
 from lampest.recording.readings import Readings, strongest_frame

@@ -12,8 +12,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track

@@ -14,8 +14,7 @@ from lampest.estimate.outliers import LEAST_FRAMES, without_outliers
 from lampest.estimate.plain_warnings import plain_warnings
 from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES, Possible, usual

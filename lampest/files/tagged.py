@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from lampest.files.errors import InputError
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration, Validated
 
 Kind = TypeVar("Kind")
 
@@ -58,7 +58,7 @@ class ByKind:
         # From Python an object of a class that nothing names, derived in a notebook, is one of them, too.
         made = {"type": "is-instance", "cls": base}
         either = {"type": "union", "choices": [made, tagged], "mode": "left_to_right"}
-        own = base not in (object, Validated)
+        own = base not in (object, Configuration, Validated)
         return {"type": "json-or-python", "json_schema": tagged, "python_schema": either if own else tagged}
 
     def _tag(self, value: Any) -> Any:

@@ -3,10 +3,10 @@
 import inspect
 import typing
 from abc import ABCMeta
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, wraps
 from types import UnionType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,12 @@ class Validated(metaclass=Checked):
     """Base of dataclasses that are checked when they are made; what makes them of YAML checks by itself."""
 
 
+class Configuration(Validated):
+    """Base of dataclasses that YAML is validated into; unknown keys are refused."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+
 def typed(function: Callable[P, R]) -> Callable[P, R]:
     """The function, which raises InputError where an argument has not its type."""
 
@@ -44,6 +50,27 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         return made(**_arguments(function, function.__name__, args, kwargs))
 
     return called
+
+
+def check_range(name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = "") -> None:
+    """Raise ValueError unless a number, or each of several, lies between two."""
+    for number in [numbers] if isinstance(numbers, int | float) else numbers:
+        if not low <= number <= high:
+            raise ValueError(f"{name} must lie between {low:.15g} and {high:.15g}{unit}")
+
+
+def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
+    """The same for the fields of an object that are not None."""
+    for name in names:
+        if (value := getattr(owner, name)) is not None:
+            check_range(name, value, low, high)
+
+
+def check_positive_fields(owner: Any, *names: str) -> None:
+    """Raise ValueError unless each of an object's fields is None, or positive and finite."""
+    for name in names:
+        if (value := getattr(owner, name)) is not None and not 0 < value < float("inf"):
+            raise ValueError(f"{name} must be positive and finite")
 
 
 def real_array(values: Any, what: str) -> NDArray[Any]:

@@ -1,18 +1,16 @@
 """What is known to be broken of a panel, and what that leaves of its readings and cells."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Validated
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Panel
+from lampest.files.typed import Configuration
+from lampest.panel.panel import Modules, Panel
 
 
 @dataclass(frozen=True)
-class Faults(Validated):
+class Faults(Configuration):
     """What is known to be broken, by (row, column) or line; it leaves the model.
 
     Parameters
@@ -27,7 +25,6 @@ class Faults(Validated):
     np.int64(3)
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     open: tuple[tuple[int, int], ...] = ()
     shorted: tuple[tuple[int, int], ...] = ()
     dead_rows: tuple[int, ...] = ()

@@ -9,11 +9,11 @@ Operators and their sources are in `lampest.loads.film`.
 
 from dataclasses import dataclass
 from math import hypot, isfinite
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
 
 MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
 # Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
@@ -36,7 +36,7 @@ class Strength(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Film(Validated):
+class Film(Configuration):
     """What a film does beside its response curve. Numbers are those of all cells together.
 
     Parameters
@@ -56,7 +56,6 @@ class Film(Validated):
     0.1
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     hysteresis: float | Literal["auto"] = 0.0
     creep_per_decade: float | Literal["auto"] = 0.0
     deviation: float = 0.0

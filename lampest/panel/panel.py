@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.document import LARGEST, SMALLEST
 from lampest.files.memory import check_memory
-from lampest.files.typed import Validated
-from lampest.panel.modules import Modules
+from lampest.files.typed import Configuration
 
 Array = NDArray[np.floating[Any]]
 LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
@@ -22,7 +21,69 @@ CellPlace = tuple[int, int, float, float]
 
 
 @dataclass(frozen=True)
-class Panel(Validated):
+class EachModule(Configuration):
+    """What one module is: rows, columns of lines, and pitch_mm between its cells."""
+
+    rows: int
+    columns: int
+    pitch_mm: float = 10.0
+
+
+@dataclass(frozen=True)
+class Modules(Configuration):
+    """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
+
+    seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    rows: int
+    columns: int
+    each: EachModule
+    seam_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.rows, self.columns, self.each.rows, self.each.columns) < 1:
+            raise ValueError("modules need at least one row and one column of modules, and of cells in each")
+        if not 0 <= self.seam_mm <= 1e6:
+            raise ValueError("seam_mm must be zero or positive, and finite: at most 1e+06")
+
+    @property
+    def count(self) -> int:
+        """How many modules there are."""
+        return self.rows * self.columns
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the whole image's cells."""
+        return self.rows * self.each.rows, self.columns * self.each.columns
+
+    def place(self, number: int) -> tuple[int, int]:
+        """(row, column) of a module of that number."""
+        return divmod(number, self.columns)
+
+    def cells(self, number: int) -> tuple[slice, slice]:
+        """Where the cells of a module stand in the image."""
+        row, column = self.place(number)
+        rows, columns = self.each.rows, self.each.columns
+        return slice(row * rows, (row + 1) * rows), slice(column * columns, (column + 1) * columns)
+
+    def split(self, image: NDArray[Any]) -> NDArray[Any]:
+        """(…, rows, columns) of the image → (…, modules, rows, columns) of each."""
+        each, shape = self.each, image.shape[:-2]
+        blocks = image.reshape(*shape, self.rows, each.rows, self.columns, each.columns)
+        return np.moveaxis(blocks, -3, -2).reshape(*shape, self.count, each.rows, each.columns)
+
+    def joined(self, parts: NDArray[Any]) -> NDArray[Any]:
+        """The inverse of `split`."""
+        each, shape = self.each, parts.shape[:-3]
+        blocks = parts.reshape(*shape, self.rows, self.columns, each.rows, each.columns)
+        return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
+
+
+@dataclass(frozen=True)
+class Panel(Configuration):
     """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
 
     Parameters
@@ -39,7 +100,6 @@ class Panel(Validated):
     (2, 3)
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     rows: int = 0
     columns: int = 0
     pitch_mm: float = 10.0

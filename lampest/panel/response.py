@@ -9,14 +9,14 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from lampest.files.tagged import ByKind
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
@@ -38,7 +38,7 @@ TOLD_KPA = (-10.0, 40.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Response(Validated):
+class Response(Configuration):
     """What all kinds may say of single cells.
 
     Parameters
@@ -49,7 +49,6 @@ class Response(Validated):
     Raises ValueError where a gain is not positive, a deviation negative, or rows are of different lengths.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     gain: Table | None = None
     gain_sd: Table | None = None
 

@@ -4,141 +4,29 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
 from lampest.files.tagged import members_of
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
+from lampest.panel.conditions import Experiment, MeasuredSubject
+from lampest.panel.conditions import Systematic as Systematic
+from lampest.panel.conditions import Temperature as Temperature
+from lampest.panel.conditions import Water as Water
 from lampest.panel.faults import Faults as Faults
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import MOST_OHM, PerLine, as_tuple, check_resistors, lines_text, per_line
+from lampest.panel.readouts.lines import PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse
-from lampest.panel.subject import Experiment, MeasuredSubject
-
-DEEPEST_MM = 1.1e7
-MOST_OFF = {"inl_lsb": 2.0**32, "reading_error": 10.0, "response_sd": 10.0}  # the rest in ohm
 
 
 @dataclass(frozen=True)
-class Water(Validated):
-    """An upright panel under water, in the unloaded frames too: row 0 on top, top_row_depth_mm below the surface.
-
-    Raises ValueError where the depth is out of range.
-
-    >>> lampest.Water(top_row_depth_mm=50.0).top_row_depth_mm
-    50.0
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    top_row_depth_mm: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.top_row_depth_mm <= DEEPEST_MM:
-            raise ValueError(
-                f"top_row_depth_mm must be zero or positive, and finite: at most {DEEPEST_MM:g}, the deepest sea"
-            )
-
-
-@dataclass(frozen=True)
-class Temperature(Validated):
-    """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
-
-    Exponential, because 1 + α (T − T_b) turns negative far from T_b and depends on which temperature is called the
-    first; both agree within (α (T − T_b))²/2, which is 3e-4 for −0.3 % per kelvin over 8 kelvin.
-
-    Parameters
-    ----------
-    coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
-    baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
-
-    Raises ValueError where a number is out of range.
-
-    >>> lampest.Temperature(-0.003, baseline_celsius=20.0, measured_celsius=12.0).difference_kelvin
-    -8.0
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    coefficient_per_kelvin: float
-    baseline_celsius: float
-    measured_celsius: float
-    coefficient_sd_per_kelvin: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not -1 <= self.coefficient_per_kelvin <= 1:
-            raise ValueError("coefficient_per_kelvin must lie between -1 and 1")
-        if not 0 <= self.coefficient_sd_per_kelvin <= 1:
-            raise ValueError("coefficient_sd_per_kelvin must lie between 0 and 1")
-        for name in ("baseline_celsius", "measured_celsius"):
-            if not -273.15 <= getattr(self, name) <= 1000:
-                raise ValueError(f"{name} must lie between -273.15 and 1000")
-
-    @property
-    def difference_kelvin(self) -> float:
-        """T − T_b."""
-        return self.measured_celsius - self.baseline_celsius
-
-    @property
-    def logarithm(self) -> float:
-        """ln(r(T)/r(T_b)) = α (T − T_b)."""
-        return self.coefficient_per_kelvin * self.difference_kelvin
-
-
-@dataclass(frozen=True)
-class Systematic(Validated):
-    """How far off all readings may be together; widens error bars and changes no estimate.
-
-    Parameters
-    ----------
-    reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
-        fraction.
-    channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
-    series_ohm : of what stands in series with all driven lines alike, beside what the scene tells, in ohm.
-    inl_lsb : of the converter's curve about a straight line, a smooth one, in least significant bits.
-    wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene tells, in ohm.
-    reading_error : of the logarithm of a factor on each reading, the same in all frames.
-    response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
-        that differ); widens pressures alone.
-
-    None: absent. Raises ValueError where a number is out of range.
-
-    >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
-    0.01
-    """
-
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
-    reference_tolerance: float = 0.0
-    channel_spread_ohm: float = 0.0
-    series_ohm: float | None = None
-    inl_lsb: float | None = None
-    wire_ohm_per_cell: float | None = None
-    reading_error: float | None = None
-    response_sd: float | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.reference_tolerance < 1:
-            raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        for name in (
-            "channel_spread_ohm",
-            "series_ohm",
-            "inl_lsb",
-            "wire_ohm_per_cell",
-            "reading_error",
-            "response_sd",
-        ):
-            value = getattr(self, name)
-            most = MOST_OFF.get(name, MOST_OHM)
-            if value is not None and not 0 <= value <= most:
-                raise ValueError(f"{name} must be zero or positive, and finite: at most {most:g}")
-
-
-@dataclass(frozen=True)
-class SeriesPerLine(Validated):
+class SeriesPerLine(Configuration):
     """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
 
     rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
@@ -148,7 +36,6 @@ class SeriesPerLine(Validated):
            [141., 143.]])
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     rows: PerLine
     columns: PerLine
 
@@ -163,14 +50,13 @@ class SeriesPerLine(Validated):
 
 
 @dataclass(frozen=True)
-class OwnOfModule(Validated):
+class OwnOfModule(Configuration):
     """What one module has of its own, in place of what the scene says of all; None: as the scene says.
 
     at : (row, column) of the module. readout : of the scene's kind. faults : by the module's own rows and columns, in
     addition to the scene's.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     at: tuple[int, int]
     readout: AnyReadout | None = None
     series_resistance_ohm: float | SeriesPerLine | None = None
@@ -178,7 +64,7 @@ class OwnOfModule(Validated):
 
 
 @dataclass(frozen=True)
-class Scene(Validated):
+class Scene(Configuration):
     """The panel, how it is read, and what stands between the two.
 
     Parameters
@@ -209,7 +95,6 @@ class Scene(Validated):
     '140 ohm'
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     panel: Panel
     readout: AnyReadout | None = None
     series_resistance_ohm: float | SeriesPerLine = 0.0

@@ -14,8 +14,7 @@ import numpy as np
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
-from lampest.panel.readouts.wired import contact_responses
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.readouts.wiring import Wiring, contact_responses
 from lampest.panel.scene import Scene, Systematic
 
 SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import real_array
 from lampest.panel.memory import without_memory
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Array, beyond_any_panel
+from lampest.panel.panel import Array, Modules, beyond_any_panel
 from lampest.panel.scene import Scene
 
 SWEEPS = 6  # of the median polish; panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two

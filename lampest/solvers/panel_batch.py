@@ -12,7 +12,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.two_point.floating import FloatingNetwork
+from lampest.panel.readouts.floating import FloatingNetwork
 
 BLOCK = 8  # panels by which compiled functions grow: fewer sizes to compile
 Numbers = NDArray[np.intp]

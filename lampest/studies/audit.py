@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,15 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 from lampest.runs.executors import AnyExecutor
-from lampest.runs.terms import FORBID
 from lampest.studies import study
-from lampest.studies.methods import StudyMethod, check_range
+from lampest.studies.methods import StudyMethod
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
 LOADED_KPA = 0.5  # a cell counts as loaded from here on: below, a film's answer is smaller than its creep
@@ -54,7 +54,7 @@ def usual_effects() -> dict[str, Unmodelled]:
 
 
 @dataclass(frozen=True)
-class AuditFile:
+class AuditFile(Configuration):
     """What is audited.
 
     Parameters
@@ -69,7 +69,6 @@ class AuditFile:
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     schema: Literal[1]
     simulation: Simulation
     estimators: dict[str, StudyMethod]

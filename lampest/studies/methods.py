@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import TypeVar
 
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds
+from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import OralDisc
 from lampest.recording.simulation.pressure import Course
-from lampest.runs.terms import FORBID, Terms, terms_of
+from lampest.runs.terms import Terms, terms_of
 
 LARGEST_SIDE = 1000  # of a simulated panel
 Shape = tuple[int, int]
@@ -24,10 +25,9 @@ BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.
 
 
 @dataclass(frozen=True)
-class StudyMethod:
+class StudyMethod(Configuration):
     """The terms of one method, as in a run's file. Raises ValueError without a term."""
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     terms: Terms  # type: ignore[valid-type]
 
     def __post_init__(self) -> None:
@@ -68,13 +68,6 @@ def paper_methods(kind: type[Method]) -> dict[str, Method]:
 def shapes_of(sizes: Sizes) -> tuple[Shape, ...]:
     """(rows, columns) of every panel."""
     return tuple((size, size) if isinstance(size, int) else size for size in sizes)
-
-
-def check_range(name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = "") -> None:
-    """Raise ValueError unless a number, or each of several, lies in a range."""
-    for number in [numbers] if isinstance(numbers, int | float) else numbers:
-        if not low <= number <= high:
-            raise ValueError(f"{name} must lie between {low:.15g} and {high:.15g}{unit}")
 
 
 def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:

@@ -32,7 +32,7 @@ FLOORS = (
 DOORS = {
     "casadi": (
         "panel.compiled",
-        "panel.readouts.equation",
+        "panel.readouts.tied",
         "cost",
         "solvers.ipopt",
     ),

@@ -39,7 +39,7 @@ def configurations() -> tuple[type, ...]:
         for module in modules
         for kind in vars(module).values()
         if isinstance(kind, type) and kind.__module__ == module.__name__
-        if hasattr(kind, "__pydantic_config__") and not inspect.isabstract(kind)
+        if hasattr(kind, "__pydantic_config__") and dataclasses.is_dataclass(kind) and not inspect.isabstract(kind)
     )
 
 

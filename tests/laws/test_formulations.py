@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from lampest import two_point_resistance
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 
 SHAPES = [(1, 1), (1, 4), (4, 1), (2, 2), (3, 5), (5, 3), (4, 4)]

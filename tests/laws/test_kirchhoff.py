@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lampest import two_point_resistance
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
+from lampest.panel.readouts.floating import FloatingNetwork, grounding, uniform_factor
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
 SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7), (10, 10)]

@@ -9,7 +9,7 @@ import pytest
 import lampest
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Panel
-from lampest.panel.readouts.two_point.exact import exact_two_point_resistance
+from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 from lampest.panel.scene import Scene
 from tests.outlines import OUTLINES
 

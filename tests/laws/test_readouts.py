@@ -17,8 +17,7 @@ from lampest.files.tagged import members_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.readouts.wired import contact_responses
-from lampest.panel.readouts.wiring import Contacts, Lines
+from lampest.panel.readouts.wiring import Contacts, Lines, contact_responses
 from lampest.panel.scene import Faults, Scene
 from tests.laws.samples import examples
 from tests.netlist import impedance_of

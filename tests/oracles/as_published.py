@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.studies.paper.sides import LeftBySolver, Weights
 
 TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown

@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.wired import WiredNetwork
-from lampest.panel.readouts.wiring import Lines, Wiring
+from lampest.panel.readouts.wiring import Lines, WiredNetwork, Wiring
 
 with warnings.catch_warnings():  # it warns of what it cannot import
     import badcrossbar

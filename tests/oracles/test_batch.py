@@ -6,7 +6,7 @@ import pytest
 from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, RelativeChange, Scene, Term, TwoPointReadout
 from lampest.cost.given import Background
 from lampest.panel.panel import Panel
-from lampest.panel.readouts.two_point.exact import two_point_resistance
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.solvers.batch import Kept, solve
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.panel_batch import PanelBatch

@@ -14,13 +14,13 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.two_point import convex
-from lampest.panel.readouts.two_point.floating import (
+from lampest.panel.readouts.floating import (
     FloatingNetwork,
     Stencil,
     grounding,
     square_by_lines,
 )
+from lampest.panel.readouts.two_point import convex
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import certificate, hessian, projected_newton

@@ -18,7 +18,7 @@ from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.runs.config import read_run

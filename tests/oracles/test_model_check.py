@@ -17,7 +17,7 @@ from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import standing_frames
 from lampest.files.tagged import members_of
 from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.readouts.two_point.readout import four_point_excess
+from lampest.panel.readouts.two_point import four_point_excess
 from lampest.recording.readings import Readings
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe

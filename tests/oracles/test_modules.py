@@ -10,7 +10,7 @@ import lampest
 from lampest import InputError, Recording, Scene, Simulation, simulate
 from lampest.cli import main
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.panel.modules import EachModule, Modules
+from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors.processes import Serial

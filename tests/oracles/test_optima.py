@@ -21,7 +21,7 @@ from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.optimal import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.two_point.readout import resolution_limit
+from lampest.panel.readouts.two_point import resolution_limit
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import evaluated, solved_from

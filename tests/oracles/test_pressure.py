@@ -156,7 +156,7 @@ def test_scene_with_and_without_the_new_keys() -> None:
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("water: {top_row_depth_mm: -1}", "zero or positive"),
+        ("water: {top_row_depth_mm: -1}", "must lie between 0 and 11000000"),
         ("water: {depth: 1}", "no such key"),
         ("temperature: {coefficient_per_kelvin: -3, baseline_celsius: 20, measured_celsius: 8}", "between -1 and 1"),
         ("temperature: {coefficient_per_kelvin: 0, baseline_celsius: 20, measured_celsius: -300}", "measured_celsius"),

@@ -11,8 +11,8 @@ from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Ring, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.two_point.floating import uniform_factor
-from lampest.panel.readouts.two_point.readout import resolution_limit
+from lampest.panel.readouts.floating import uniform_factor
+from lampest.panel.readouts.two_point import resolution_limit
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate

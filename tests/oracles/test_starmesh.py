@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.exact import SAFE_CONDITION, exact_two_point_resistance, two_point_resistance
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.star_mesh import SAFE_CONDITION, exact_two_point_resistance, two_point_resistance
 
 pytestmark = pytest.mark.slow
 

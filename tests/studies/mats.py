@@ -23,7 +23,7 @@ from lampest.cost.given import Background
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings

@@ -6,7 +6,7 @@ from lampest.files.tagged import ByKind
 from lampest.panel.readouts.grounded import GroundedReadout, VirtualGroundReadout
 from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.readouts.readout import Readout
-from lampest.panel.readouts.two_point.readout import TwoPointReadout
+from lampest.panel.readouts.two_point import TwoPointReadout
 
 __all__ = [
     "AnyReadout",

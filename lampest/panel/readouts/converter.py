@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
@@ -18,7 +18,7 @@ HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), a
 
 
 @dataclass(frozen=True, kw_only=True)
-class Converter(Validated):
+class Converter(Configuration):
     """Codes from 0 to 2^bits − 1 over voltages from 0 to the supply.
 
     Parameters
@@ -34,7 +34,6 @@ class Converter(Validated):
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20

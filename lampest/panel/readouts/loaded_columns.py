@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import END, DrivenReadout, alternated
 from lampest.panel.readouts.lines import (
@@ -31,7 +31,7 @@ STEPS = 7  # of Newton's method: five suffice for the value at any resistance, a
 
 
 @dataclass(frozen=True)
-class Diode(Validated):
+class Diode(Configuration):
     """V_d = s·ln(1 + I/I_s), I_s such that V_d is drop_volt at at_ampere; Shockley's law.
 
     Parameters
@@ -45,7 +45,6 @@ class Diode(Validated):
     0.6
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     drop_volt: float = 0.6
     at_ampere: float = 1e-3
     slope_volt: float = 0.05

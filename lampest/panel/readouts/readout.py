@@ -16,8 +16,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
-from lampest.panel.readouts.wired import WiredNetwork
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
 LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the apparent resistance
 SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth

@@ -8,20 +8,23 @@ first segment. Lines that touch do so at their terminals, beyond the contacts.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration
+from lampest.panel.network import Block, Network, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
 
 RELAXED = 3.0  # standard deviations that a contact may be larger where it must not make a bound wrong
 
 
 @dataclass(frozen=True)
-class Lines(Validated):
+class Lines(Configuration):
     """Resistance of the lines themselves (conductive thread, ITO), in ohm for the way from one cell to the next.
 
     Parameters
@@ -37,7 +40,6 @@ class Lines(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     row_ohm_per_cell: float = 0.0
     column_ohm_per_cell: float = 0.0
     rows_enter: Literal["left", "right"] = "left"
@@ -56,7 +58,7 @@ class Lines(Validated):
 
 
 @dataclass(frozen=True)
-class ContactPrior(Validated):
+class ContactPrior(Configuration):
     """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
 
     Parameters
@@ -69,7 +71,6 @@ class ContactPrior(Validated):
     2.0
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     mean_ohm: PerLine = 0.0
     sd_ohm: PerLine = 0.0
 
@@ -79,7 +80,7 @@ class ContactPrior(Validated):
 
 
 @dataclass(frozen=True)
-class Contacts(Validated):
+class Contacts(Configuration):
     """Resistance between every line and its terminal, the same in all frames, as far as it is known.
 
     Parameters
@@ -90,7 +91,6 @@ class Contacts(Validated):
     5.0
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     rows: ContactPrior = ContactPrior()
     columns: ContactPrior = ContactPrior()
 
@@ -238,3 +238,129 @@ class Wiring:
         if columns <= rows:
             return Ladder.of(cell_resistance, False, (flip_rows, flip_columns), ohm, contact)
         return Ladder.of(cell_resistance, True, (not flip_columns, not flip_rows), ohm[::-1], contact[::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class WiredNetwork(TiedNetwork):
+    """ties : (lines) siemens. wiring, ladder : what lies between terminals and cells, and its K⁻¹.
+
+    currents : C (cells, lines) siemens, through the cells for a unit of potential at every terminal.
+    """
+
+    ties: Array
+    wiring: Wiring
+    ladder: Ladder
+    currents: Array
+
+    @classmethod
+    def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
+        """Of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
+        rows, columns = cell_resistance.shape
+        ladder = wiring.factor(cell_resistance)
+        currents = ladder.solve(incidence(rows, columns)).reshape(-1, rows + columns)
+        through = currents.reshape(rows, columns, -1)
+        admittance = np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
+        nodes = wiring.nodes(rows + columns)
+        impedance = nodes @ np.linalg.inv(nodes.T @ (admittance + np.diag(ties)) @ nodes) @ nodes.T
+        return cls(cell_resistance, 1 / cell_resistance, impedance, readout, ties, wiring, ladder, currents)
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = (r C Z)ᵀ (lines, cells) ohm."""
+        return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self._impedance)).T)
+
+    def changes(self, step: Array) -> Array:
+        """dZ = D·diag(g·p)·Dᵀ (lines, lines) ohm."""
+        across = self.potential_differences
+        return np.asarray((across * (self.conductance * step).ravel()) @ across.T)
+
+    def forward(self, step: Array) -> Array:
+        """What dZ does to the readings."""
+        return self.read_change(self.changes(step))
+
+    def adjoint(self, weights: Array) -> Array:
+        """g·diag(Dᵀ W D)."""
+        return self.conductance * self.drawn(self.loading(weights))
+
+    def drawn(self, loading: Array) -> Array:
+        """diag(Dᵀ W D) (rows, columns) of W (lines, lines)."""
+        across = self.potential_differences
+        return np.asarray(np.sum(across * (loading @ across), axis=0).reshape(self.conductance.shape))
+
+    def _own_differences(self) -> tuple[Array, Array]:
+        """(D_jc, D_kc) of every cell c at its own row j and column k."""
+        rows, columns = self.conductance.shape
+        row, column = np.indices((rows, columns))
+        across = self.potential_differences.reshape(-1, rows, columns)
+        return across[row, row, column], across[rows + column, row, column]
+
+    def driven_through(self, sources: Array) -> Array:
+        """X·s (cells, patterns) volt of currents s (cells, patterns) that are driven through cells."""
+        shape = self.conductance.shape
+        resistance = self.cell_resistance.reshape(-1, 1)
+        pushed = resistance * sources
+        drawn = self.ladder.solve(pushed.reshape(*shape, -1)).reshape(pushed.shape)
+        return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
+
+    def contact_response(self) -> Array:
+        """∂y/∂c of the lines' contacts c, (rows, columns, lines): ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z.
+
+        X_la is the current that enters line l while a unit current enters terminal a.
+        """
+        entering = np.eye(len(self.ties)) - self.ties[:, None] * self._impedance
+        return np.stack([self.read_change(np.outer(line, line)) for line in entering], axis=-1)
+
+    def second_order(self, weights: Array) -> SecondOrder:
+        """Through D twice, and through the curvature of h."""
+        return WiredSecondOrder(self, weights)
+
+    def changed(self, block: Block, conductance: Array) -> "WiredNetwork":
+        """Solved anew: Z alone, which terminals show, does not tell cells inside a wired panel apart."""
+        cells = self.cell_resistance.copy()
+        cells[block] = 1 / conductance
+        return WiredNetwork.solve(cells, self.ties, self.readout, self.wiring)
+
+
+@dataclass(frozen=True, eq=False)
+class WiredSecondOrder(TiedSecondOrder):
+    """H of weights at a network with wire."""
+
+    network: WiredNetwork
+
+    @cached_property
+    def _loading(self) -> Array:
+        """W (lines, lines)."""
+        return self.network.loading(self.weights)
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
+        network = self.network
+        across, change = network.potential_differences, network.changes(step)
+        moved = network.driven_through((across * (network.conductance * step).ravel()).T).T
+        twice = 2 * np.sum(moved * (self._loading @ across), axis=0).reshape(step.shape)
+        return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
+
+    def adjoint(self) -> Array:
+        """g·diag(Dᵀ W D)."""
+        return self.network.conductance * self.network.drawn(self._loading)
+
+    def matrix(self) -> Array:
+        """2 g (X ∘ Dᵀ W D) g, and what the curvature of h adds."""
+        conductance, across = self.network.conductance.ravel(), self.network.potential_differences
+        matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self._loading @ across)
+        matrix *= conductance[:, None] * conductance
+        return self.with_curvature(matrix)
+
+
+def contact_responses(networks: Sequence[Network]) -> Array:
+    """∂y/∂c (networks · cells, lines) of wired networks, one after the other."""
+    wired = [network for network in networks if isinstance(network, WiredNetwork)]
+    return np.concatenate([network.contact_response().reshape(network.conductance.size, -1) for network in wired])
+
+
+def incidence(rows: int, columns: int) -> Array:
+    """Bᵀ (rows, columns, lines): +1 at a cell's row, −1 at its column."""
+    matrix = np.zeros((rows, columns, rows + columns))
+    row, column = np.indices((rows, columns))
+    matrix[row, column, row], matrix[row, column, rows + column] = 1.0, -1.0
+    return matrix

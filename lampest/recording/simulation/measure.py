@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.memory import with_memory
-from lampest.panel.modules import Modules
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Contacts

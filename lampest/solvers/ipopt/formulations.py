@@ -12,7 +12,7 @@ from lampest.panel.kirchhoff import current_balance
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.equation import reads_own
+from lampest.panel.readouts.tied import reads_own
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,11 @@
 """A benchmark's YAML file, and the recordings that it makes for every size."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
+from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import AnyShape, Rod
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -14,7 +15,6 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.unmodelled import Unmodelled
-from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
 from lampest.studies.methods import (
     BREATHING,
@@ -22,7 +22,6 @@ from lampest.studies.methods import (
     Shape,
     Sizes,
     SquaredMethod,
-    check_range,
     check_sides,
     lamprey_mouth,
     paper_methods,
@@ -54,7 +53,7 @@ def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
 
 
 @dataclass(frozen=True)
-class BenchLimits:
+class BenchLimits(Configuration):
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
     scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
@@ -63,7 +62,6 @@ class BenchLimits:
     that was solved alone.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     reduced: int = LARGEST_SIDE
     nodal: int = 16
     scipy_exact: int = 16
@@ -73,7 +71,7 @@ class BenchLimits:
 
 
 @dataclass(frozen=True)
-class BenchFile:
+class BenchFile(Configuration):
     """What is compared.
 
     Parameters
@@ -92,7 +90,6 @@ class BenchFile:
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     schema: Literal[1]
     sizes: Sizes
     estimators: dict[str, SquaredMethod] = field(default_factory=lambda: paper_methods(SquaredMethod))

@@ -11,7 +11,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.exact import exact_two_point_resistance
+from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 
 MOST_DIGITS = 15.0  # of double precision
 MOST_STEPS, FINE = 500, 1e-13  # of the convex estimate: steps, and the relative error of a reading

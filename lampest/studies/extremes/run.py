@@ -12,7 +12,7 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.exact import exact_two_point_resistance, two_point_resistance
+from lampest.panel.readouts.star_mesh import exact_two_point_resistance, two_point_resistance
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import VERIFIED
 from lampest.studies.extremes.judges import (

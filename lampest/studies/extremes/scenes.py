@@ -2,20 +2,20 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from lampest.estimate.methods import MethodName
+from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.two_point.exact import two_point_resistance
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor
-from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
-from lampest.studies.methods import Shape, Sizes, SquaredMethod, check_range, paper_methods, shapes_of
+from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
 
 GRID = "log-uniform"
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
@@ -219,7 +219,7 @@ CASES: dict[str, Extreme] = {
 
 
 @dataclass(frozen=True)
-class Grid:
+class Grid(Configuration):
     """Panels of random cells, uniform in the logarithm: every size with every number of decades, noise and seed.
 
     Parameters
@@ -230,7 +230,6 @@ class Grid:
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     sizes: Sizes
     decades: tuple[float, ...] = (1, 2, 3, 4, 5, 6, 7, 8, 9)
     noise: tuple[float, ...] = (0, 0.1, 1, 10)
@@ -249,7 +248,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class AtlasFile:
+class AtlasFile(Configuration):
     """What is tried.
 
     Parameters
@@ -264,7 +263,6 @@ class AtlasFile:
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     schema: Literal[1]
     grid: Grid
     structured: Grid

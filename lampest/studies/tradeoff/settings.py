@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
+from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -21,7 +22,6 @@ from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.recording.stored import only_frames
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
-from lampest.runs.terms import FORBID
 from lampest.solvers.solution import Settings
 from lampest.studies.methods import (
     BREATHING,
@@ -29,7 +29,6 @@ from lampest.studies.methods import (
     BoundedMethod,
     Shape,
     Sizes,
-    check_range,
     check_sides,
     lamprey_mouth,
     paper_methods,
@@ -52,13 +51,12 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
 
 
 @dataclass(frozen=True)
-class TradeoffLimits:
+class TradeoffLimits(Configuration):
     """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
 
     joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     naive: int = LARGEST_SIDE
     scaled: int = LARGEST_SIDE
     linearised: int = LARGEST_SIDE
@@ -74,7 +72,7 @@ class TradeoffLimits:
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(Configuration):
     """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
 
     Parameters
@@ -86,7 +84,6 @@ class Simulated:
     Raises ValueError where a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     sizes: Sizes
     noise: dict[str, TwoPointReadout] = field(default_factory=lambda: {"10bit": TwoPointReadout()})
     scenes: dict[str, Unmodelled] = field(default_factory=lambda: {"clean": Unmodelled()})
@@ -142,7 +139,7 @@ class TradeoffSubject:
 
 
 @dataclass(frozen=True)
-class TradeoffFile:
+class TradeoffFile(Configuration):
     """What is measured.
 
     Parameters
@@ -159,7 +156,6 @@ class TradeoffFile:
     Raises ValueError where something is missing or a number is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = FORBID
     schema: Literal[1]
     recordings: list[str] = field(default_factory=list)
     simulated: Simulated | None = None

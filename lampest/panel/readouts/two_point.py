@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
+from lampest.panel.readouts.floating import FloatingNetwork, convex_start, fitted_block, grounding, uniform_factor
 from lampest.panel.readouts.lines import LineNumber, along, check_resistors
 from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
-from lampest.panel.readouts.two_point.convex import convex_start, fitted_block
-from lampest.panel.readouts.two_point.exact import two_point_resistance
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding, uniform_factor
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.readouts.wiring import Wiring
 
 LEAST_REST = 1e-6  # of the input's conductance: a cell that conducts less is beyond any converter
@@ -134,7 +133,7 @@ class TwoPointReadout(Readout):
     def fitted_block(
         self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
     ) -> Network:
-        """Of floating lines by a convex function; see `lampest.panel.readouts.two_point.convex`."""
+        """Of floating lines by a convex function; see `lampest.panel.readouts.floating`."""
         if isinstance(network, FloatingNetwork):
             return fitted_block(network, block, measured, least, chosen)
         return super().fitted_block(network, block, measured, least, chosen)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files.typed import typed
 from lampest.panel.panel import Array
-from lampest.panel.readouts.two_point.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 Index = NDArray[np.intp]
 SAFE_CONDITION = 1e4  # rounding times that leaves 11 digits; ordinary panels have about 3·(rows + columns)
