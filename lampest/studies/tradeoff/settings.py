@@ -157,7 +157,7 @@ class TradeoffFile(Configuration):
     """
 
     schema: Literal[1]
-    recordings: list[str] = field(default_factory=list)
+    recordings: tuple[str, ...] = ()
     simulated: Simulated | None = None
     estimators: dict[str, BoundedMethod] = field(default_factory=lambda: paper_methods(BoundedMethod))
     formulations: tuple[MethodName | AnyMethod, ...] = LADDER
@@ -225,7 +225,7 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
     settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
     subjects = []
-    for file in recording_paths(path, settings.recordings):
+    for file in recording_paths(path, list(settings.recordings)):
         recording = Recording.load(file)
         subjects.append(TradeoffSubject(first_frames(recording, settings.frames), "-", "-"))
     if settings.simulated is not None:
