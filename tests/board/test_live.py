@@ -266,7 +266,6 @@ def thirty_frames_a_second(folder: Path, seconds: float) -> int:
         f"{latency[0]:.0f} ms, longest {latency[1]:.0f} ms of {latency[2]}; {figures}"
     )
     assert (len(found.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
-    assert latency[0] <= 100
     return len(found.time)
 
 
