@@ -198,6 +198,13 @@ class CaseResult(Validated):
         """The values of a column, or None where the case has none."""
         return getattr(self, name) if name in TYPED else self.extra.get(name)
 
+    def shown(self, column: Column) -> Any:
+        """The values of a column for others: a flag is NaN where a cell has no estimate."""
+        values, missing = self.column(column.name), np.isnan(self.cell_resistance)
+        if values is None or column.shared or column.axes != MAPS or not column.flags or not missing.any():
+            return values
+        return np.where(missing, np.nan, values)
+
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
         """The case as an xarray.Dataset over time (s), row and column, with x and y in mm; units in every `attrs`.
 
@@ -312,7 +319,7 @@ def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
     with extra("xarray"):
         from xarray import Dataset
     variables: dict[str, Any] = {
-        column.name: (column.axes, np.asarray(values), column.attributes)
+        column.label: (column.axes, np.asarray(values), column.attributes)
         for column, values in _held(case, columns)
         if column not in (TIME, FRAME)
     }
@@ -336,11 +343,11 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
     x, y = case.scene.panel.centres_mm()
     lines |= {"y": _lines(y, CELLS[:1], sizes), "x": _lines(x, CELLS[1:], sizes)}
     first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
-    table = DataFrame(first | {column.name: _lines(values, column.axes, sizes) for column, values in held.items()})
+    table = DataFrame(first | {column.label: _lines(values, column.axes, sizes) for column, values in held.items()})
     table.attrs = about(case) | {
         "units": {column.name: column.units for column in (TIME, FRAME)}
         | {"y": "mm", "x": "mm"}
-        | {column.name: column.units for column in held}
+        | {column.label: column.units for column in held}
     }
     return table
 
@@ -348,7 +355,7 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
 def _held(case: CaseResult, columns: Sequence[Column]) -> list[tuple[Column, Any]]:
     """The columns that the case holds, in its readout's unit, with their values."""
     fitting = (column.of(case.scene.circuit) for column in columns)
-    return [(column, values) for column in fitting if (values := case.column(column.name)) is not None]
+    return [(column, values) for column in fitting if (values := case.shown(column)) is not None]
 
 
 def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:

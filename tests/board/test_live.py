@@ -144,7 +144,7 @@ def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: P
     resistance[-1] = np.nan
     replace(ring, recorded=resistance, raw_sums=None, raw_readings=None).save(tmp_path / "blind.h5")
     with live(tmp_path, "--recording", tmp_path / "blind.h5", "--speed", 5) as (window, _):
-        window.until(NUMBER, lambda number: number == len(ring.measured_frames()))
+        window.until(NUMBER, lambda number: number == len(ring.time))
         assert "too few of the frame's readings are values" in window.text("failed")
         assert window.text("measured-range") == window.text("cells-range") == ""
         window.run("describe()")
@@ -175,7 +175,7 @@ def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> N
     words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
     with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):
         window.until("return document.getElementById('state').innerText == 'the recording has ended'")
-        window.until(NUMBER, lambda number: number == 21)
+        window.until(NUMBER, lambda number: number == 24)
         assert int(window.text("skipped")) > 5
         assert "Solving is slower than frames arrive" in window.text("behind")
         assert "passed over for the newest one" in window.text("behind")

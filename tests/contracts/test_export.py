@@ -60,6 +60,11 @@ def exported(lampest: Run, results: Path, to: str, *words: Any) -> Path:
     return Path(done.out.splitlines()[0])
 
 
+def shown(case: CaseResult, name: str) -> Any:
+    """A flag with NaN where the frame failed."""
+    return np.where(case.solved[:, None, None], getattr(case, name), np.nan)
+
+
 def check_table(table: Any, results: Path) -> None:
     """A long table of all cases against the results themselves."""
     cases = read_results(results).cases
@@ -68,7 +73,9 @@ def check_table(table: Any, results: Path) -> None:
         lines = table[(table.recording == case.recording) & (table.estimator == case.estimator)]
         assert_array_equal(lines.cell_resistance_ohm, case.cell_resistance.ravel())
         assert_array_equal(lines.relative_change_percent, case.relative_change.ravel())
-        assert_array_equal(lines.open_cell, case.open_cell.ravel())
+        for flag in ("open_cell", "at_lower_bound"):
+            assert_array_equal(lines[flag].astype(float), shown(case, flag).ravel())
+        assert_array_equal(lines.two_point_model_ohm, case.reading_model.ravel())
         assert_array_equal(lines.status, np.repeat(case.status, case.measured[0].size))
         assert_array_equal(lines.time_s, np.repeat(case.time, case.measured[0].size))
         x, y = (10 * np.indices(case.measured.shape)[axis].ravel() for axis in (2, 1))
@@ -79,7 +86,7 @@ def check_table(table: Any, results: Path) -> None:
             assert lines.pressure_kPa.isna().all() and lines.saturated.isna().all()
         else:
             assert_array_equal(lines.pressure_kPa, case.pressure.ravel())
-            assert_array_equal(lines.saturated, case.saturated.ravel())
+            assert_array_equal(lines.saturated.astype(float), shown(case, "saturated").ravel())
 
 
 def test_csv_is_what_pandas_reads(lampest: Run, results: Path) -> None:
@@ -138,7 +145,8 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
     for ours, case in zip(held, read_results(results).cases, strict=True):
         assert (ours["recording"], ours["estimator"]) == (case.recording, case.estimator)
         assert_array_equal(ours["cell_resistance"], case.cell_resistance)
-        assert_array_equal(ours["open_cell"], case.open_cell)
+        assert_array_equal(ours["open_cell"], shown(case, "open_cell"))
+        assert_array_equal(ours["two_point_model"], case.reading_model)
         assert_array_equal(ours["cost_misfit"], case.costs["misfit"])
         assert tuple(ours["status"]) == case.status
         assert_array_equal(ours["x"], 10 * np.arange(case.measured.shape[2]))
@@ -185,6 +193,8 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
         found = tree["mouth/LSM"]
         assert found["cell_resistance"].attrs["units"] == "ohm" and found["x"].attrs["units"] == "mm"
         assert found["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
+        assert found["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
+        assert "two_point_model" in found and "reading_model" not in found
         assert found.attrs["start_time"] == START
 
 
@@ -204,6 +214,8 @@ def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
         assert_array_equal(series.data[:], case.cell_resistance)
         assert_array_equal(series.timestamps[:], case.time)
         assert series.unit == "ohm"
+        assert_array_equal(module["open_cell"].data[:], shown(case, "open_cell"))
+        assert_array_equal(module["two_point_model"].data[:], case.reading_model)
         assert "1: cannot be told from open" in module["open_cell"].description
         assert tuple(module["frames"]["status"].data[:]) == case.status
         cells = module["cells"].to_dataframe()

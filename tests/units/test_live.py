@@ -305,7 +305,9 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, lamprey, 4.0, 5, waits.append)
         engine.finish()
-        assert engine.shown.thing.frames == 5
+        view = engine.shown.thing
+        assert view.frames == 8 and view.picture is not None, "its three unloaded frames count"
+        assert view.picture.number == 8
     np.testing.assert_allclose(waits, 0.25 * np.arange(5), atol=0.1)
 
 

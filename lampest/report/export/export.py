@@ -66,14 +66,18 @@ class Series:
 
 
 def series_of(case: CaseResult) -> list[Series]:
-    """Every column and figure that the case holds, in its readout's unit; a cost is called cost_misfit."""
+    """Every column and figure that the case holds, in its readout's unit; a cost is called cost_misfit.
+
+    Flags of cells without an estimate are NaN.
+    """
     held = []
     for column in all_columns():
-        values, column = case.column(column.name), column.of(case.scene.circuit)
+        values, column = case.shown(column), column.of(case.scene.circuit)
         if values is not None:
-            stored = tuple(values) if column.dtype is str else column.stored(values)
+            missing = np.asarray(values).dtype.kind == "f"
+            stored = tuple(values) if column.dtype is str else values if missing else column.stored(values)
             said = column.units, column.long_name, column.flags, column.shared
-            held.append(Series(column.name, column.axes, stored, *said))
+            held.append(Series(column.label, column.axes, stored, *said))
     return held + [
         Series(f"{folder.folder}_{name}", FRAMES, np.asarray(values), folder.units(name), folder.long_name(name))
         for folder in FIGURES

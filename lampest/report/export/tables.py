@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from lampest.files.errors import extra
 from lampest.report.export.export import Export
 from lampest.runs.case import CaseResult, about
@@ -111,12 +113,14 @@ def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, M
     meanings: dict[str, Meaning] = {}
     for case in cases:
         columns = [column.of(case.scene.circuit) for column in all_columns()]
-        known = LINES | {one.name: Meaning(one.units, one.long_name, one.flags) for one in columns}
+        known = LINES | {one.label: Meaning(one.units, one.long_name, one.flags) for one in columns}
+        kinds = {one.label: np.dtype(one.dtype).name for one in columns}
         table = case.to_dataframe()
         table.attrs = {}
         table.insert(0, "recording", case.recording)
         table.insert(1, "estimator", case.estimator)
-        whole = {name: WHOLE[kind.name] for name, kind in table.dtypes.items() if kind.name in WHOLE}
+        kinds = {name: kinds.get(name, kind.name) for name, kind in table.dtypes.items()}
+        whole = {name: WHOLE[kind] for name, kind in kinds.items() if kind in WHOLE}
         names = {name: with_unit(name, known[name].units) for name in table.columns}
         meanings |= {names[name]: known[name] for name in table.columns}
         tables.append(table.astype(whole).rename(columns=names))

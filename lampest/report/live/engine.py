@@ -122,7 +122,8 @@ class Engine:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
         resting = without_outliers(every, np.ones(len(every.value), dtype=bool))[1].mean()
-        self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state))
+        frames = len(unloaded)
+        self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state, frames=frames))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
     def take(self, source: FrameSource, scan: Scan) -> None:
@@ -156,7 +157,7 @@ class Engine:
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
                 state = state.zero_asked(self._baseline)
-            state, picture = solved_scan(state, news.thing, len(self._unloaded) + seen, skipped)
+            state, picture = solved_scan(state, news.thing, len(unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:

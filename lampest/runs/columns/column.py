@@ -133,6 +133,11 @@ class Column(Validated):
         return self.dataset or self.name
 
     @property
+    def label(self) -> str:
+        """The name in labelled arrays, tables and exports: the dataset's, but for what was measured."""
+        return self.name if self.shared else self.path
+
+    @property
     def attributes(self) -> dict[str, Any]:
         """What files and labelled arrays say of the values; flags as the CF conventions have them."""
         return {"units": self.units, "long_name": self.long_name} | flag_attributes(self.flags, self.dtype)

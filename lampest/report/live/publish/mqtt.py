@@ -2,6 +2,7 @@
 
 import socket
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -15,11 +16,15 @@ from lampest.report.live.publish.publish import Publish, Say, Send
 
 CONNECT_SECONDS, CLOSE_SECONDS = 5.0, 1.0  # for a broker to answer, and to take the last message
 PAUSES_SECONDS = 1, 10  # between attempts to reach a broker that went away
+LATEST_SECONDS = 0.2  # that a broker may take to confirm a message before those that follow are left out
 
 
 @dataclass(frozen=True)
 class MqttPublish(Publish):
-    """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`; a message is lost rather than late: nothing is kept for who is away."""
+    """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`, quality of service 1.
+
+    A message is lost rather than late: none is sent while another has not been confirmed for 0.2 s.
+    """
 
     kind: ClassVar[str] = "mqtt"
     host: str = "localhost"
@@ -46,13 +51,14 @@ class MqttPublish(Publish):
         client.connect_timeout, client.on_socket_open = CONNECT_SECONDS, _at_once
         client.reconnect_delay_set(*PAUSES_SECONDS)
         client.username_pw_set(self.user, self.password)
-        waiting: list[Any] = []  # the last message, as long as it is not on its way
+        waiting: deque[tuple[Any, float]] = deque()  # messages that are not confirmed, and when each was sent
 
         def send(message: Message) -> None:
-            if client.is_connected() and all(one.is_published() for one in waiting):
-                waiting[:] = [client.publish(self.topic, message.text())]
-            elif not client.is_connected():
-                waiting.clear()
+            while waiting and waiting[0][0].is_published():
+                waiting.popleft()
+            now = time.monotonic()
+            if client.is_connected() and (not waiting or now - waiting[0][1] < LATEST_SECONDS):
+                waiting.append((client.publish(self.topic, message.text(), qos=1), now))
 
         try:
             _connect(client, self.host, self.port, where)
