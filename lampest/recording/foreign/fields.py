@@ -14,21 +14,19 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.recording.foreign.arrays import check_archive
-from lampest.recording.foreign.table import Rows
+from lampest.recording.foreign.table import SAMPLED, Rows
 from lampest.recording.foreign.words import Numerals
 
-MOST_FIELDS = 10_000_000
+MOST_FIELDS = 10_000_000  # 50 bytes each in memory
 LONGEST_LINE = 1_000_000
+SAMPLED_LINES = 1000  # that decide what keeps fields apart, and whether a sheet may be a table
 LINE_END = re.compile(r"\r\n|\r|\n")
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
-SAMPLED_LINES, SAMPLED_SIGNS = 200, 50_000  # that decide what keeps fields apart
-SAMPLED_ROWS = 1000  # of a sheet, that decide whether it may be a table
 COMMENT = re.compile(r"\s*(?:#(?!N/A|NA|DIV/0!|NUM!|VALUE!|REF!)|%|//)", re.IGNORECASE)  # not where Excel has no number
 TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 DATE = r"\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} "
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
 STAMPED = re.compile(rf"\s*(?:\[({DATE})?({TIME})\]|({DATE})?({TIME})\s*(?:->|>|\|))\s*")
-
 LISTED = re.compile(r"\s*[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 BRACKETS = str.maketrans("[]{}()", "      ")
 
@@ -53,30 +51,22 @@ def rows_of_text(path: Path) -> Rows:
         notes.append("a terminal's time before the lines")
     delimiter = _delimiter([line.text for line in lines if not line.comment])
     fields, counts = _fields(path, lines, delimiter)
-    if _cut(text, counts):
+    whole = text.endswith(("\r", "\n"))
+    if len(counts) > 1 and not whole and counts[-1] < np.median(counts):  # the file ends within a line
         fields[-1, counts[-1] - 1] = ""
         notes.append(f"the last number of line {lines[-1].number} is cut off and missing")
-    numbers = [line.number for line in lines]
-
-    def place(line: int, field: int | None) -> str:
-        return f"{path}:{numbers[line]}" + ("" if field is None else f":{field + 1}")
-
     return Rows(
         str(path),
         fields,
         counts,
+        [line.number for line in lines],
+        "line",
         np.array([line.comment for line in lines], dtype=bool),
         np.array([line.blank for line in lines], dtype=bool),
-        tuple(line.stamp for line in lines),
-        place,
-        lambda line: f"line {numbers[line]}",
+        [line.stamp for line in lines],
+        lambda number, field: f"{path}:{number}" + ("" if field is None else f":{field + 1}"),
         (f"fields apart by {DELIMITERS[delimiter]}", *notes),
     )
-
-
-def _cut(text: str, counts: NDArray[np.intp]) -> bool:
-    """Whether the file ends in the middle of a line, and so perhaps of a number."""
-    return len(counts) > 1 and not text.endswith(("\r", "\n")) and bool(counts[-1] < np.median(counts))
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
@@ -96,18 +86,16 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     try:
         return data.decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
         if not re.search(rb"^\s*[+-]?[\d.]", data[: error.start], flags=re.MULTILINE) and re.search(rb"\n\s*\d", data):
             return data.decode("latin-1"), ["Latin-1"]
+        line = data.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}:{line}: no text table (byte {error.start} is not UTF-8)") from error
 
 
 def _check_lines(path: Path) -> None:
     """Raise InputError where a file has more lines than are imported, before it is read as a whole."""
-    count = 0
     with path.open("rb") as stream:
-        while block := stream.read(2**20):
-            count += max(block.count(b"\n"), block.count(b"\r"))
+        count = sum(max(block.count(b"\n"), block.count(b"\r")) for block in iter(lambda: stream.read(2**20), b""))
     if count > MOST_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MOST_FIELDS} are not imported")
 
@@ -125,12 +113,9 @@ def _lines(path: Path, text: str) -> list[_Line]:
     """Lines that hold anything; their numbers as an editor shows them."""
     lines, blank = [], False
     for number, line in enumerate(_each_line(text), 1):
-        if not line:
-            blank = True
-            continue
         if len(line) > LONGEST_LINE:
             raise InputError(f"{path}:{number}: longer than {LONGEST_LINE} characters, which no table is")
-        stamped = STAMPED.match(line)
+        stamped = STAMPED.match(line) if line else None
         rest = line[stamped.end() :] if stamped else line
         rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
         if not rest.strip(" \t;,\0"):
@@ -144,16 +129,14 @@ def _lines(path: Path, text: str) -> list[_Line]:
 
 def _delimiter(lines: Sequence[str]) -> str:
     """The sign that leaves most fields that are numbers, in the first lines; the earlier in the list of equal ones."""
-    sample = [line[:SAMPLED_SIGNS] for line in lines[:SAMPLED_LINES]]
-    while sum(map(len, sample)) > SAMPLED_SIGNS and len(sample) > 1:
-        sample = sample[: len(sample) // 2]
-    return max(DELIMITERS, key=lambda sign: _numbers_by(sample, sign), default=",")
+    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 
+    def numbers(sign: str) -> tuple[int, bool]:
+        fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
+        numerals = Numerals.of(fields)
+        return sum(field != "" and numerals.is_number(field) for field in fields), any(sign in line for line in sample)
 
-def _numbers_by(lines: Sequence[str], sign: str) -> tuple[int, bool]:
-    fields = [field.strip(' "') for line in lines for field in line.split(None if sign == " " else sign)]
-    numerals = Numerals.of(fields)
-    return sum(field != "" and numerals.is_number(field) for field in fields), any(sign in line for line in lines)
+    return max(DELIMITERS, key=numbers)
 
 
 def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray[Any], NDArray[np.intp]]:
@@ -225,6 +208,8 @@ def _workbook(path: Path) -> Iterator[Any]:
 
 def _rows(path: Path, sheet: Any, least: int) -> Rows:
     """The rows that hold anything; what comes after the last value of a row counts for nothing."""
+    from openpyxl.utils import get_column_letter
+
     sheet.reset_dimensions()  # what a file says of its size may be wrong
     lines: list[list[str]] = []
     numbers: list[int] = []
@@ -237,26 +222,19 @@ def _rows(path: Path, sheet: Any, least: int) -> Rows:
             cells, width = cells + len(texts), max(width, len(texts))
             lines.append(texts)
             numbers.append(number)
-        if cells > MOST_FIELDS or number > MOST_FIELDS:
+        if max(cells, number, len(lines) * width // 2) > MOST_FIELDS:
             raise InputError(f"{path}: sheet {sheet.title}: more than {MOST_FIELDS} values are not imported")
-        if len(lines) == SAMPLED_ROWS and width < least:
+        if len(lines) == SAMPLED_LINES and width < least:
             break  # no table: what follows is not waited for
-    if len(lines) * width > 2 * MOST_FIELDS:
-        raise InputError(f"{path}: sheet {sheet.title}: {len(lines)} × {width} values are not imported")
-    fields, counts = _as_table(lines, width)
-
-    def place(line: int, field: int | None) -> str:
-        return f"{path}: {sheet.title}!{'' if field is None else _letters(field)}{numbers[line]}"
-
     return Rows(
         f"{path}: sheet {sheet.title}",
-        fields,
-        counts,
+        *_as_table(lines, width),
+        numbers,
+        "row",
         np.array([texts[0].startswith(("#", "%")) and len(texts) == 1 for texts in lines], dtype=bool),
         np.diff(np.array([0, *numbers])) > 1,
         ("",) * len(lines),
-        place,
-        lambda line: f"row {numbers[line]}",
+        lambda number, field: f"{path}: {sheet.title}!{'' if field is None else get_column_letter(field + 1)}{number}",
         (f"sheet {sheet.title}",),
     )
 
@@ -265,8 +243,6 @@ def _text_of_cell(value: Any) -> str:
     """A cell as a text file would have it; all digits of a number."""
     if value is None:
         return ""
-    if isinstance(value, bool):
-        return str(value)
     if isinstance(value, float):
         return repr(value).removesuffix(".0")
     if isinstance(value, datetime.datetime):
@@ -274,11 +250,3 @@ def _text_of_cell(value: Any) -> str:
     if isinstance(value, datetime.timedelta):
         return repr(value.total_seconds())
     return str(value).strip()
-
-
-def _letters(field: int) -> str:
-    """0 → A, 25 → Z, 26 → AA: what Excel calls a column."""
-    letters = ""
-    while field >= 0:
-        letters, field = chr(ord("A") + field % 26) + letters, field // 26 - 1
-    return letters

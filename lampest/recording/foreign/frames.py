@@ -1,7 +1,7 @@
 """What every kind of foreign file is turned into before its numbers get a meaning."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 
-MOST_BYTES = 500_000_000
-MOST_VALUES = 50_000_000
+MOST_BYTES = 500_000_000  # of a file, of what it unpacks to, and of its values in memory
 
 Place = Callable[[int, int, int], str]
 
@@ -22,6 +21,10 @@ class Clock:
     seconds: Array
     start: str | None
     sentence: str
+
+    def said(self, where: str) -> "Clock":
+        """The same with where the times stand in the file."""
+        return replace(self, sentence=f"time: {where}{self.sentence}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +47,8 @@ class Frames:
 
 def check_count(where: object, values: int) -> None:
     """Raise InputError where a file claims more values than are imported."""
-    if values > MOST_VALUES:
-        raise InputError(f"{where}: {values} values, more than {MOST_VALUES} are not imported")
+    if 8 * values > MOST_BYTES:
+        raise InputError(f"{where}: {values} values, more than {MOST_BYTES // 8} are not imported")
 
 
 def refuse_where(bad: NDArray[np.bool_], values: Array, place: Place, why: str) -> None:

@@ -1,7 +1,7 @@
 """Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,19 +13,11 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
 from lampest.files.typed import typed
 from lampest.files.whole import note_read
-from lampest.panel.panel import CellPlace, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.arrays import (
-    MATLAB_LAYOUTS,
-    NUMPY_LAYOUTS,
-    ArraysByName,
-    array_of_npy,
-    arrays_of_mat,
-    arrays_of_npz,
-    frames_of_arrays,
-)
+from lampest.recording.foreign.arrays import ARRAYS, frames_of_arrays
 from lampest.recording.foreign.fields import rows_of_text, sheets_of
-from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, Place
+from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import table_of_rows
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
@@ -33,23 +25,135 @@ from lampest.recording.foreign.words import units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
-
-NAMED = (".mat", ".npz", ".xlsx", ".xlsm")
-# Suffix → how its arrays are read, the orders of axes that are tried, and the number of the first place in an array.
-ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str], int]] = {
-    ".npy": (array_of_npy, NUMPY_LAYOUTS, 0),
-    ".npz": (arrays_of_npz, NUMPY_LAYOUTS, 0),
-    ".mat": (arrays_of_mat, MATLAB_LAYOUTS, 1),
-}
+SHEETS = (".xlsx", ".xlsm")
+NAMED = (".mat", ".npz", *SHEETS)
 MISSING = ("mark", "skip-frame", "refuse")
 
 
-def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None = None) -> Frames:
-    """The frames of a file by its suffix, text for any other than .xlsx, .xlsm, .npy, .npz and .mat.
+@typed
+def import_file(
+    path: str | Path,
+    rows: int | None = None,
+    columns: int | None = None,
+    scene: Scene | None = None,
+    unit: str | None = None,
+    baseline_frames: int = 0,
+    transpose: bool = False,
+    variable: str | None = None,
+    period: float | None = None,
+    missing: str = "mark",
+    layout: str | None = None,
+) -> tuple[Recording, tuple[str, ...]]:
+    """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
 
-    variable, layout : as `import_file` has them. Raises InputError where it cannot be read, is too large, or does not
-    fit the panel.
+    The suffix says what the file is: .xlsx, .npy, .npz, .mat, and a text table for every other; docs/howto/import.md.
+
+    Parameters
+    ----------
+    rows, columns : of the panel; None: the scene's.
+    scene : None: this panel and resistances alone.
+    unit : 'ohm', 'kohm', 'volt', 'mV' or 'code'; None: what the header says, else what values and scene leave.
+    baseline_frames : the first so many frames were taken without load.
+    transpose : the file's rows are the panel's columns.
+    variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
+    period : s between frames, in place of the file's times.
+    missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
+    layout : a table's columns as a header would call them: 'time,row,column,value'; None: its header or their number.
+
+    Raises InputError with file and place where anything does not fit.
+
+    >>> _ = Path("mine.csv").write_text("500,510,490\\n505,515,250\\n")
+    >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3)
+    >>> mine.recorded[1]
+    array([[505., 515., 250.]])
     """
+    path = Path(path)
+    if missing not in MISSING:
+        raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
+    panel = _panel(rows, columns, scene)
+    check_unit(unit, scene, path)
+    frames = _frames(path, panel, transpose, variable, layout)
+    count = len(frames.values)
+    if not 0 <= baseline_frames <= count:
+        raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
+    clock = _clock(frames, period)
+    blank = np.isnan(frames.values) & panel.present
+    if missing == "refuse" and np.any(blank):
+        frame, row, column = (int(part) for part in np.argwhere(blank)[0])
+        raise InputError(f"{frames.place(frame, row, column)}: the reading of row {row}, column {column} is missing")
+    kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
+    assumed = _assumed(scene or Scene(panel), scene is not None)
+    scene = scene or Scene(panel)
+    recorded = recorded_values(frames.values, kind, scene, frames.place)
+    role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
+    kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
+    values = recorded[kept], clock.seconds[kept], role[kept]
+    recording = Recording(scene, *values, name=path.stem, start_time=clock.start)
+    notes = (*frames.notes, reason, clock.sentence, assumed, gaps, *_summary(recording))
+    return recording, tuple(map(printable, filter(None, notes)))
+
+
+@typed
+def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
+    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
+
+    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
+
+    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
+    >>> lampest.read_scene("scene.yaml").panel.shape
+    (2, 3)
+    """
+    document = read_document(Path(path), assigned)
+    if isinstance(document.content, dict) and "scene" in document.content:
+        document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
+    scene: Scene = validated(document, Scene)
+    parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
+    left_open = tuple(
+        f"{name}.{entry.name}"
+        for name, part in parts.items()
+        for entry in dataclasses.fields(part)
+        if entry.name not in ("kind", *document.content[name]) and getattr(part, entry.name)
+    )
+    return dataclasses.replace(scene, assumed=scene.assumed or left_open)
+
+
+def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
+    """The panel that is asked for, or the scene's; both must agree."""
+    if scene is None and (rows is None or columns is None):
+        raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
+    has = (0, 0) if scene is None else scene.panel.shape
+    asked = tuple(own if size is None else size for size, own in zip((rows, columns), has, strict=True))
+    try:
+        panel = Panel(asked[0], asked[1])
+    except ValueError as error:
+        raise InputError(f"{asked[0]} × {asked[1]}: {error}") from error
+    if scene is not None and has != asked:
+        raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
+    return panel if scene is None else scene.panel
+
+
+def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
+    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list.
+
+    At a crossing without a cell only a positive number is a reading.
+    """
+    try:
+        frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
+    except InputError:
+        if panel.cells is not None and not transpose:
+            with suppress(InputError):
+                return _listed(_read_frames(path, (1, len(panel.cells)), variable, layout), panel)
+        raise
+    if transpose:
+        file_place, notes = frames.place, (*frames.notes, "transposed: the file's rows are the panel's columns")
+        values, place = frames.values.transpose(0, 2, 1), lambda frame, row, column: file_place(frame, column, row)
+        frames = dataclasses.replace(frames, values=values, place=place, notes=notes)
+    nothing = ~panel.present & ~(frames.values > 0)
+    return dataclasses.replace(frames, values=np.where(nothing, np.nan, frames.values))
+
+
+def _read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None) -> Frames:
+    """The frames of a file by its suffix. Raises InputError where it cannot be read, is too large, or does not fit."""
     kind = path.suffix.lower()
     try:
         note_read(path)
@@ -64,11 +168,10 @@ def read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout
             raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
         if layout is not None and kind in ARRAYS:
             raise InputError(f"{path}: holds arrays; --layout is for tables")
-        if kind in (".xlsx", ".xlsm"):
+        if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
         if kind in ARRAYS:
-            read, layouts, first = ARRAYS[kind]
-            return frames_of_arrays(str(path), read(path), shape, variable, layouts, first)
+            return frames_of_arrays(path, shape, variable)
         return frames_of(table_of_rows(rows_of_text(path), layout), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
@@ -92,166 +195,30 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: s
     return next(iter(fitting.values()))
 
 
-@typed
-def import_file(
-    path: str | Path,
-    rows: int | None = None,
-    columns: int | None = None,
-    scene: Scene | None = None,
-    unit: str | None = None,
-    baseline_frames: int = 0,
-    transpose: bool = False,
-    variable: str | None = None,
-    period: float | None = None,
-    missing: str = "mark",
-    layout: str | None = None,
-) -> tuple[Recording, tuple[str, ...]]:
-    """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
-
-    The suffix says what the file is: .xlsx, .npy, .npz, .mat, and a text table for every other.
-
-    Parameters
-    ----------
-    rows, columns : of the panel; None: the scene's.
-    scene : panel, readout and series resistance; None: this panel and resistances alone.
-    unit : 'ohm', 'kohm', 'volt' or 'mV' at the converter, its 'code'; None: what the header says, else what the values
-        and the scene leave; see docs/howto/import.md.
-    baseline_frames : the first so many frames were taken without load.
-    transpose : the file's rows are the panel's columns.
-    variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
-    period : s between frames, in place of the file's times.
-    layout : what a table's columns are, as a header would call them: 'time,row,column,value'; None: its header or their
-        number tells.
-    missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
-
-    Raises InputError with file and place where anything does not fit.
-
-    >>> _ = Path("mine.csv").write_text("500,510,490\\n505,515,250\\n")
-    >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3)
-    >>> mine.recorded[1]
-    array([[505., 515., 250.]])
-    """
-    path = Path(path)
-    if missing not in MISSING:
-        raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
-    if period is not None and not 0 < period < float("inf"):
-        raise InputError("the period must be positive and finite")
-    panel = _panel(rows, columns, scene)
-    check_unit(unit, scene, path)
-    frames = _frames(path, panel, transpose, variable, layout)
-    count = len(frames.values)
-    if not 0 <= baseline_frames <= count:
-        raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
-    clock = _clock(frames, period)
-    if missing == "refuse":
-        _refuse_missing(np.isnan(frames.values) & panel.present, frames.place)
-    kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
-    given = scene is not None
-    scene = scene or Scene(panel)
-    recorded = recorded_values(frames.values, kind, scene, frames.place)
-    role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
-    kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    recording = Recording(
-        scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
-    )
-    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
-    return recording, tuple(map(printable, filter(None, notes)))
-
-
-@typed
-def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
-    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
-
-    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
-
-    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
-    >>> lampest.read_scene("scene.yaml").panel.shape
-    (2, 3)
-    """
-    document = read_document(Path(path), assigned)
-    if isinstance(document.content, dict) and "scene" in document.content:
-        document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
-    scene: Scene = validated(document, Scene)
-    return dataclasses.replace(scene, assumed=scene.assumed or _left_open(scene, document.content))
-
-
-def _left_open(scene: Scene, content: dict[str, Any]) -> tuple[str, ...]:
-    """Entries of panel and readout that a file does not name, and that stand for something nevertheless."""
-    rooms = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
-    return tuple(
-        f"{name}.{entry.name}"
-        for name, room in rooms.items()
-        for entry in dataclasses.fields(room)
-        if entry.name not in ("kind", *content[name]) and getattr(room, entry.name)
-    )
-
-
-def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
-    """The panel that is asked for, or the scene's; both must agree."""
-    if scene is None and (rows is None or columns is None):
-        raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
-    asked = tuple(
-        size if size is not None else scene.panel.shape[side] if scene is not None else 0
-        for side, size in enumerate((rows, columns))
-    )
-    try:
-        panel = Panel(asked[0], asked[1])
-    except ValueError as error:
-        raise InputError(f"{asked[0]} × {asked[1]}: {error}") from error
-    if scene is not None and scene.panel.shape != panel.shape:
-        has = " × ".join(str(size) for size in scene.panel.shape)
-        raise InputError(f"the scene's panel has {has} cells, not {asked[0]} × {asked[1]}")
-    return scene.panel if scene is not None else panel
-
-
-def _transposed(frames: Frames) -> Frames:
-    def place(frame: int, row: int, column: int) -> str:
-        return frames.place(frame, column, row)
-
-    notes = (*frames.notes, "transposed: the file's rows are the panel's columns")
-    return dataclasses.replace(frames, values=frames.values.transpose(0, 2, 1), place=place, notes=notes)
-
-
-def _clock(frames: Frames, period: float | None) -> Clock:
-    number = np.arange(len(frames.values), dtype=float)
-    if period is not None:
-        unused = "; those of the file are not used" if frames.timing is not None else ""
-        return Clock(number * period, None, f"time: a frame every {period:g} s, as told{unused}")
-    if frames.timing is None:
-        return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
-    return frames.timing()
-
-
-def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
-    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list.
-
-    At a crossing without a cell only a positive number is a reading.
-    """
-    try:
-        frames = read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
-        frames = _transposed(frames) if transpose else frames
-    except InputError:
-        if panel.cells is None or transpose:
-            raise
-        with suppress(InputError):
-            return _listed(read_frames(path, (1, len(panel.cells)), variable, layout), panel.cells, panel.shape)
-        raise
-    nothing = ~panel.present & ~(frames.values > 0)
-    return dataclasses.replace(frames, values=np.where(nothing, np.nan, frames.values))
-
-
-def _listed(frames: Frames, cells: tuple[CellPlace, ...], shape: tuple[int, int]) -> Frames:
+def _listed(frames: Frames, panel: Panel) -> Frames:
     """From values (frames, 1, cells) in the order of a panel's list."""
-    number = {cell[:2]: count for count, cell in enumerate(cells)}
-    values = np.full((len(frames.values), *shape), np.nan)
+    number = {cell[:2]: count for count, cell in enumerate(panel.cells or ())}
+    values = np.full((len(frames.values), *panel.shape), np.nan)
     for cell, count in number.items():
         values[:, *cell] = frames.values[:, 0, count]
 
     def place(frame: int, row: int, column: int) -> str:
         return frames.place(frame, 0, number.get((row, column), 0))
 
-    notes = (*frames.notes, f"{len(cells)} values are the cells in the order of the scene's list")
+    notes = (*frames.notes, f"{len(number)} values are the cells in the order of the scene's list")
     return dataclasses.replace(frames, values=values, place=place, notes=notes)
+
+
+def _clock(frames: Frames, period: float | None) -> Clock:
+    number = np.arange(len(frames.values), dtype=float)
+    if period is not None:
+        if not 0 < period < float("inf"):
+            raise InputError("the period must be positive and finite")
+        unused = "; those of the file are not used" if frames.timing is not None else ""
+        return Clock(number * period, None, f"time: a frame every {period:g} s, as told{unused}")
+    if frames.timing is None:
+        return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
+    return frames.timing()
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.intp], str]:
@@ -268,12 +235,6 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
     if np.all(gaps):
         raise InputError(f"{path}: {said}, so that no frame would be left; --missing mark keeps them")
     return every[~gaps], f"{said}: these frames are left out"
-
-
-def _refuse_missing(blank: NDArray[np.bool_], place: Place) -> None:
-    if np.any(blank):
-        frame, row, column = (int(part) for part in np.argwhere(blank)[0])
-        raise InputError(f"{place(frame, row, column)}: the reading of row {row}, column {column} is missing")
 
 
 def _assumed(scene: Scene, given: bool) -> str:

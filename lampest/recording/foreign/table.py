@@ -1,8 +1,11 @@
 """The lines of a file that hold readings, what their columns are called, what is left out and why."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,29 +17,45 @@ from lampest.recording.foreign.clock import UNIT_OF_WORD, clock_of, is_stamp
 from lampest.recording.foreign.frames import Clock
 from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
-OF_FIELDS = ("fields", "numbers", "missing", "words")  # of a table, (lines, width)
-MOST_SAMPLED = 20_000  # fields that decide how numbers are written: the first ones of any table tell
+# 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
+TITLE_TIME = re.compile(
+    r"(?:\b(?P<word>t|time|timestamp|millis|ms|zeit)\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>ms|us|s)?(?![\d:/-])"
+    r"|(?P<stamp>\d{4}-\d{2}-\d{2}[T ]\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?)",
+    re.IGNORECASE,
+)
+NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
+SAMPLED = 50_000  # signs or fields of a file's beginning that decide how it is written
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Lines of a file, cut into fields.
 
-    fields : (lines, fields) texts, '' where a line ends earlier. counts : (lines) how many fields each has.
-    comment : (lines) whether the line is marked as one. blank : (lines) whether an empty line stands before.
-    stamps : (lines) when each came, as a terminal wrote it before the line, or ''.
-    place : line, field or None → where in the file. called : line → 'line 3'.
+    fields : (lines, fields) texts, '' where a line ends earlier. counts : (lines) how many each has.
+    numbers : (lines) as the file counts them. word : what it calls one, 'line' or 'row'. comment : (lines) whether it
+    is one. blank : (lines) whether an empty one stands before. stamps : (lines) a terminal's time before it, or ''.
+    at : a line's number, a field or None → where in the file.
     """
 
     source: str
     fields: NDArray[Any]
     counts: NDArray[np.intp]
+    numbers: Sequence[int]
+    word: str
     comment: NDArray[np.bool_]
     blank: NDArray[np.bool_]
-    stamps: tuple[str, ...]
-    place: Callable[[int, int | None], str]
-    called: Callable[[int], str]
+    stamps: Sequence[str]
+    at: Callable[[int, int | None], str]
     notes: tuple[str, ...]
+
+    def called(self, line: int) -> str:
+        """'line 3'."""
+        return f"{self.word} {self.numbers[line]}"
+
+
+def kind_of(text: str) -> str:
+    """A line without its numbers: titles of all frames are alike."""
+    return NUMBER.sub("#", text)
 
 
 class Passed(NamedTuple):
@@ -48,65 +67,85 @@ class Passed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ForeignTable:
-    """The lines of a file that hold readings.
+    """Lines and columns of a file's rows that hold readings.
 
-    fields, numbers, missing, words : (lines, width) texts, their numbers (NaN for none), whether a reading is said to
-    be missing, and whether a text is none of both. counts : (lines) fields that each has. names : (width) of the
-    columns, or None. before : (lines) what stands between the line and the one before. stamps, place, called, notes :
-    see `Rows`.
+    read : numbers (NaN for none) of all fields of the rows, whether a reading is said to be missing, and whether a text
+    is neither. names : of the columns, or None.
     """
 
-    source: str
-    fields: NDArray[Any]
-    numbers: Array
-    missing: NDArray[np.bool_]
-    words: NDArray[np.bool_]
-    counts: NDArray[np.intp]
-    names: tuple[str, ...] | None
-    before: tuple[tuple[Passed, ...], ...]
-    stamps: tuple[str, ...]
+    rows: Rows
+    lines: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    read: tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
     numerals: Numerals
-    place: Callable[[int, int | None], str]
-    called: Callable[[int], str]
+    names: tuple[str, ...] | None
     notes: tuple[str, ...]
+
+    @cached_property
+    def fields(self) -> NDArray[Any]:
+        """(lines, width) texts."""
+        return np.asarray(self.rows.fields[np.ix_(self.lines, self.columns)])
+
+    @cached_property
+    def numbers(self) -> Array:
+        """(lines, width) of texts, NaN for none."""
+        return np.asarray(self.read[0][np.ix_(self.lines, self.columns)])
+
+    @cached_property
+    def words(self) -> NDArray[np.bool_]:
+        """(lines, width) whether a text is neither a number nor a missing reading."""
+        return np.asarray(self.read[2][np.ix_(self.lines, self.columns)])
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """(lines) fields that each has."""
+        return np.minimum(self.rows.counts[self.lines], self.width)
 
     @property
     def width(self) -> int:
         """How many fields a line has."""
-        return int(self.fields.shape[1])
+        return len(self.columns)
 
-    def only(self, lines: NDArray[np.bool_], names: tuple[str, ...] | None = None) -> "ForeignTable":
+    @cached_property
+    def before(self) -> tuple[tuple[Passed, ...], ...]:
+        """(lines) what stands between the line and the one before."""
+        found = []
+        for last, line in pairwise([-1, *self.lines.tolist()]):
+            passed: list[Passed] = []
+            for other in range(last + 1, line + 1):
+                passed += [Passed("", "")] if self.rows.blank[other] else []
+                if other < line:
+                    passed.append(Passed(" ".join(self.rows.fields[other]).strip(), self.rows.called(other)))
+            found.append(tuple(passed))
+        return tuple(found)
+
+    @cached_property
+    def kinds_before(self) -> list[set[str]]:
+        """(lines) the kinds of what stands between each and the one before."""
+        return [{kind_of(passed.text) for passed in before} for before in self.before]
+
+    def place(self, line: int, field: int | None) -> str:
+        """Where in the file."""
+        return self.rows.at(self.rows.numbers[self.lines[line]], None if field is None else int(self.columns[field]))
+
+    def called(self, line: int) -> str:
+        """'line 3'."""
+        return self.rows.called(int(self.lines[line]))
+
+    def only(self, lines: NDArray[np.bool_]) -> "ForeignTable":
         """The table with some of its lines; the others are what stands before the next one."""
-        kept = [int(line) for line in np.flatnonzero(lines)]
-        passed = []
-        for last, line in zip([-1, *kept], kept, strict=False):
-            others: list[Passed] = []
-            for other in range(last + 1, line):
-                others += [*self.before[other], Passed(" ".join(self.fields[other]).strip(), self.called(other))]
-            passed.append((*others, *self.before[line]))
-        return replace(
-            self,
-            **{name: getattr(self, name)[kept] for name in (*OF_FIELDS, "counts")},
-            names=names or self.names,
-            before=tuple(passed),
-            stamps=tuple(self.stamps[line] for line in kept),
-            place=lambda line, field: self.place(kept[line], field),
-            called=lambda line: self.called(kept[line]),
-        )
+        return replace(self, lines=self.lines[lines])
 
     def without_empty(self) -> "ForeignTable":
         """The table without columns that have a name and nothing in any line, such as LabVIEW's comments."""
         filled = np.any(self.fields != "", axis=0)
-        kept = [int(field) for field in np.flatnonzero(filled)]
-        if self.names is None or len(kept) == self.width:
+        if self.names is None or filled.all():
             return self
         empty = ", ".join(self.names[field] or "a column without a name" for field in np.flatnonzero(~filled))
         return replace(
             self,
-            **{name: getattr(self, name)[:, kept] for name in OF_FIELDS},
-            counts=np.minimum(self.counts, len(kept)),
-            names=tuple(self.names[field] for field in kept),
-            place=lambda line, field: self.place(line, None if field is None else kept[field]),
+            columns=self.columns[filled],
+            names=tuple(self.names[field] for field in np.flatnonzero(filled)),
             notes=(*self.notes, f"empty columns left out: {empty}"),
         )
 
@@ -118,75 +157,100 @@ class ForeignTable:
             shown, field = self.fields[line, columns[number]][:40], columns[number]
             raise InputError(f"{self.place(line, field)}: {shown!r} is no number (field {field + 1} of the line)")
 
+    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
+        """Times of frames from columns (a date and a time of day may be two), in these lines, else from stamps."""
+        if columns:
+            return lambda: self._clock(columns, lines)
+        if all(self._stamps(lines)):
+            return lambda: clock_of(
+                self._stamps(lines), "", lambda number: self.place(lines[number], None), self.numerals
+            ).said("the terminal's, ")
+        return None
+
+    def title_timing(self, begins: Sequence[int], title: str | None) -> Callable[[], Clock] | None:
+        """Times in the lines before blocks, where they stand before each of them; title : the kind of these lines."""
+        before = [[passed.text for passed in self.before[line]] for line in begins]
+        own = [" ".join(text for text in texts if title in (None, kind_of(text))) for texts in before]
+        searches = [TITLE_TIME.search(text or " ".join(texts)) for text, texts in zip(own, before, strict=True)]
+        matches = [match for match in searches if match is not None]
+        if len(matches) != len(begins):
+            return None
+        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches]
+        word, unit = matches[0]["word"] or "", matches[0]["unit"]
+        name = f"{word} [{unit}]" if unit else word
+        return lambda: clock_of(texts, name, lambda number: self.place(begins[number], None), self.numerals).said(
+            "before each block in "
+        )
+
+    def _stamps(self, lines: Sequence[int]) -> list[str]:
+        return [self.rows.stamps[self.lines[line]] for line in lines]
+
+    def _clock(self, columns: Sequence[int], lines: Sequence[int]) -> Clock:
+        names = self.names or ("",) * self.width
+        dates = [column for column in columns if role_of(names[column]) == "date"]
+        chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
+        texts = [" ".join(self.fields[line, column] for column in chosen) for line in lines]
+        name = names[chosen[-1]]
+        clock = clock_of(texts, name, lambda number: self.place(lines[number], chosen[-1]), self.numerals)
+        return clock.said(f"column {name!r} in " if name else "first field in ")
+
 
 def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
     """The lines with readings, the header before them, and sentences on what was left out.
 
-    layout : the columns' names, apart by commas, in place of the file's own.
-
-    Raises InputError where there are none, a line has more fields than the others, or the layout another number.
+    layout : the columns' names, apart by commas, in place of the file's own. Raises InputError where there are none, a
+    line has more fields than the others, or the layout another number.
     """
     if rows.fields.size == 0 or np.all(rows.comment):
         raise InputError(f"{rows.source}: holds no values")
-    numerals = Numerals.of([text for text in rows.fields[~rows.comment].ravel()[:MOST_SAMPLED] if text])
-    numbers, missing, words = numerals.numbers(rows.fields)
+    numerals = Numerals.of([text for text in rows.fields[~rows.comment].ravel()[:SAMPLED] if text])
+    read = _, missing, words = numerals.numbers(rows.fields)
     data = _data_lines(rows, missing, words)
     if not np.any(data):
         raise InputError(f"{rows.source}: holds a header but no values")
-    usual = _usual(rows.counts[data])
-    width = _width(rows, data, usual)
+    often = Counter(rows.counts[data].tolist())
+    usual = max(often, key=lambda count: (often[count], count))
+    width = usual
+    while width > 1 and np.all(rows.fields[data & (rows.counts == usual), width - 1] == ""):
+        width -= 1
     header = _header_lines(rows, data, ~missing & ~words, width)
     if header:
         width = max(width, min(usual, 1 + int(np.flatnonzero(rows.fields[header[0]] != "")[-1])))
     else:
         data[: int(np.argmax(data & (rows.counts == usual)))] = False  # a terminal opened in the middle of a line
-    for line in header:  # repeated where a board began anew
-        data &= np.any(rows.fields != rows.fields[line], axis=1)
-    _refuse_long(rows, data, width)
-    names = _names(rows, header, width)
-    notes = [*rows.notes, *(["decimal commas"] if numerals.comma else [])]
-    notes = [", ".join(notes)] if notes else []
+    other = np.ones(len(data), dtype=bool)  # than the header, which is repeated where a board began anew
+    for line in header:
+        other &= np.any(rows.fields != rows.fields[line], axis=1)
+    data &= other
+    if not np.any(data):
+        raise InputError(f"{rows.source}: holds a header but no values")
+    if np.any(long := data & np.any(rows.fields[:, width:] != "", axis=1)):
+        line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
+        said = f"{rows.counts[line]} fields, where {rows.called(plain)} has {width}"
+        raise InputError(f"{rows.at(rows.numbers[line], None)}: {said}")
+    notes = [", ".join((*rows.notes, *(["decimal commas"] if numerals.comma else [])))]
     if header:
-        notes.append(f"{' and '.join(rows.called(line) for line in header)} taken as header")
-    notes += _left_out(rows, data, header)
-    every = ForeignTable(
-        rows.source,
-        rows.fields[:, :width],
-        numbers[:, :width],
-        missing[:, :width],
-        words[:, :width],
-        np.minimum(rows.counts, width),
-        None,
-        tuple((Passed("", ""),) if blank else () for blank in rows.blank),
-        rows.stamps,
-        numerals,
-        rows.place,
-        rows.called,
-        tuple(notes),
-    )
-    return every.only(data, names if layout is None else _given_names(every, layout))
-
-
-def _given_names(table: ForeignTable, layout: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in layout.split(","))
-    if len(names) != table.width:
-        raise InputError(f"{table.source}: {table.width} columns, but --layout names {len(names)}")
-    return names
+        notes.append(f"{' and '.join(map(rows.called, header))} taken as header")
+    notes += _left_out(rows, np.flatnonzero(~data & other & ~rows.comment & np.any(rows.fields != "", axis=1)))
+    names = _names(rows, header, width)
+    if layout is not None:
+        names = tuple(name.strip() for name in layout.split(","))
+        if len(names) != width:
+            raise InputError(f"{rows.source}: {width} columns, but --layout names {len(names)}")
+    return ForeignTable(rows, np.flatnonzero(data), np.arange(width), read, numerals, names, tuple(filter(None, notes)))
 
 
 def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Lines that hold a number or a word for a missing one, and fewer other words than these."""
     filled = rows.fields != ""
-    reading = filled & ~words
     unread = rows.fields[words]
     known = {text: is_stamp(text) or line_of(text) is not None for text in set(unread)}
     others = words.copy()
     others[words] = [not known[text] for text in unread]
-    strange = others.sum(axis=1)
-    most = filled.sum(axis=1)
+    strange, most = others.sum(axis=1), filled.sum(axis=1)
     few: NDArray[np.bool_] = ((strange <= 1) & (2 * strange < most)) | (4 * strange < most)
     few &= (rows.counts > 1) | ~missing[:, 0] | (rows.counts.max() == 1)  # a line of dashes alone
-    return np.asarray(few & ~rows.comment & reading.any(axis=1))
+    return np.asarray(few & ~rows.comment & (filled & ~words).any(axis=1))
 
 
 def _header_lines(rows: Rows, data: NDArray[np.bool_], plain: NDArray[np.bool_], width: int) -> list[int]:
@@ -217,75 +281,20 @@ def _are_units(fields: NDArray[Any]) -> bool:
     return bool(texts) and all(text in UNITS_OF_WORD or text in UNIT_OF_WORD or text in ("v", "-") for text in texts)
 
 
-def _usual(counts: NDArray[np.intp]) -> int:
-    """The most frequent number of fields, the larger of two."""
-    often: list[tuple[int, int]] = [(times, count) for count, times in Counter(counts.tolist()).items()]
-    return max(often)[1]
-
-
-def _width(rows: Rows, data: NDArray[np.bool_], usual: int) -> int:
-    """The usual number of fields without those at the end that are empty in all lines."""
-    lines, width = data & (rows.counts == usual), usual
-    while width > 1 and np.all(rows.fields[lines, width - 1] == ""):
-        width -= 1
-    return width
-
-
-def _refuse_long(rows: Rows, data: NDArray[np.bool_], width: int) -> None:
-    long = data & np.any(rows.fields[:, width:] != "", axis=1)
-    if np.any(long):
-        line, usual = int(np.argmax(long)), int(np.argmax(data & ~long))
-        said = f"{rows.counts[line]} fields, where {rows.called(usual)} has {width}"
-        raise InputError(f"{rows.place(line, None)}: {said}")
-
-
 def _names(rows: Rows, header: list[int], width: int) -> tuple[str, ...] | None:
     """The columns' names, with the units of a second line in brackets."""
     if not header:
         return None
-    first = [text.lstrip("#% ") for text in rows.fields[header[0], :width]]
+    first = tuple(text.lstrip("#% ") for text in rows.fields[header[0], :width])
     if len(header) == 1:
-        return tuple(first)
+        return first
     units = (text.strip("[](){} ") for text in rows.fields[header[1], :width])
     return tuple(f"{name} [{unit}]" if unit and unit != "-" else name for name, unit in zip(first, units, strict=True))
 
 
-def _left_out(rows: Rows, data: NDArray[np.bool_], header: list[int]) -> list[str]:
-    """What was passed over, but for comments and what is empty."""
-    passed = ~data & ~rows.comment & np.any(rows.fields != "", axis=1)
-    for line in header:
-        passed &= np.any(rows.fields != rows.fields[line], axis=1)
-    lines = np.flatnonzero(passed)
+def _left_out(rows: Rows, lines: NDArray[np.intp]) -> list[str]:
     if len(lines) == 0:
         return []
     shown = " ".join(rows.fields[lines[0]]).strip()[:40]
     more = f" and {len(lines) - 1} other{'s' if len(lines) > 2 else ''}" if len(lines) > 1 else ""
     return [f"left out: {rows.called(int(lines[0]))} ({shown!r}){more}, no readings or cut off"]
-
-
-def timing_of(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
-    """Times of frames from columns (a date and a time of day may be two), taken in these lines, else from stamps."""
-    if columns:
-        return lambda: _clock_of_columns(table, columns, lines)
-    if all(table.stamps[line] for line in lines):
-        return lambda: _clock_of_stamps(table, lines)
-    return None
-
-
-def _clock_of_columns(table: ForeignTable, columns: Sequence[int], lines: Sequence[int]) -> Clock:
-    names = table.names or ("",) * table.width
-    dates = [column for column in columns if role_of(names[column]) == "date"]
-    clocks = [column for column in columns if column not in dates]
-    chosen = [*dates[:1], *clocks[:1]]
-    texts = [" ".join(table.fields[line, column] for column in chosen) for line in lines]
-    name, at = names[chosen[-1]], chosen[-1]
-    clock = clock_of(texts, name, lambda number: table.place(lines[number], at), table.numerals)
-    return Clock(
-        clock.seconds, clock.start, f"time: {f'column {name!r}' if name else 'first field'} in {clock.sentence}"
-    )
-
-
-def _clock_of_stamps(table: ForeignTable, lines: Sequence[int]) -> Clock:
-    texts = [table.stamps[line] for line in lines]
-    clock = clock_of(texts, "", lambda number: table.place(lines[number], None), table.numerals)
-    return Clock(clock.seconds, clock.start, f"time: the terminal's, {clock.sentence}")

@@ -10,15 +10,14 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.foreign.frames import Place, refuse_where
 
-UNITS = ("ohm", "kohm", "volt", "mV", "code")
-RESISTANCES = ("ohm", "kohm")
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
-# Without a readout: a median below 1 ohm is less than a multiplexer's channel, one of 10 and more stays ohm as ever.
+UNITS = tuple(FACTORS)
+RESISTANCES = ("ohm", "kohm")
+# Without a readout: a median below 1 ohm is less than a multiplexer's channel, one of 10 and more stays ohm.
 LEAST_OHM, MOST_KOHM = 1.0, 10.0
 END = 0.01  # of the supply: resistances whose voltage is nearer to an end of it are hardly measured by their divider
 DISTINCT = 10  # values that lie on a converter's steps by chance less than once in a thousand times
-VISIBLE = 4.0  # steps must be so many times as wide as the rounding of the values for them to be seen
-MOST_DIGITS = 9
+VISIBLE = 4.0  # steps are so many times as wide as the rounding of the values where they can be seen
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -38,17 +37,16 @@ def understood_unit(
 ) -> tuple[str, str]:
     """The unit of values (any shape, NaN where missing), and a sentence on why.
 
-    given : by the user, or None. said : what the header leaves, nothing where it does not speak of a unit.
+    given : by the user and checked, or None. said : what the header leaves, nothing where it does not speak of a unit.
     Raises InputError where no unit fits, or two do.
     """
-    check_unit(given, scene, source)
     if given is not None:
-        against = f", although the header says {said[0]}" if said and given not in said else ""
-        return given, f"unit {given}, as told{against}"
+        return given, f"unit {given}, as told"
     if len(said) == 1:
         check_unit(said[0], scene, source)
         return said[0], f"unit {said[0]}, as the header says"
-    possible = _possible(scene)
+    readout = None if scene is None else scene.readout
+    possible = RESISTANCES if readout is None else UNITS if readout.unit == "ohm" else ("volt", "mV", "code")
     allowed = [unit for unit in possible if not said or unit in said]
     if not allowed:
         check_unit(said[0], scene, source)
@@ -56,9 +54,9 @@ def understood_unit(
     if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
     span = f"values from {finite.min():.6g} to {finite.max():.6g}"
-    fitting, reason = _fitting(finite, allowed, scene)
+    fitting, reason = _fitting(finite, allowed, readout)
     if len(fitting) == 1:
-        sure = fitting[0] == "ohm" and (scene is None or scene.readout is None)
+        sure = fitting[0] == "ohm" and readout is None
         return fitting[0], f"unit {fitting[0]}, {'assumed' if sure else 'guessed'}: {span} ({reason})"
     if fitting:
         ways = " or ".join(f"--unit {unit}" for unit in fitting)
@@ -66,49 +64,34 @@ def understood_unit(
     raise InputError(f"{source}: {span} fit none of {', '.join(allowed)} in this scene; --unit says what they are")
 
 
-def _possible(scene: Scene | None) -> tuple[str, ...]:
-    if scene is None or scene.readout is None:
-        return RESISTANCES
-    return UNITS if scene.circuit.unit == "ohm" else ("volt", "mV", "code")
-
-
-def _fitting(finite: Array, allowed: Sequence[str], scene: Scene | None) -> tuple[list[str], str]:
-    """Those of the allowed units in which finite values (any number) make sense, and why; negative ones make none."""
-    readout = None if scene is None else scene.readout
+def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> tuple[list[str], str]:
+    """Those of the allowed units in which finite values (any number) make sense, and why."""
     middle = float(np.median(finite))
     if readout is None:
-        ohm, kohm = middle >= LEAST_OHM, middle < MOST_KOHM
-        units = [unit for unit, fits in (("ohm", ohm), ("kohm", kohm)) if fits and unit in allowed]
-        return units, f"without a readout they are kohm below {LEAST_OHM:g}, ohm from {MOST_KOHM:g} on"
+        fits = {"ohm": middle >= LEAST_OHM, "kohm": middle < MOST_KOHM}
+        reason = f"without a readout they are kohm below {LEAST_OHM:g}, ohm from {MOST_KOHM:g} on"
+        return [unit for unit in RESISTANCES if fits[unit] and unit in allowed], reason
     top, supply = 2**readout.adc_bits - 1, readout.supply_volt
-    code = finite.max() <= top and _may_be_means(finite, readout.readings)
+    slack = max(_rounding(finite), 1e-9) * readout.readings
+    sums = finite * readout.readings
+    code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
     whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
-    fits = {
-        "code": code,
-        "volt": finite.max() <= supply,
-        "mV": supply < finite.max() <= 1000 * supply and not whole,
-    }
+    fits = {"code": code, "volt": finite.max() <= supply, "mV": supply < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
         fits[unit] = END <= share <= 1 - END
-    reasons = {
-        "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
-        "volt": f"within the supply of {supply:g} V",
-        "mV": f"within the supply of {1000 * supply:g} mV",
-    }
     units = [unit for unit in UNITS if unit in allowed and fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
         return _by_steps(finite, units, readout)
     least, largest = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= largest:
         return ["ohm"], "no other unit is within the converter's rails"
+    reasons = {
+        "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
+        "volt": f"within the supply of {supply:g} V",
+        "mV": f"within the supply of {1000 * supply:g} mV",
+    }
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
-
-
-def _may_be_means(finite: Array, readings: int) -> bool:
-    """Whether values are means of so many whole numbers, as far as their rounding lets it be seen."""
-    slack = max(_rounding(finite), 1e-9)
-    return bool(np.all(np.abs(finite * readings - np.round(finite * readings)) <= slack * readings))
 
 
 def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
@@ -134,14 +117,13 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
         ends = [readout.lsb_volt * end for end in ends]
     low, volt, high = ends
     half = np.abs(high - low) / 2
-    step = readout.lsb_volt / readout.readings
-    if len(values) < DISTINCT or np.median(half) * VISIBLE > step:
+    if len(values) < DISTINCT or np.median(half) * VISIBLE > readout.lsb_volt / readout.readings:
         return None
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
+        scale = steps / readout.supply_volt * readout.readings
         for offset in (0.0, 0.5):
-            code = (volt * steps / readout.supply_volt - offset) * readout.readings
-            slack = half * steps / readout.supply_volt * readout.readings + 1e-6 * np.maximum(1, np.abs(code))
-            if np.all(np.abs(code - np.round(code)) <= slack):
+            sums = volt * scale - offset * readout.readings
+            if np.all(np.abs(sums - np.round(sums)) <= half * scale + 1e-6 * np.maximum(1, np.abs(sums))):
                 return True
     return False
 
@@ -149,8 +131,8 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
 def _rounding(values: Array) -> float:
     """Half of the last digit with which values are written, as far as that can be seen."""
     slack = 1e-12 * np.maximum(1.0, np.abs(values))
-    digits = (digit for digit in range(MOST_DIGITS) if np.all(np.abs(values - np.round(values, digit)) <= slack))
-    return 0.5 * 10.0 ** -next(digits, MOST_DIGITS)
+    digits = (digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack))
+    return 0.5 * 10.0 ** -next(digits, 9)
 
 
 def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Array:
@@ -159,8 +141,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Arr
     A code or a voltage at a rail, an infinite resistance and one of zero stay what they are: bounds. Raises InputError
     where a value is impossible.
     """
-    scaled = values * FACTORS[unit]
-    readout = scene.readout
+    scaled, readout = values * FACTORS[unit], scene.readout
     if unit in RESISTANCES or readout is None:
         refuse_where(values < 0, values, place, "must be a positive resistance in ohm")
         return scaled
@@ -168,10 +149,8 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Arr
     if unit == "code":
         outside = (plain < 0) | (plain > 2**readout.adc_bits - 1)
         refuse_where(outside, values, place, f"is no code of a {readout.adc_bits}-bit converter")
-        volt = readout.volt_from_code(plain)
-        return readout.recorded_from_volt(
-            np.where(plain <= readout.floor_code, 0.0, volt) if readout.floor_code else volt
-        )
+        floored = plain <= (readout.floor_code or -1)
+        return readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
     outside = (plain < 0) | (scaled > readout.supply_volt)
     supply = f"{readout.supply_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
     refuse_where(outside & np.isfinite(values), values, place, f"lies outside 0 to {supply}, the readout's supply")

@@ -66,12 +66,12 @@ class CellName(NamedTuple):
 
 
 def role_of(name: str) -> str | None:
-    """'row', 'column', 'value', 'frame', 'date' or 'time'; None for any other name. Units are left aside."""
+    """'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'; None for any other name. Units are left aside."""
     plain = _plain(name)
     if plain in WORD_ROLE:
         return WORD_ROLE[plain]
     first, last = plain.split("_")[0], plain.split("_")[-1]
-    if WORD_ROLE.get(first) == "time" and len(plain.split("_")) == 2:
+    if WORD_ROLE.get(first) == "time" and plain.count("_") == 1:
         return "time"
     return WORD_ROLE.get(first) if last in UNITS_OF_WORD or first in ("resistance", "voltage", "ohm") else None
 
@@ -79,11 +79,11 @@ def role_of(name: str) -> str | None:
 def cell_of(name: str) -> CellName | None:
     """The cell in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in any other name."""
     text = _without_unit(name[:LONGEST]).strip().lower()
-    for pattern, turned in ((ROW_FIRST, False), (COLUMN_FIRST, True), (TWO_NUMBERS, False)):
+    for pattern in (ROW_FIRST, COLUMN_FIRST, TWO_NUMBERS):
         match = pattern.fullmatch(text)
         if match and len(match[1]) + len(match[2]) < 12:
             first, second = int(match[1]), int(match[2])
-            return CellName(second, first) if turned else CellName(first, second)
+            return CellName(second, first) if pattern is COLUMN_FIRST else CellName(first, second)
     return None
 
 
@@ -105,11 +105,11 @@ def bracketed(name: str) -> str:
     match = BRACKETED.search(name)
     if match and not match[1].isdigit():
         return match[1]
-    _, mark, last = name.rpartition(" in ")
-    if mark:
-        return last.strip()
-    _, mark, last = name.rpartition("/")
-    return last.strip() if mark and not last.strip().isdigit() else ""
+    for mark in (" in ", "/"):
+        _, found, last = name.rpartition(mark)
+        if found:
+            return "" if mark == "/" and last.strip().isdigit() else last.strip()
+    return ""
 
 
 def units_of(words: Sequence[str]) -> tuple[str, ...]:
@@ -118,30 +118,26 @@ def units_of(words: Sequence[str]) -> tuple[str, ...]:
     Raises InputError where they name a unit that is not imported, or contradict each other.
     """
     said: tuple[str, ...] = ()
-    for word in words:
-        units = _units_of_one(word)
-        if said and units and not set(said) & set(units):
+    for units in filter(None, map(_units_of_one, words)):
+        if said and not set(said) & set(units):
             raise InputError(f"the headers name both {said[0]} and {units[0]}; --unit says which it is")
-        if units:
-            said = units if not said or len(units) < len(said) else said
+        said = units if not said or len(units) < len(said) else said
     return said
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
     """Of the bracket, else of the whole name, else of a word of it."""
-    unit, plain = bracketed(name), _plain(name)
-    if _folded(unit) == "v":
+    unit, plain = _folded(bracketed(name)), _plain(name)
+    if unit == "v":
         return ("volt",)
-    if _folded(unit) not in UNITS_OF_WORD and _electric(unit):
-        raise InputError(f"the header's unit '{unit}' is none of ohm, kohm, volt, mV and code; --unit overrides")
+    electric = unit.endswith(("ohm", "ohms", "ω", "volt", "volts")) or (unit.endswith("v") and len(unit) == 2)
+    if unit not in UNITS_OF_WORD and electric:
+        raise InputError(
+            f"the header's unit '{bracketed(name)}' is none of ohm, kohm, volt, mV and code; --unit overrides"
+        )
     parts = [part for part in (plain.split("_")[0], plain.split("_")[-1]) if len(part) > 1]  # r_0_c_1 is a cell
-    words = [_folded(text) for text in (unit, plain, *parts)]
+    words = (unit, *map(_folded, (plain, *parts)))
     return next((UNITS_OF_WORD[word] for word in words if word in UNITS_OF_WORD), ())
-
-
-def _electric(text: str) -> bool:
-    folded = _folded(text)
-    return folded.endswith(("ohm", "ohms", "ω", "volt", "volts")) or (folded.endswith("v") and len(folded) == 2)
 
 
 def _folded(text: str) -> str:
@@ -172,22 +168,18 @@ class Numerals:
     @classmethod
     def of(cls, fields: Sequence[str]) -> "Numerals":
         """The way that reads more of these fields; where both read the same, a comma that stands alone is decimal."""
-        numbers = [field for field in fields if _is_comma(field) or _is_point(field)]
-        commas = sum(map(_is_comma, numbers)) - sum(map(_is_point, numbers))
+        numbers = [field for field in fields if _written(COMMA, field) or _written(POINT, field)]
+        commas = sum(_written(COMMA, field) - _written(POINT, field) for field in numbers)
         text = "".join(numbers)
         return cls(commas > 0 or (commas == 0 and "," in text and "." not in text))
 
     def is_number(self, field: str) -> bool:
-        """Whether a text is a number, a word for infinity, or one for a missing reading."""
-        word = field.strip().lower()
-        written = _is_comma(word) if self.comma else _is_point(word)
-        return written or word in MISSING_WORDS or word in INFINITE_WORDS or (word != "" and not word.strip("-"))
+        """Whether a text is a number, a word for infinity, one for a missing reading, or nothing."""
+        value, missing = self._read(field.strip().lower())
+        return missing or not np.isnan(value)
 
     def numbers(self, fields: NDArray[Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Numbers of texts, any shape; where a reading is missing by a word or an empty field; where neither.
-
-        NaN where there is no number.
-        """
+        """Numbers of texts (any shape), NaN for none; where a reading is said to be missing; where neither."""
         texts = fields.ravel()
         values = np.fromiter(map(self._plain, texts), dtype=float, count=len(texts))
         missing, words = np.zeros(len(texts), dtype=bool), np.zeros(len(texts), dtype=bool)
@@ -197,7 +189,7 @@ class Numerals:
         return values.reshape(fields.shape), missing.reshape(fields.shape), words.reshape(fields.shape)
 
     def _plain(self, text: str) -> float:
-        """The number of a text without signs that set thousands apart; NaN for any other: `_read` has those."""
+        """The number of most texts, quickly; NaN of those that `_read` has to look at."""
         if len(text) > LONGEST or "_" in text or not text.isascii() or (self.comma and "." in text):
             return np.nan
         try:
@@ -211,15 +203,11 @@ class Numerals:
             return np.nan, True
         if word in INFINITE_WORDS:
             return np.inf, False
-        if (_is_comma if self.comma else _is_point)(word):
-            decimal, thousands = (",", ".") if self.comma else (".", ",")
-            return float(word.replace(thousands, "").replace(decimal, ".")), False
-        return np.nan, False
+        if not _written(COMMA if self.comma else POINT, word):
+            return np.nan, False
+        decimal, thousands = (",", ".") if self.comma else (".", ",")
+        return float(word.replace(thousands, "").replace(decimal, ".")), False
 
 
-def _is_comma(field: str) -> bool:
-    return len(field) <= LONGEST and COMMA.fullmatch(field) is not None
-
-
-def _is_point(field: str) -> bool:
-    return len(field) <= LONGEST and POINT.fullmatch(field) is not None
+def _written(pattern: re.Pattern[str], field: str) -> bool:
+    return len(field) <= LONGEST and pattern.fullmatch(field) is not None
