@@ -16,7 +16,7 @@ from lampest.files.errors import InputError
 from lampest.files.memory import check_memory
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, as_panels_have
-from lampest.panel.readouts import Readout
+from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.readings import Readings, check_sigma
@@ -26,7 +26,6 @@ FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
-FAR_BELOW = 10  # a reading in ohm includes the resistance in series, but for noise and a wrong scene
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
@@ -111,10 +110,16 @@ class Recording(Validated):
         )
 
     def _check_unit(self) -> None:
-        """Raise InputError where every reading is far below the resistance in series: ohm were meant as kohm."""
-        plain = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        series = float(np.min(self.scene.series_ohm)) if self.scene.circuit.unit == "ohm" else 0.0
-        if plain.size and FAR_BELOW * plain.max() < series:
+        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums.
+
+        A thousand times as large, the converter resolves them: the median lies eight codes or more from either rail.
+        """
+        circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
+        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or not plain.size:
+            return
+        series = float(np.min(self.scene.series_ohm))
+        code = circuit.code_from_volt(circuit.volt_from_recorded(1000 * np.median(plain)))
+        if plain.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
                 f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
                 "are these kohm?"

@@ -65,7 +65,7 @@ def _meant(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
         {"time": recording.time[::-1]},
         {"recorded": np.ma.masked_array(recording.recorded, recording.recorded > 600)},
         {"recorded": recording.recorded + 1j},
-        {"recorded": recording.recorded / 10_000},
+        *({"recorded": recording.recorded / factor} for factor in (10_000, 1_000, 200, 50)),
         {"recorded": recording.recorded.tolist(), "role": None},
     )
     for change in changes:
