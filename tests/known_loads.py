@@ -13,10 +13,9 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
-from lampest.recording.simulation.unmodelled import Unmodelled
 
 RESTING = 4
 

@@ -73,6 +73,13 @@ def check_positive_fields(owner: Any, *names: str) -> None:
             raise ValueError(f"{name} must be positive and finite")
 
 
+def check_not_negative(owner: Any, *names: str) -> None:
+    """Raise ValueError unless each of an object's fields is None, or zero or positive, and finite."""
+    for name in names:
+        if (value := getattr(owner, name)) is not None and not 0 <= value < float("inf"):
+            raise ValueError(f"{name} must be zero or positive, and finite")
+
+
 def real_array(values: Any, what: str) -> NDArray[Any]:
     """Numbers as an array. Raises InputError for lists of other things, complex, masked and ragged ones."""
     if isinstance(values, np.ma.MaskedArray):

@@ -1,8 +1,13 @@
-"""What a board adds to a recording's frames: clocks, sequence numbers, gaps, and the events that were marked."""
+"""What a board adds to a recording's frames: clocks, numbers, gaps, events, and checksums until the file is closed.
 
+A recorder appends rows, and after them the checksum of each: one that is there vouches for all of its row.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
+from zlib import crc32
 
 import h5py
 import numpy as np
@@ -12,10 +17,10 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 
 PATH = "/entry/acquisition"
 LABEL_BYTES = 16
-LAST_SECOND = 253_402_300_800.0  # of the year 9999
 # name, type, units, what it is; for every frame
 FRAME_FIELDS = (
     ("host_time", "f8", "s", "host clock when the frame arrived, since 1970-01-01 UTC"),
@@ -25,6 +30,11 @@ FRAME_FIELDS = (
     ("lost", "u4", "1", "frames that are missing before this one"),
     ("session", "u2", "1", "grows by one where the board was unplugged or restarted before the frame"),
 )
+
+FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
+EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
+SUMS = "raw/sums"
+AT_ONCE = 1000  # frames that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +88,22 @@ class Acquisition(Validated):
         first : of the first frame on the time axis, s.
         """
         seconds = float(self.host_time[0]) - first
-        if not 0 < seconds < LAST_SECOND:
+        try:
+            return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds") if seconds > 0 else None
+        except (ValueError, OverflowError):  # beyond the year 9999
             return None
-        return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
 
     @classmethod
     def read(cls, file: h5py.File, kept: slice) -> "Acquisition | None":
         """The group of an open file, the kept frames of it; None where there is none. Raises InputError."""
         if not hdf5.has(file, PATH):
             return None
-        fields: dict[str, Any] = {name: _values(file, name, kind, kept) for name, kind, *_ in FRAME_FIELDS}
+        fields: dict[str, Any] = {
+            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=kept).astype(kind)
+            if kind == "f8"
+            else hdf5.read_whole(file, f"{PATH}/{name}", kind, 1, part=kept)
+            for name, kind, *_ in FRAME_FIELDS
+        }
         times, labels = np.zeros(0), tuple[str, ...]()
         if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
             times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
@@ -96,8 +112,87 @@ class Acquisition(Validated):
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
 
 
-def _values(file: h5py.File, name: str, kind: str, kept: slice) -> Any:
-    path = f"{PATH}/{name}"
-    if kind == "f8":
-        return hdf5.read_array(file, path, 1, part=kept).astype(kind)
-    return hdf5.read_whole(file, path, kind, 1, part=kept)
+def frame_paths(group: str, signal: str) -> tuple[str, ...]:
+    """What every frame has a row in, below /entry, in the order of its checksum."""
+    acquired = (f"acquisition/{name}" for name, *_ in FRAME_FIELDS)
+    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", SUMS, *acquired)
+
+
+def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
+    """CRC-32 of each row over all columns."""
+    count = len(columns[0])
+    if not count:
+        return np.zeros(0, dtype=np.uint32)
+    values = [np.ascontiguousarray(column).reshape(count, -1).view(np.uint8) for column in columns]
+    return np.array([crc32(row.tobytes()) for row in np.concatenate(values, axis=1)], dtype=np.uint32)
+
+
+def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
+    """All frames of a finished file, the written ones of an unfinished one. Raises InputError where one is damaged."""
+    if "lampest_unfinished" not in file.attrs:
+        return hdf5.ALL
+    frames, damaged = damaged_frames(file, scene, group)
+    if len(damaged) or not np.all(whole_events(file)):
+        what = f"{len(damaged)} of {frames} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
+        raise InputError(
+            f"{file.filename}: {what or 'an event is damaged'}; lampest check --repair keeps what is whole"
+        )
+    return slice(frames)
+
+
+def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDArray[np.intp]]:
+    """(frames written, numbers of the damaged ones) of an unfinished file."""
+    paths = frame_paths(group.removeprefix("/entry/"), scene.circuit.signal)
+    written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
+    checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
+    frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
+    wrong: list[NDArray[np.intp]] = []
+    for begin in range(0, min(frames, written), AT_ONCE):
+        part = slice(begin, min(begin + AT_ONCE, frames, written))
+        columns = stored_rows(file, paths, part)
+        recorded, sums = columns[0], columns[paths.index(SUMS)]
+        if sums.shape != recorded.shape or recorded.ndim != 3:
+            raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
+        differs = np.any(_recorded(file, scene, sums) != recorded, axis=(1, 2))
+        if checked:
+            differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
+        # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
+        elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
+            frames = begin + int(unwritten[0])
+            wrong.append(begin + np.flatnonzero(differs[: unwritten[0]]))
+            break
+        wrong.append(begin + np.flatnonzero(differs))
+    return frames, np.concatenate([*wrong, np.arange(written, frames)])
+
+
+def whole_events(file: h5py.File) -> NDArray[np.bool_]:
+    """Which events are what was written; all, where there are no checksums."""
+    events = min(
+        hdf5.length_of(file, f"/entry/{path}") if hdf5.has(file, f"/entry/{path}") else 0 for path in EVENT_PATHS
+    )
+    if not hdf5.has(file, f"/entry/{EVENT_CHECKSUM}"):
+        return np.ones(events, dtype=np.bool_)
+    count = hdf5.length_of(file, f"/entry/{EVENT_CHECKSUM}")
+    right = np.zeros(count, dtype=np.bool_)
+    part = slice(min(events, count))
+    right[part] = checksums(stored_rows(file, EVENT_PATHS, part)) == stored_rows(file, (EVENT_CHECKSUM,), part)[0]
+    return right
+
+
+def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDArray[Any]]:
+    """Some rows of datasets below /entry, as they stand in the file. Raises InputError where one cannot be read."""
+    return [_rows(file, f"/entry/{path}", part) for path in paths]
+
+
+def _rows(file: h5py.File, path: str, part: slice) -> NDArray[Any]:
+    if path.endswith("label"):
+        texts = hdf5.read_texts(file, path, part=part)
+        return np.array([text.encode() for text in texts], dtype=f"S{LABEL_BYTES}")
+    return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
+
+
+def _recorded(file: h5py.File, scene: Scene, sums: NDArray[Any]) -> Array:
+    readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
+    if scene.readout is None or readings < 1:
+        raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
+    return scene.readout.recorded_from_sums(sums, readings)

@@ -18,9 +18,8 @@ from lampest.files.typed import Validated
 from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene, scene_text
-from lampest.recording.acquisition import Acquisition
+from lampest.recording.acquisition import Acquisition, undamaged_frames
 from lampest.recording.readings import Readings, check_sigma
-from lampest.recording.unfinished import undamaged_frames
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1

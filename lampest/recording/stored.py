@@ -13,8 +13,8 @@ from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
+from lampest.recording.acquisition import undamaged_frames
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
-from lampest.recording.unfinished import undamaged_frames
 
 WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more

@@ -17,8 +17,8 @@ from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.measure import Unmodelled, random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 from lampest.runs.executors import AnyExecutor
 from lampest.studies import study
 from lampest.studies.methods import StudyMethod

@@ -17,8 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Faults
 from lampest.recording.board.record import record
 from lampest.recording.recording import MEASURED, UNLOADED
-from lampest.recording.simulation.measure import measured
-from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.report.live.run import recorded_from_board
 
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"

@@ -24,8 +24,8 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 
 pytestmark = pytest.mark.slow
 

@@ -17,10 +17,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse
 from lampest.panel.scene import Scene
-from lampest.recording.simulation.unmodelled import random_stream
+from lampest.recording.simulation.measure import random_stream
 
 OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
 

@@ -15,8 +15,8 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local

@@ -16,10 +16,9 @@ from lampest.panel.readouts.two_point import resolution_limit
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
-from lampest.recording.simulation.measure import raw_sums
+from lampest.recording.simulation.measure import Unmodelled, raw_sums
 from lampest.recording.simulation.pressure import Course, pressure_on_cells
 from lampest.recording.simulation.simulation import Cells
-from lampest.recording.simulation.unmodelled import Unmodelled
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = (

@@ -10,8 +10,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 
 FINE = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
 LSB = 5 / 2**24

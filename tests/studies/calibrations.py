@@ -22,8 +22,7 @@ from lampest import (
 )
 from lampest.panel.panel import Array
 from lampest.recording.calibration.calibrate import Calibration, calibrate
-from lampest.recording.simulation.measure import sums_of_codes
-from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.recording.simulation.measure import Unmodelled, sums_of_codes
 
 OPEN = 1e12
 VALUES = np.array([220, 470, 1000, 2200, 4700.0])

@@ -26,9 +26,9 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.detect.detection import detect_recording
 
 AFTER = 300

@@ -23,8 +23,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import measured
-from lampest.recording.simulation.unmodelled import Unmodelled
+from lampest.recording.simulation.measure import Unmodelled, measured
 
 FRAMES, RESTING, PATCH_MM, PITCH_MM = 21, 3, 6.0, 10.0
 CLEAN, REAL = Unmodelled(), Unmodelled(0.0, 3.0, 0.01, 0.01, 1e-4)  # the latter as in the shipped recordings

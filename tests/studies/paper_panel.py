@@ -24,9 +24,9 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.files import read_simulations
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.studies.paper.sides import WEIGHTS, Weights, published_numbers
 from tests.oracles.as_published import METHODS, left_by_solver
 

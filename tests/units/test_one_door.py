@@ -21,9 +21,8 @@ from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.recording.simulation.measure import measured, raw_sums
+from lampest.recording.simulation.measure import Unmodelled, measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording, take_sample
 

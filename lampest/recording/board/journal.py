@@ -19,19 +19,20 @@ from lampest.files.errors import InputError
 from lampest.files.whole import check_output, locked
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import FRAME_FIELDS, LABEL_BYTES
-from lampest.recording.board.stream import Sample
-from lampest.recording.recording import FORMAT, group_of
-from lampest.recording.unfinished import (
+from lampest.recording.acquisition import (
     AT_ONCE,
     EVENT_CHECKSUM,
     EVENT_PATHS,
     FRAME_CHECKSUM,
+    FRAME_FIELDS,
+    LABEL_BYTES,
     checksums,
     frame_paths,
     stored_rows,
     whole_events,
 )
+from lampest.recording.board.stream import Sample
+from lampest.recording.recording import FORMAT, group_of
 
 CHUNK_FRAMES = 16
 MOST_SESSIONS, MOST_LOST = 2**16 - 1, 2**32 - 1  # what their fields hold

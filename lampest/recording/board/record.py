@@ -15,6 +15,7 @@ from lampest.files.interrupts import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal, is_finished
 from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
@@ -22,7 +23,6 @@ from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded,
 from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 from lampest.recording.stored import StoredRecording, opened, save_parts
-from lampest.recording.unfinished import damaged_frames, whole_events
 
 CLOCK_JUMP = "clock jump"  # label of the event
 

@@ -5,30 +5,75 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as fisher
 
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import LineNumber
+from lampest.panel.readouts.lines import LineNumber, Side
 from lampest.panel.scene import Scene, SeriesPerLine
-from lampest.recording.calibration.circuit import MEMORY, TYPICAL, WIRE, Circuit, with_numbers
 from lampest.recording.calibration.fit import (
-    MOST_SIGMA_OF_LINES,
-    Found,
+    BEST_OHM,
+    MEMORY,
+    RESISTOR_TOLERANCE,
+    TYPICAL,
+    TYPICAL_OHM,
+    WIRE,
+    WORST_OHM,
+    Circuit,
+    CircuitFit,
     Problem,
-    check_fit,
-    check_number,
     fit,
-    found_number,
+    with_numbers,
 )
-from lampest.recording.calibration.repeats import FEWEST_REPEATS, Repeats, Trial, repeats
+from lampest.recording.calibration.repeats import FEWEST_REPEATS, Trial, repeats
 from lampest.recording.recording import Recording
 
-TOLERANCE = 0.01  # of resistors as they are sold
-LEAST_VARIANCE = 1 / 12  # LSB²: below quantisation's own, lines that differ make no difference
-DIGITS = 3  # of an ohm and of a code: below what any contact or converter repeats to
-SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"}
-MEMORY_DIGITS = 5  # of a fraction: a hundredth of a code
+DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
+SURE = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
+BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
+OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
+# σ of a number that the readings tell: a part of itself, or of a channel less than channels differ by, or these.
+MOST_SIGMA_SHARE = 0.3
+ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
+LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
+SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | dict(
+    zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LineOffsets:
+    """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
+
+    side: Side
+    off_ohm: Array
+    sigma_ohm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A number of the electronics, in its unit.
+
+    value, sigma : mean over the lines that were measured (of two channels' sum where a reading has two), and its
+    standard deviation. lines : what single lines add to it; none where it is one for all.
+    """
+
+    number: LineNumber
+    value: float
+    sigma: float
+    lines: tuple[LineOffsets, ...]
+
+    @property
+    def differ(self) -> bool:
+        """Whether lines differ by more than chance, and more than a scene is written to."""
+        least = 10.0**-DIGITS
+        return any(bool(np.any(np.abs(lines.off_ohm) > SURE * lines.sigma_ohm + least)) for lines in self.lines)
+
+    def on(self, lines: LineOffsets) -> Array:
+        """(lines) ohm of every line of a side, its share of the sum where readings have two; the mean where unknown."""
+        return np.asarray(self.value / len(self.lines) + np.nan_to_num(lines.off_ohm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +103,15 @@ class Calibration:
             return None
         variance = self.noise_lsb**2
         mean = float(np.average(variance[enough], weights=self.repeats[enough]))
-        off = np.abs(np.log((variance[enough] + LEAST_VARIANCE) / (mean + LEAST_VARIANCE)))
-        if np.all(off < MOST_SIGMA_OF_LINES * np.sqrt(2 / self.repeats[enough])):
+        quantisation = 1 / 12  # LSB²: below it, lines that differ make no difference
+        off = np.abs(np.log((variance[enough] + quantisation) / (mean + quantisation)))
+        if np.all(off < SURE * np.sqrt(2 / self.repeats[enough])):
             return round(float(np.sqrt(mean)), DIGITS)
         return tuple(round(float(one) ** 0.5, DIGITS) for one in np.where(enough, variance, mean))
 
 
 def calibrate(
-    recordings: Sequence[Recording], known: Sequence[Array | float] = (0.0,), tolerance: float = TOLERANCE
+    recordings: Sequence[Recording], known: Sequence[Array | float] = (0.0,), tolerance: float = 0.01
 ) -> Calibration:
     """The circuit's numbers that explain known resistors best, by weighted least squares through its equations.
 
@@ -87,13 +133,14 @@ def calibrate(
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
     trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
     fitted = fit(Problem(Circuit.of(scene), trials, tolerance))
-    check_fit(fitted)
-    found = tuple(found_number(fitted, index) for index in range(len(fitted.problem.circuit.numbers)))
+    _check_fit(fitted)
+    found = tuple(_found(fitted, index) for index in range(len(fitted.problem.circuit.numbers)))
     for one in found:
-        check_number(fitted, one)
+        _check_number(fitted, one)
+    counts = np.array([trial.readings.seen for trial in trials])
+    variance = np.average([trial.readings.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
     misfit = fitted.chi_square / max(fitted.freedom, 1)
-    noise, seen = _noise([trial.readings for trial in trials])
-    return Calibration(scene, found, noise, seen, fitted.readings, misfit, tolerance)
+    return Calibration(scene, found, np.sqrt(variance), counts.sum(axis=0), fitted.readings, misfit, tolerance)
 
 
 def _trial(recording: Recording, known: Array | float) -> Trial:
@@ -106,15 +153,99 @@ def _trial(recording: Recording, known: Array | float) -> Trial:
     return Trial(recording.name, repeats(recording), ohm, recording.scene.converter_memory is not None)
 
 
-def _noise(trials: list[Repeats]) -> tuple[Array, Array]:
-    """Noise of one reading of every driven line over all recordings, by its variance, and the number of repeats."""
-    seen = np.sum([trial.seen for trial in trials], axis=0)
-    weights = np.array([trial.seen for trial in trials]) + 1e-9
-    variance = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=weights)
-    return np.sqrt(variance), seen
+def _found(fit: CircuitFit, index: int) -> Found:
+    """The number of that index, with its covariance to first order in the unknowns."""
+    circuit, sides = fit.problem.circuit, []
+    number, spread = circuit.numbers[index], circuit.spread(fit.unknowns, index)
+    common, own = circuit.common(fit.unknowns, index)
+    value, slope = common, np.zeros(len(fit.unknowns))
+    slope[index] = own
+    for (at, side), part in circuit.lines.items():
+        if at == index:
+            off, slopes = spread * fit.unknowns[part], spread * np.eye(len(fit.unknowns))[part]
+            slopes[:, index] = 0.0 if number.channel else off * own / common
+            measured = np.any([trial.led(side) for trial in fit.problem.trials], axis=0)
+            value, slope = value + float(off[measured].mean()), slope + slopes[measured].mean(axis=0)
+            sides.append(_offsets(fit, side, off, slopes, measured))
+    return Found(number, value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
 
 
-SPOKEN |= dict(zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True))
+def _offsets(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: NDArray[np.bool_]) -> LineOffsets:
+    centred = slopes - slopes[measured].mean(axis=0)
+    sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", centred, fit.covariance, centred), 0.0))
+    nothing = np.where(measured, 0.0, np.nan)
+    return LineOffsets(side, off - off[measured].mean() + nothing, sigma + nothing)
+
+
+def _check_fit(fit: CircuitFit) -> None:
+    """Raise InputError where the readings are not those of the known resistors behind any such circuit.
+
+    χ² over its freedom follows Fisher's distribution, because σ itself is known from as many repeats only.
+    """
+    trials = fit.problem.trials
+    for trial in trials:
+        _check_open_lines(fit, trial)
+    if fit.freedom < 0 or not fit.readings:
+        many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
+        raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
+    freedom, repeated = max(fit.freedom, 1), sum(trial.readings.freedom for trial in trials)
+    if fisher.sf(fit.chi_square / freedom, freedom, repeated) < BY_CHANCE:
+        off = np.abs(fit.rest) / fit.sigma
+        index, circuit = int(off.argmax()), fit.problem.circuit.readout
+        name, row, column = list(fit.problem.places())[index]
+        volts = fit.problem.measured[index], fit.problem.measured[index] - fit.rest[index]
+        reads, gives = (f"{float(circuit.recorded_from_volt(np.array(volt))):.4g} {circuit.unit}" for volt in volts)
+        raise InputError(
+            f"{name}: no calibration: row {row}, column {column} reads {reads}, but behind the circuit that fits best "
+            f"the known resistors give {gives}; noise and tolerances explain {100 * np.mean(off < 3):.0f} % of the "
+            "readings"
+        )
+
+
+def _check_open_lines(fit: CircuitFit, trial: Trial) -> None:
+    """Raise InputError where something is read on lines that no known resistor leads to."""
+    circuit, reads = fit.problem.circuit, trial.readings.volt
+    gives = circuit.volt(fit.unknowns, trial.cells)
+    off = np.where(trial.used | ~np.isfinite(reads), 0.0, np.abs(reads - gives)) / circuit.readout.supply_volt
+    if off.max() > OPEN_SHARE:
+        row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
+        read = float(circuit.readout.recorded_from_volt(reads[row, column]))
+        raise InputError(
+            f"{trial.name}: no calibration: row {row}, column {column} reads {read:.4g} {circuit.readout.unit}, but no "
+            f"known resistor leads there; was the panel unplugged?"
+        )
+
+
+def _check_number(fit: CircuitFit, found: Found) -> None:
+    """Raise InputError where the readings do not tell a number, or it is none that such electronics have.
+
+    A recording of equal cells looks like one of a larger series resistance in all else: channels alone have at most
+    what the worst ones have, or as much above the scene's.
+    """
+    number, channels = found.number, len(found.lines)
+    where = f"{fit.problem.trials[0].name}: no calibration: "
+    enough = ENOUGH.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
+    if found.sigma > max(enough, MOST_SIGMA_SHARE * found.value):
+        raise InputError(
+            f"{where}the readings do not tell {number.name} ({found.value:.4g} ± {found.sigma:.2g} {number.unit}); "
+            f"known resistors of different values, on more lines, do"
+        )
+    specified = fit.problem.circuit.specified(number)
+    most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
+    if number.in_scene and number.channel and found.value - SURE * found.sigma > most:
+        raise InputError(
+            f"{where}a {number.name} of {found.value:.4g} ohm is more than the {most:g} ohm that {channels} "
+            f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
+        )
+    most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * found.value)
+    for lines in found.lines:
+        high, low = int(np.nanargmax(lines.off_ohm)), int(np.nanargmin(lines.off_ohm))
+        apart = float(lines.off_ohm[high] - lines.off_ohm[low])
+        if apart - SURE * np.hypot(lines.sigma_ohm[high], lines.sigma_ohm[low]) > most:
+            raise InputError(
+                f"{where}{number.name} of {lines.side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
+                f"{most:.4g} ohm is likely ({LIKELY[number.channel]})"
+            )
 
 
 def calibrated_scene(calibration: Calibration) -> Scene:
@@ -122,22 +253,22 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     scene = calibration.scene
     readout: Any = scene.readout
     for found in calibration.found:
-        each = {lines.side: tuple(map(rounded, found.on(lines))) for lines in found.lines}
+        each = {lines.side: tuple(map(_rounded, found.on(lines))) for lines in found.lines}
         if found.number in TYPICAL:
             scene = with_numbers(scene, {found.number.name: round(found.value, MEMORY_DIGITS)})
         elif found.number.in_scene:
-            series = SeriesPerLine(**each) if found.differ else rounded(found.value)
+            series = SeriesPerLine(**each) if found.differ else _rounded(found.value)
             scene = replace(scene, series_resistance_ohm=series)
         else:
-            value = next(iter(each.values())) if found.differ else rounded(found.value)
+            value = next(iter(each.values())) if found.differ else _rounded(found.value)
             readout = with_numbers(readout, {found.number.name: value})
     if calibration.noise is not None:
         readout = replace(readout, noise_lsb=calibration.noise)
     return replace(scene, readout=readout)
 
 
-def rounded(value: float) -> float:
-    """To a thousandth, and not below zero, where the noise of a small number can be."""
+def _rounded(value: float) -> float:
+    """Not below zero, where the noise of a small number can be."""
     return round(max(float(value), 0.0), DIGITS)
 
 
@@ -155,37 +286,24 @@ def calibrated_scene_text(calibration: Calibration) -> str:
 
 def summary(calibration: Calibration) -> str:
     """'drive resistance 70.7 ± 0.3 ohm, load resistance 9987 ± 15 ohm from 64 readings'."""
-    each = (
-        f"{spoken(found.number)} {found.value:.3f} ± {found.sigma:.3f} {found.number.unit}"
-        for found in calibration.found
-    )
+    each = []
+    for found in calibration.found:
+        plain = f"{found.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
+        name = SPOKEN.get(found.number.name, plain)
+        each.append(f"{name} {found.value:.3f} ± {found.sigma:.3f} {found.number.unit}")
     return f"{', '.join(each)} from {calibration.readings} readings"
 
 
-def spoken(number: LineNumber) -> str:
-    """'drive resistance', 'diode drop'."""
-    if number.name in SPOKEN:
-        return SPOKEN[number.name]
-    return f"{number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
-
-
-def _certain(found: Found, sign: str) -> str:
-    digits, unit = (MEMORY_DIGITS, "") if found.number == MEMORY else (DIGITS, f" {found.number.unit}")
-    return f"{found.value:.{digits}f} {sign} {found.sigma:.{digits}f}{unit}"
-
-
 def _remarks(calibration: Calibration, found: Found) -> list[str]:
-    remarks = [
-        f"{found.number.name}: {_certain(found, '+-')} (one standard deviation), from {calibration.readings} readings"
-    ]
-    if not found.differ:
-        return remarks
-    for lines in found.lines:
+    digits, unit = (MEMORY_DIGITS, "") if found.number == MEMORY else (DIGITS, f" {found.number.unit}")
+    value = f"{found.value:.{digits}f} +- {found.sigma:.{digits}f}{unit}"
+    remarks = [f"{found.number.name}: {value} (one standard deviation), from {calibration.readings} readings"]
+    for lines in found.lines if found.differ else ():
         each = ", ".join(
             "not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sigma:.2f}"
             for ohm, sigma in zip(lines.off_ohm, lines.sigma_ohm, strict=True)
         )
         remarks.append(f"{lines.side} differ from the mean by {each} ohm")
-    if len(found.lines) > 1:
+    if found.differ and len(found.lines) > 1:
         remarks.append("what rows and columns have in common is shared evenly, because only their sums are read")
     return remarks

@@ -1,37 +1,144 @@
-"""Weighted least squares through a circuit's equations: its numbers, how well they are known, whether they can be."""
+"""Weighted least squares through a circuit's equations: which numbers of the electronics explain known resistors."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.stats import f as fisher
 
-from lampest.files.errors import InputError
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import LineNumber, Side
-from lampest.recording.calibration.circuit import MEMORY, STEP, TYPICAL_OHM, WIRE, Circuit, LineUnknowns
-from lampest.recording.calibration.repeats import Trial, within_rails
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import MOST_OHM, LineNumber, Side
+from lampest.panel.scene import Scene
+from lampest.recording.calibration.repeats import SHORT_OHM, Trial, usable_range, within_rails
 
-SETTLED = (1.0, 1e-4)  # of ½ χ² in each round: the last one is off by a hundredth of σ
-MOST_STEPS = 25  # good calibrations end after some 5 from the scene's numbers, 10 from those ten times too large
-DIFFERENCE = 2.0**-26  # of an unknown, or of 1: half of the digits
+BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet
+RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, evenly
+DROP_VOLT = 0.05, 5.0  # from a Schottky diode to a blue LED
+# Numbers to find where the scene names them, and what they are like: 2.9 % of the channel before were seen of a real
+# board, and an ohm from cell to cell of conductive thread.
+MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
+WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
+TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
+STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
 NONLINEAR_LSB = 0.5  # σ of a converter's own error; ATmega2560: integral non-linearity 0.5 LSB, its data sheet
-UNDETERMINED = 1e-9  # of the largest singular value: directions that no reading tells anything of
-MOST_SIGMA_OF_LINES = 5.0  # by which one of 32 lines is off by chance once in 50,000 calibrations
-ROUNDING_OHM = 1e-3  # as scenes are written
-BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
-# A channel of a CD74HC4067 at 5 V; typical and worst are its data sheet's.
-BEST_OHM, WORST_OHM = 40.0, 160.0
-MOST_OF_RESISTORS = 0.1  # by which a load may differ from the others: twice the 5 % of ordinary resistors
-LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
-OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
-SURE = 4.0  # σ that a number must be beyond
-# σ of a number that the readings tell: of a channel less than channels differ by, of a resistor a part of itself.
-MOST_SIGMA_SHARE = 0.3
-ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """The unknowns: for every number a common value, then for every line by how many spreads it is off.
+
+    A channel's resistance is TYPICAL_OHM·q + spread·e, a resistor's R·exp(q) + spread·e with R of the scene. e is as
+    likely as a standard normal number, so that lines which nothing measures are taken for the mean of the others.
+    """
+
+    scene: Scene
+    numbers: tuple[LineNumber, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Circuit":
+        """All numbers that resistors tell: the readout's, and those of what else the scene names."""
+        memory = () if scene.converter_memory is None else (MEMORY,)
+        return cls(scene, scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ()))
+
+    @property
+    def readout(self) -> Readout:
+        """The scene's."""
+        return self.scene.circuit
+
+    @cached_property
+    def lines(self) -> dict[tuple[int, Side], slice]:
+        """(number, side) → where in the unknowns the lines of that side stand."""
+        found: dict[tuple[int, Side], slice] = {}
+        first = len(self.numbers)
+        for index, number in enumerate(self.numbers):
+            for side in number.sides:
+                found[index, side] = slice(first, first + self._lengths[side])
+                first += self._lengths[side]
+        return found
+
+    @cached_property
+    def start(self) -> Array:
+        """(unknowns) the scene's numbers, channels at least typical ones; all lines alike."""
+        found = np.zeros(max(part.stop for part in self.lines.values()))
+        for index, number in enumerate(self.numbers):
+            if number.channel:
+                found[index] = max(self.specified(number) / TYPICAL_OHM, len(number.sides))
+            elif number in TYPICAL:
+                found[index] = max(self.specified(number) / TYPICAL[number], 1.0)
+        return found
+
+    @property
+    def least(self) -> Array:
+        """(unknowns) below which none can be: channels, memories and wires are not negative."""
+        signed = [not (number.channel or number in TYPICAL) for number in self.numbers]
+        return np.where(np.append(signed, [True] * (len(self.start) - len(signed))), -np.inf, 0.0)
+
+    def specified(self, number: LineNumber) -> float:
+        """What the scene says of a number, the mean where it lists one for each line."""
+        if number.in_scene and number.channel:
+            return float(np.mean(self.scene.series_ohm))
+        return float(np.mean(np.asarray(attrgetter(number.name)(self.scene if number.in_scene else self.readout))))
+
+    def common(self, unknowns: Array, number: int) -> tuple[float, float]:
+        """(c, ∂c/∂q) of a number, in its unit."""
+        one, at = self.numbers[number], float(unknowns[number])
+        if one.channel or one in TYPICAL:
+            scale = TYPICAL_OHM if one.channel else TYPICAL[one]
+            return scale * at, scale
+        value = self.specified(one) * float(np.exp(at))
+        return value, value
+
+    def spread(self, unknowns: Array, number: int) -> float:
+        """σ of lines, ohm: of channels a third of worst less typical, of resistors from their tolerance."""
+        if self.numbers[number].channel:
+            return (WORST_OHM - TYPICAL_OHM) / 3
+        return RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns, number)[0]
+
+    def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
+        """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
+        channels: dict[Side, Array] = {side: np.zeros(length) for side, length in self._lengths.items()}
+        fields, of_scene = dict[str, Any](), dict[str, float]()
+        for index, number in enumerate(self.numbers):
+            common, spread = self.common(unknowns, index)[0], self.spread(unknowns, index)
+            off = {side: spread * unknowns[part] for (at, side), part in self.lines.items() if at == index}
+            if number in TYPICAL:
+                of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
+            elif number.in_scene:
+                for side, ohm in off.items():
+                    channels[side] = common / len(number.sides) + ohm
+            else:
+                each = common + sum(off.values())
+                # ln(1 + exp R) is R from some ohm on, never below zero, and always tells which way to go.
+                limits = DROP_VOLT if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
+                each = np.clip(np.logaddexp(0, each) if off else each, *limits)
+                fields[number.name] = tuple(each.tolist()) if off else float(each)
+        circuit: Any = with_numbers(self.readout, fields)
+        # Contacts and faults are the panel's, which is unplugged.
+        bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
+        scene: Scene = with_numbers(bare, of_scene)
+        recorded = circuit.simulated(cells, scene, channels["rows"], channels["columns"])
+        volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
+        return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
+
+    @cached_property
+    def _lengths(self) -> dict[Side, int]:
+        rows, columns = self.scene.panel.shape
+        return {"rows": rows, "columns": columns}
+
+
+def with_numbers(part: Any, numbers: dict[str, Any]) -> Any:
+    """A readout, or a part of one, with other numbers by their names; dotted names are those of its parts."""
+    for name, value in numbers.items():
+        first, _, rest = name.partition(".")
+        part = replace(part, **{first: with_numbers(getattr(part, first), {rest: value}) if rest else value})
+    return part
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,47 +154,39 @@ class Problem:
         """(readings) V at the converter, within its rails."""
         return np.concatenate([self._clipped(trial.readings.volt[trial.used]) for trial in self.trials])
 
-    @cached_property
-    def sigma(self) -> Array:
-        """(readings) V, of noise and quantisation."""
-        return np.concatenate([trial.readings.sigma_volt[trial.used] for trial in self.trials])
-
     def _clipped(self, volt: Array) -> Array:
         """Beyond what noise leaves of the converter's range a reading is a bound: any more is as good."""
-        readout = self.circuit.readout
-        margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
-        return np.clip(volt, margin, readout.supply_volt - margin)
+        return np.clip(volt, *usable_range(self.circuit.readout))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
         """(readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
         found = []
         for trial in self.trials:
-            cells = trial.cells
+            cells = trial.cells.copy()
             if resistor in trial.resistors:
-                cells = cells.copy()
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
             found.append(self._clipped(self.circuit.volt(unknowns, cells, reference)[trial.used]))
         return np.concatenate(found)
 
-    def tolerances(self, unknowns: Array) -> Array:
-        """(readings, sources) V: what each resistor, and the reference, does where it is off by its σ."""
-        sigma, at = self.tolerance / np.sqrt(3), self.expected(unknowns)
-        names = dict.fromkeys(name for trial in self.trials for name in trial.resistors)
-        columns = [(self.expected(unknowns, name) - at) / STEP for name in names]
-        columns.append((self.expected(unknowns, reference=STEP) - at) / STEP)
-        return np.asarray(sigma * np.stack(columns, axis=1))
-
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
-        """(readings, readings) V² of what the circuit's numbers do not explain."""
-        off = self.tolerances(unknowns)
+        """(readings, readings) V² of noise, quantisation, the converter's own error, resistors and the reference."""
+        at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
+        moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
+        off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
+        sigma = np.concatenate([trial.readings.sigma_volt[trial.used] for trial in self.trials])
         own = own_lsb * self.circuit.readout.lsb_volt
-        return np.asarray(np.diag(self.sigma**2 + own**2) + off @ off.T)
+        return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
 
     def within(self, unknowns: Array) -> NDArray[np.bool_]:
         """(readings) that are values: neither they nor what is expected of them lies at a rail."""
         readout = self.circuit.readout
         inside = [within_rails(readout, volt) for volt in (self.measured, self.expected(unknowns))]
         return np.asarray(inside[0] | inside[1])
+
+    def places(self) -> Iterator[tuple[str, int, int]]:
+        """(readings) recording, row and column of each."""
+        for trial in self.trials:
+            yield from ((trial.name, int(row), int(column)) for row, column in np.argwhere(trial.used))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,20 +213,19 @@ def fit(problem: Problem) -> CircuitFit:
     C depends on θ: a first round ends where its tolerances are known well enough.
     """
     circuit, unknowns = problem.circuit, problem.circuit.start
-    for settled in SETTLED:
+    for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
-        found = LevenbergMarquardt(MOST_STEPS, settled).minimum(
-            partial(_squares, problem, root), unknowns, (circuit.least, np.inf)
-        )
+        squares = partial(_squares, problem, root)
+        # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
+        found = LevenbergMarquardt(25, settled).minimum(squares, unknowns, (circuit.least, np.inf))
         unknowns = found.position
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)
     values, commons = int(problem.within(unknowns).sum()), len(circuit.numbers)
     chi_square = float(left @ left + unknowns[commons:] @ unknowns[commons:])
+    sigma = np.sqrt(np.diag(whole))
     covariance = _inverse(found.at.jacobian)
-    return CircuitFit(
-        problem, unknowns, covariance, chi_square, values - commons, rest, np.sqrt(np.diag(whole)), values
-    )
+    return CircuitFit(problem, unknowns, covariance, chi_square, values - commons, rest, sigma, values)
 
 
 def _squares(problem: Problem, root: Array, unknowns: Array) -> SumOfSquares:
@@ -137,177 +235,13 @@ def _squares(problem: Problem, root: Array, unknowns: Array) -> SumOfSquares:
         left = solve_triangular(root, problem.measured - problem.expected(at), lower=True)
         return np.concatenate([left, at[len(problem.circuit.numbers) :]])
 
-    here, steps = residual(unknowns), DIFFERENCE * np.maximum(1.0, np.abs(unknowns))
+    here, steps = residual(unknowns), STEP * np.maximum(1.0, np.abs(unknowns))
     slopes = [(residual(unknowns + step) - here) / step.sum() for step in np.diag(steps)]
     return SumOfSquares(here, np.stack(slopes, axis=1))
 
 
 def _inverse(jacobian: Array) -> Array:
-    """(JᵀJ)⁻¹, without end along what J does not see."""
+    """(JᵀJ)⁻¹, nearly without end along what J does not see."""
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-    inverse = right / np.maximum(singular, UNDETERMINED * singular[0])[:, None]
+    inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
     return np.asarray(inverse.T @ inverse)
-
-
-@dataclass(frozen=True, eq=False)
-class LineOffsets:
-    """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
-
-    side: Side
-    off_ohm: Array
-    sigma_ohm: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A number of the electronics, in its unit.
-
-    value, sigma : mean over the lines that were measured (of two channels' sum where a reading has two), and its
-    standard deviation. lines : what single lines add to it; none where it is one for all.
-    """
-
-    number: LineNumber
-    value: float
-    sigma: float
-    lines: tuple[LineOffsets, ...]
-
-    @property
-    def differ(self) -> bool:
-        """Whether lines differ by more than chance."""
-        return any(
-            bool(np.any(np.abs(lines.off_ohm) > MOST_SIGMA_OF_LINES * lines.sigma_ohm + ROUNDING_OHM))
-            for lines in self.lines
-        )
-
-    def on(self, lines: LineOffsets) -> Array:
-        """(lines) ohm of every line of a side, its share of the sum where readings have two; the mean where unknown."""
-        return np.asarray(self.value / len(self.lines) + np.nan_to_num(lines.off_ohm))
-
-
-def found_number(fit: CircuitFit, index: int) -> Found:
-    """The number of that index, with its covariance to first order in the unknowns."""
-    circuit = fit.problem.circuit
-    value, sides = circuit.common(fit.unknowns, index)[0], []
-    slope = np.zeros(circuit.size)
-    slope[index] = circuit.common(fit.unknowns, index)[1]
-    for part in circuit.parts:
-        if part.number == index:
-            off, slopes = _of_lines(fit, part)
-            measured = _measured(fit, part.side)
-            value, slope = value + float(off[measured].mean()), slope + slopes[measured].mean(axis=0)
-            sides.append(_lines(fit, part.side, off, slopes, measured))
-    return Found(circuit.numbers[index], value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
-
-
-def _of_lines(fit: CircuitFit, part: LineUnknowns) -> tuple[Array, Array]:
-    """What lines add to their common number, (lines) ohm, and its slopes (lines, unknowns)."""
-    circuit, count = fit.problem.circuit, part.lines.stop - part.lines.start
-    spread, own = circuit.spread(fit.unknowns, part.number), fit.unknowns[part.lines]
-    slopes = np.zeros((count, circuit.size))
-    slopes[np.arange(count), np.arange(part.lines.start, part.lines.stop)] = spread
-    if not circuit.numbers[part.number].channel:
-        common, slope = circuit.common(fit.unknowns, part.number)
-        slopes[:, part.number] = spread * own * slope / common
-    return spread * own, slopes
-
-
-def _lines(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: NDArray[np.bool_]) -> LineOffsets:
-    centred = slopes - slopes[measured].mean(axis=0)
-    sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", centred, fit.covariance, centred), 0.0))
-    nothing = np.where(measured, 0.0, np.nan)
-    return LineOffsets(side, off - off[measured].mean() + nothing, sigma + nothing)
-
-
-def _measured(fit: CircuitFit, side: Side) -> NDArray[np.bool_]:
-    """(lines) of a side that a reading with a resistor tells something of."""
-    return np.asarray(np.any([trial.led(side) for trial in fit.problem.trials], axis=0))
-
-
-def check_fit(fit: CircuitFit) -> None:
-    """Raise InputError where the readings are not those of the known resistors behind any such circuit.
-
-    χ² over its freedom follows Fisher's distribution, because σ itself is known from as many repeats only.
-    """
-    problem = fit.problem
-    for trial in problem.trials:
-        _check_open_lines(fit, trial)
-    if fit.freedom < 0 or not fit.readings:
-        many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
-        raise InputError(f"{problem.trials[0].name}: no calibration: {many}; join lines by more known resistors")
-    repeats = sum(trial.readings.freedom for trial in problem.trials)
-    chance = fisher.sf(fit.chi_square / max(fit.freedom, 1), max(fit.freedom, 1), repeats)
-    if chance < BY_CHANCE:
-        raise InputError(_worst(fit))
-
-
-def _check_open_lines(fit: CircuitFit, trial: Trial) -> None:
-    """Raise InputError where something is read on lines that no known resistor leads to."""
-    circuit, reads = fit.problem.circuit, trial.readings.volt
-    gives = circuit.volt(fit.unknowns, trial.cells)
-    off = np.where(trial.used | ~np.isfinite(reads), 0.0, np.abs(reads - gives)) / circuit.readout.supply_volt
-    if off.max() > OPEN_SHARE:
-        row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
-        read = float(circuit.readout.recorded_from_volt(reads[row, column]))
-        raise InputError(
-            f"{trial.name}: no calibration: row {row}, column {column} reads {read:.4g} {circuit.readout.unit}, but no "
-            f"known resistor leads there; was the panel unplugged?"
-        )
-
-
-def _worst(fit: CircuitFit) -> str:
-    """The reading that is farthest from what any such circuit gives."""
-    off = np.abs(fit.rest) / fit.sigma
-    index = int(off.argmax())
-    expected = fit.problem.measured - fit.rest
-    circuit = fit.problem.circuit.readout
-    reads, gives = (
-        float(circuit.recorded_from_volt(np.array(volt[index]))) for volt in (fit.problem.measured, expected)
-    )
-    places = [(trial.name, row, column) for trial in fit.problem.trials for row, column in np.argwhere(trial.used)]
-    name, row, column = places[index]
-    return (
-        f"{name}: no calibration: row {row}, column {column} reads {reads:.4g} {circuit.unit}, but behind the "
-        f"circuit that fits best the known resistors give {gives:.4g} {circuit.unit}; noise and tolerances explain "
-        f"{100 * np.mean(off < 3):.0f} % of the readings"
-    )
-
-
-def check_number(fit: CircuitFit, found: Found) -> None:
-    """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
-    name, where = found.number.name, f"{fit.problem.trials[0].name}: no calibration: "
-    enough = ENOUGH.get(found.number.name, WORST_OHM - TYPICAL_OHM if found.number.channel else 0.0)
-    if found.sigma > max(enough, MOST_SIGMA_SHARE * found.value):
-        raise InputError(
-            f"{where}the readings do not tell {name} ({found.value:.4g} ± {found.sigma:.2g} {found.number.unit}); "
-            f"known resistors of different values, on more lines, do"
-        )
-    if found.number.in_scene and found.number.channel:
-        _check_channels(fit, found, where)
-    for lines in found.lines:
-        _check_spread(found, lines, where)
-
-
-def _check_spread(found: Found, lines: LineOffsets, where: str) -> None:
-    """Raise InputError where two lines of a side differ by more than two channels, or two resistors, do."""
-    most = max(WORST_OHM - BEST_OHM if found.number.channel else 0.0, 2 * MOST_OF_RESISTORS * found.value)
-    high, low = int(np.nanargmax(lines.off_ohm)), int(np.nanargmin(lines.off_ohm))
-    apart = float(lines.off_ohm[high] - lines.off_ohm[low])
-    if apart - SURE * np.hypot(lines.sigma_ohm[high], lines.sigma_ohm[low]) > most:
-        raise InputError(
-            f"{where}{found.number.name} of {lines.side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
-            f"{most:.4g} ohm is likely ({LIKELY[found.number.channel]})"
-        )
-
-
-def _check_channels(fit: CircuitFit, found: Found, where: str) -> None:
-    """Raise InputError where channels alone have more than the worst ones do, or than the scene's and as far above.
-
-    A recording of equal cells looks like one of a larger series resistance in all else.
-    """
-    channels, specified = len(found.lines), fit.problem.circuit.specified(found.number)
-    most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
-    if found.value - SURE * found.sigma > most:
-        raise InputError(
-            f"{where}a {found.number.name} of {found.value:.4g} ohm is more than the {most:g} ohm that {channels} "
-            f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
-        )

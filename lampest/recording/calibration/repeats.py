@@ -1,6 +1,7 @@
 """Recordings of known resistors: what was read, and what stood in place of the cells."""
 
 import warnings
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,12 +19,10 @@ from lampest.recording.recording import Recording
 FEWEST_REPEATS = 50  # they tell a noise to a tenth
 ENDLESS = 65535  # readings: what is then left of σ does not average out
 BELIEF = 4.0  # the scene's noise counts as much as so many repeats: few frames with equal codes do not mean no noise
-WILD, FEWEST_FRAMES = 7.0, 5  # robust σ of a reading that is left out, and from how many frames on one can be told
-MOST_WILD = 0.02  # of all readings: spikes of a converter are some in ten thousand
-# Of the variance about the mean, in what stays from frame to frame. Resistors have none; what moves has nearly all.
-CHANGE = "change from frame to frame, which fixed resistors do not"
-MOST_LASTING, LEAST_LASTING_SHARE = 0.5, 1e-3
+FEWEST_FRAMES = 5  # from which on a wild reading, or one that drifts, can be told
+WILD, MOST_WILD = 7.0, 0.02  # robust σ of a reading that is left out; share of such: spikes are some in ten thousand
 SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
+CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +63,7 @@ def repeats(recording: Recording) -> Repeats:
     rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
     _check_steady(recording, readout, rest)
     squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
-    declared = (
-        sigma_code(readout, readout.assumed_noise) ** 2 - sigma_code(readout, readout.assumed_noise, ENDLESS) ** 2
-    )
+    declared = _averaging(readout, readout.assumed_noise)
     variance = (BELIEF * declared + squares) / (BELIEF + freedom)
     noise = np.array([noise_of_variance(readout, value) for value in variance])
     lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
@@ -74,10 +71,16 @@ def repeats(recording: Recording) -> Repeats:
     return Repeats(mean, readout.lsb_volt * np.sqrt(total), noise, freedom)
 
 
-def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
-    """Where noise does not reach either end of the converter, so that a mean is not drawn away from it; any shape."""
+def usable_range(readout: Readout) -> tuple[float, float]:
+    """V between which noise does not reach either end of the converter."""
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
-    return np.asarray((volt > margin) & (volt < readout.supply_volt - margin))
+    return margin, readout.supply_volt - margin
+
+
+def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
+    """Where a mean is not drawn away from an end of the converter; any shape."""
+    low, high = usable_range(readout)
+    return np.asarray((volt > low) & (volt < high))
 
 
 def sigma_code(readout: Readout, noise_lsb: PerLine, readings: int | None = None) -> Array:
@@ -86,13 +89,17 @@ def sigma_code(readout: Readout, noise_lsb: PerLine, readings: int | None = None
     return np.asarray(changed.sigma_code())
 
 
+def _averaging(readout: Readout, noise_lsb: PerLine) -> Array:
+    """LSB², what repeats average out of the variance: σ²(readings) − σ²(endlessly many)."""
+    return np.asarray(sigma_code(readout, noise_lsb) ** 2 - sigma_code(readout, noise_lsb, ENDLESS) ** 2)
+
+
 def noise_of_variance(readout: Readout, variance: float) -> float:
-    """The noise with that variance = σ²(readings) − b², where b² = σ²(endlessly many readings); by bisection."""
+    """The noise, LSB, of which repeats average out that variance, LSB²; by bisection."""
     low, high = 0.0, 2.0**readout.adc_bits
     while high - low > 1e-6:
         middle = (low + high) / 2
-        averaged = float(sigma_code(readout, middle)) ** 2 - float(sigma_code(readout, middle, ENDLESS)) ** 2
-        low, high = (middle, high) if averaged < variance else (low, middle)
+        low, high = (middle, high) if float(_averaging(readout, middle)) < variance else (low, middle)
     return low
 
 
@@ -124,7 +131,7 @@ def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
     total = float((rest**2).sum()) / (len(rest) - 1)
     quick = float((np.diff(rest, axis=0) ** 2).sum()) / 2 / (len(rest) - 1)
     lasting = np.sqrt(max(total - quick, 0.0) / rest[0].size) / 2.0**readout.adc_bits
-    if quick < (1 - MOST_LASTING) * total and lasting > LEAST_LASTING_SHARE:
+    if quick < total / 2 and lasting > 1e-3:
         raise InputError(
             f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
@@ -164,12 +171,12 @@ class Trial:
 
         Resistors of one name in two recordings are taken for one that was moved.
         """
-        count: dict[float, int] = {}
+        count: Counter[float] = Counter()
         found = {}
-        for row, column in np.argwhere(np.isfinite(self.known) & (self.known > 0)):
+        for row, column in np.argwhere(self.known > 0).tolist():
             value = float(self.known[row, column])
-            count[value] = count.get(value, -1) + 1
-            found[value, count[value]] = (int(row), int(column))
+            found[value, count[value]] = (row, column)
+            count[value] += 1
         return found
 
 
@@ -193,10 +200,8 @@ def known_resistors(text: str, panel: Panel) -> Array:
         raise InputError(f"--known: '{text}' is neither a number of ohm nor a file") from error
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: no table of resistances ({' '.join(str(error).split())})") from error
-    if not np.issubdtype(table.dtype, np.number) or np.iscomplexobj(table) or table.shape != panel.shape:
-        found = " × ".join(str(size) for size in table.shape)
-        raise InputError(
-            f"{path}: the panel has {panel.rows} × {panel.columns} cells, but the table holds {found} numbers"
-        )
-    known: Array = table.astype(float)
-    return known
+    if table.dtype.kind not in "iuf" or table.shape != panel.shape:
+        found = " × ".join(map(str, table.shape))
+        size = f"{panel.rows} × {panel.columns}"
+        raise InputError(f"{path}: the panel has {size} cells, but the table holds {found} numbers")
+    return np.asarray(table, dtype=float)

@@ -6,20 +6,22 @@ other drawn numbers do not change it. A recording keeps what was drawn, in /entr
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any, cast
 
 from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
+from lampest.files.memory import check_memory
 from lampest.files.sweep import combinations
 from lampest.files.typed import typed
 from lampest.files.whole import check_room
+from lampest.recording.simulation.measure import random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import random_stream
 
-MOST_VALUES = 50_000_000
-STORED_BYTES, LEAST_BYTES = 32, 100_000  # of a value with its truth and sums, and of a recording, on the disk at most
+STORED_BYTES, LEAST_BYTES = 32, 100_000  # of a value with its truth and sums, and of a recording, at most
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
 
 
@@ -38,20 +40,14 @@ def run(
     """
     planned = read_simulations(path, settings)
     targets = _targets(path, out, planned)
-    if sum(simulation.values for _, simulation in planned) > MOST_VALUES:
-        raise InputError(f"{path}: all recordings together hold more than {MOST_VALUES} values; split the sweep")
-    check_room(targets[0], sum(STORED_BYTES * simulation.values + LEAST_BYTES for _, simulation in planned))
-    recordings, done = [], 0
+    needed = sum(STORED_BYTES * simulation.values + LEAST_BYTES for _, simulation in planned)
+    check_memory(needed, f"{path}: all recordings of the sweep at once")
+    check_room(targets[0], needed)
+    recordings, done = [], count(1)
     frames = sum(simulation.all_frames for _, simulation in planned)
-
-    def next_frame() -> None:
-        nonlocal done
-        done += 1
-        on_frame(done, frames)
-
     for (name, simulation), target in zip(planned, targets, strict=True):
         try:
-            recordings.append(simulate(simulation, target.stem, next_frame))
+            recordings.append(simulate(simulation, target.stem, lambda: on_frame(next(done), frames)))
         except ValueError as error:
             raise InputError(f"{path}: {name}: {error}") from error
     for target, recording in zip(targets, recordings, strict=True):
@@ -77,9 +73,8 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)
         found.append((name, dataclasses.replace(case.value, output=name)))
-    names = [name for name, _ in found]
-    for index, name in enumerate(names):
-        if name in names[:index]:
+    for name, times in Counter(name for name, _ in found).items():
+        if times > 1:
             raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
     return found
 

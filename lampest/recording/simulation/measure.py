@@ -1,21 +1,95 @@
-"""What the electronics make of cells: their circuit, multiplexers, converter → recorded readings."""
+"""What the electronics make of cells: circuit, multiplexers, converter, and effects that no scene names → readings."""
 
+import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.memory import with_memory
+from lampest.files.typed import Configuration, check_not_negative
+from lampest.panel.memory import in_panel_order, with_memory
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
-from lampest.panel.readouts.wiring import Contacts
+from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Scene
-from lampest.recording.simulation.unmodelled import Unmodelled, disturbed, random_stream, static_factors, with_wire
+from lampest.panel.systematic import SINES
 
-AT_ONCE = 64
-MOST_RAW = np.iinfo(np.uint16).max
+AT_ONCE = 64  # readings
+
+
+@dataclass(frozen=True)
+class Unmodelled(Configuration):
+    """Effects that enter the data but not the recording's scene. Zero or None: absent.
+
+    Parameters
+    ----------
+    series_resistance_ohm : series resistance that the scene is silent about, on top of the one it names.
+    channel_spread_ohm : standard deviation of the on-resistance of a multiplexer's channels, one for each line.
+    reference_tolerance : the reference resistor is off by up to this fraction, drawn uniformly.
+    drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts, per minute.
+    outlier_probability : chance that one reading is a random code instead of a conversion.
+    noise_factor : the noise of one reading is so many times what the scene says.
+    supply_ripple_lsb, supply_ripple_hz : amplitude and frequency of a sine on what the converter sees, its phase drawn
+        for every frame; a scan takes the whole frame period, channel by channel. Without a frequency one period is as
+        long as the scan of a line.
+    gain_spread : standard deviation of a frame's gain, drawn for every frame: all its voltages by one factor.
+    load_speed_mm_s : loads travel along x by TRAVEL_MM to and fro at this speed, also while the lines are scanned one
+        after the other; the truth is that of the middle of the scan.
+    inl_lsb : the largest deviation of the converter's curve from a straight line, smooth, in least significant bits.
+    wire_ohm_per_cell : resistance of rows and columns from cell to cell, on top of what the scene says, in ohm.
+    reading_error : standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
+    response_loss : a film answers by this fraction less, in the logarithm of its resistance.
+    response_spread : standard deviation of the logarithm of a factor on each cell's answer, likewise in the logarithm.
+
+    Raises ValueError where a number is out of range.
+
+    >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
+    3.0
+    """
+
+    series_resistance_ohm: float = 0.0
+    channel_spread_ohm: float = 0.0
+    reference_tolerance: float = 0.0
+    drift_per_minute: float = 0.0
+    outlier_probability: float = 0.0
+    noise_factor: float | None = None
+    supply_ripple_lsb: float | None = None
+    supply_ripple_hz: float | None = None
+    gain_spread: float | None = None
+    load_speed_mm_s: float | None = None
+    inl_lsb: float | None = None
+    wire_ohm_per_cell: float | None = None
+    reading_error: float | None = None
+    response_loss: float | None = None
+    response_spread: float | None = None
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, *(field.name for field in fields(self)))
+        if self.reference_tolerance >= 1:
+            raise ValueError("reference_tolerance must be below 1")
+        if self.outlier_probability > 1:
+            raise ValueError("outlier_probability must not exceed 1")
+        if self.response_loss is not None and self.response_loss >= 1:
+            raise ValueError("response_loss must be below 1")
+
+    @property
+    def disturbs(self) -> bool:
+        """Whether anything is added to what the converter sees."""
+        return bool(self.supply_ripple_lsb or self.gain_spread or self.inl_lsb)
+
+    @property
+    def needs_converter(self) -> tuple[str, ...]:
+        """Effects that are present and act on a converter."""
+        names = ("reference_tolerance", "outlier_probability", "supply_ripple_lsb", "gain_spread", "inl_lsb")
+        noisier = () if self.noise_factor is None else ("noise_factor",)
+        return (*(name for name in names if getattr(self, name)), *noisier)
+
+
+def random_stream(seed: int, purpose: str) -> np.random.Generator:
+    """The random numbers for one purpose: those of other purposes stay the same whether or not these are drawn."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
 
 
 def measured(
@@ -44,11 +118,16 @@ def measured(
     if scene.contacts is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
-        scene = replace(scene, lines=with_wire(scene, unmodelled.wire_ohm_per_cell))
-    channels = channel_errors(scene, unmodelled, seed)
-    total = _line_by_line([actual.simulated(part, scene, *channels) for part in scanned or [cells]], actual.by_columns)
+        scene = replace(scene, lines=_with_wire(scene, unmodelled.wire_ohm_per_cell))
+    channels = _channel_errors(scene, unmodelled, seed)
+    total, *passes = [actual.simulated(part, scene, *channels) for part in scanned or [cells]]
+    if passes:  # each line was read in its own
+        axis = 2 if actual.by_columns else 1
+        each = [part.take(line, axis) for line, part in enumerate([total, *passes])]
+        total = np.stack(each, axis=axis)
     if unmodelled.reading_error:
-        total = total * static_factors(unmodelled.reading_error, scene.panel.shape, seed)
+        normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
+        total = total * np.exp(unmodelled.reading_error * normal)
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
     if scene.readout is None:
@@ -57,7 +136,7 @@ def measured(
         volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
         total = actual.recorded_from_volt(volt)
     if unmodelled.disturbs:
-        volt = disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
+        volt = _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
         total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
@@ -78,22 +157,13 @@ def _of_modules(
     for number, own in enumerate(scene.of_modules):
         inside = (..., *layout.cells(number))
         drawn = int(random_stream(seed, f"module {number}").integers(2**63))
-        parts = [part[inside] for part in scanned]
-        values, codes = measured(own, cells[inside], unmodelled, drawn, period_s, parts)
+        values, codes = measured(own, cells[inside], unmodelled, drawn, period_s, [part[inside] for part in scanned])
         recorded.append(np.full_like(values, np.nan) if number in scene.dead_modules else values)
-        sums.append(codes)
+        sums += [] if codes is None else [codes]
     for _ in cells:
         on_frame()
-    codes_of_all = None if any(part is None for part in sums) else layout.joined(np.stack(sums, axis=-3))  # type: ignore[arg-type]
-    return layout.joined(np.stack(recorded, axis=-3)), codes_of_all
-
-
-def _line_by_line(passes: Sequence[Array], by_columns: bool) -> Array:
-    """Readings (frames, rows, columns) of which each line was read in its own pass; one pass: all lines."""
-    if len(passes) == 1:
-        return passes[0]
-    axis = 2 if by_columns else 1
-    return np.stack([part.take(line, axis) for line, part in enumerate(passes)], axis=axis)
+    joined = layout.joined(np.stack(sums, axis=-3)) if sums else None
+    return layout.joined(np.stack(recorded, axis=-3)), joined
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
@@ -104,16 +174,12 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
 
 
-def channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
-    """Series resistance beyond the scene's: (rows) and (columns) ohm, δ_j of rows and δ_k of columns.
-
-    The series resistance that the scene is silent about stands on the driven side.
-    """
+def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
+    """δ_j of rows and δ_k of columns, ohm, beyond the scene; what it is silent about stands on the driven side."""
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
     driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
-    row_ohm, column_ohm = of_side(scene.circuit.noisy_side, unmodelled.series_resistance_ohm + driven, sensed)
-    return row_ohm, column_ohm
+    return of_side(scene.circuit.noisy_side, unmodelled.series_resistance_ohm + driven, sensed)
 
 
 def sums_of_codes(
@@ -138,6 +204,40 @@ def sums_of_codes(
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
     """The sums as a recording holds them; None where readings · (2^bits − 1) does not fit into 16 bits."""
-    if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) > MOST_RAW:
+    if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
     return sums.astype(np.uint16)
+
+
+def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
+    """V·(1 + gain) + ripple + INL(V), (frames, rows, columns) volt at the converter; period_s : between frames.
+
+    Ripple: sin(2πft + φ), t in the order of the scan, φ that of the frame. INL: a few sines, 0 at both ends.
+    """
+    if unmodelled.gain_spread:
+        gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
+        volt = volt * (1 + gain[:, None, None])
+    if unmodelled.supply_ripple_lsb:
+        channels, lines = volt[0].size, volt.shape[2 if readout.by_columns else 1]
+        periods = lines if unmodelled.supply_ripple_hz is None else unmodelled.supply_ripple_hz * period_s
+        time = (np.arange(channels) + 0.5) / channels * periods
+        phase = random_stream(seed, "ripple").uniform(0, 2 * np.pi, len(volt))
+        wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)
+        volt = volt + unmodelled.supply_ripple_lsb * readout.lsb_volt * wave
+    if unmodelled.inl_lsb:
+        weights = random_stream(seed, "inl").standard_normal(SINES)  # of half a wave over the range, one wave and so on
+
+        def sines(at: Array) -> Array:
+            waves = (weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1))
+            return np.asarray(sum(waves, np.zeros_like(at)))
+
+        largest = np.abs(sines(np.linspace(0, 1, 1001))).max()
+        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (sines(volt / readout.supply_volt) / largest)
+    return volt
+
+
+def _with_wire(scene: Scene, ohm_per_cell: float) -> Lines:
+    """The scene's lines with so much more from cell to cell."""
+    lines = scene.lines or Lines()
+    along_row, along_column = lines.row_ohm_per_cell + ohm_per_cell, lines.column_ohm_per_cell + ohm_per_cell
+    return replace(lines, row_ohm_per_cell=along_row, column_ohm_per_cell=along_column)

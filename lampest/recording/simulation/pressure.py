@@ -1,23 +1,20 @@
 """Pressure on every cell over time, and what the film makes of it."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import isfinite
-from typing import Any, ClassVar
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Configuration, check_not_negative
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
-from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes import Shape
 from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Water
-from lampest.recording.simulation.unmodelled import random_stream
+from lampest.recording.simulation.measure import random_stream
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
 # Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
@@ -25,7 +22,7 @@ MOMENTS, AT_ONCE = 8, 64
 
 
 @dataclass(frozen=True)
-class Course(Validated):
+class Course(Configuration):
     """Factors of contact and suction over time; the defaults are a load that is fully there from the first moment.
 
     Parameters
@@ -42,7 +39,6 @@ class Course(Validated):
     1.0
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     start_s: float = 0.0
     approach_s: float = 0.0
     attachment_s: float = 0.0
@@ -52,30 +48,25 @@ class Course(Validated):
     release_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not (isfinite(value) and (value >= 0 or field.name == "start_s")):
-                raise ValueError(f"{field.name} must be zero or positive, and finite")
+        check_not_negative(self, *(field.name for field in fields(self) if field.name != "start_s"))
+        if not isfinite(self.start_s):
+            raise ValueError("start_s must be finite")
         if self.breathing_depth >= 1:
             raise ValueError("breathing_depth must be below 1")
 
     def contact(self, time: Array) -> Array:
         """Factor of the contact pressure, (frames) s → 1."""
-        touched = time - self.start_s
-        return ramp(touched, self.approach_s) * self._breathing(touched) * self._released(time)
+        return self._grown(time, 0.0, self.approach_s)
 
     def suction(self, time: Array) -> Array:
         """Factor of the suction, (frames) s → 1; it begins when the approach is over."""
+        return self._grown(time, self.approach_s, self.attachment_s)
+
+    def _grown(self, time: Array, after_s: float, length: float) -> Array:
         touched = time - self.start_s
-        return ramp(touched - self.approach_s, self.attachment_s) * self._breathing(touched) * self._released(time)
-
-    def _breathing(self, touched: Array) -> Array:
-        return np.asarray(1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched))
-
-    def _released(self, time: Array) -> Array:
-        if self.release_at_s is None:
-            return np.ones_like(time)
-        return 1 - ramp(time - self.release_at_s, self.release_s)
+        breathing = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
+        grown = np.asarray(ramp(touched - after_s, length) * breathing)
+        return grown if self.release_at_s is None else grown * (1 - ramp(time - self.release_at_s, self.release_s))
 
 
 def ramp(time: Array, length: float) -> Array:
@@ -103,35 +94,23 @@ def pressure_on_cells(
     time : (frames) s after the first measured frame; the loads are absent in frames before it.
     along_mm : (frames) how far along x the loads are from their places; None: at them.
     """
-    if along_mm is None:
-        contact, suction = resting_pressure(panel, patch_mm, loads)
-    else:
-        frames = [resting_pressure(panel, patch_mm, [moved(load, mm) for load in loads]) for mm in along_mm]
-        contact, suction = np.stack(frames, axis=1)
-    loaded = time >= 0
-    courses = loaded * course.contact(time), loaded * course.suction(time)
-    moving = courses[0][:, None, None] * contact + courses[1][:, None, None] * suction
+
+    def resting(along: float) -> Array:
+        """(contact and suction, rows, columns) of loads that are fully there."""
+        there = [replace(load, centre_mm=(load.centre_mm[0] + along, load.centre_mm[1])) for load in loads]
+        each = [load.mean_pressure(panel, patch_mm) for load in (there if along else loads)]
+        return np.asarray(sum(map(np.array, each), np.zeros((2, *panel.shape))))
+
+    fully = resting(0.0)[None] if along_mm is None else np.stack([resting(float(mm)) for mm in along_mm])
+    courses = (time >= 0) * np.stack([course.contact(time), course.suction(time)])
+    moving = courses[0][:, None, None] * fully[:, 0] + courses[1][:, None, None] * fully[:, 1]
     return np.asarray(moving + water_pressure(panel, water))
-
-
-def resting_pressure(panel: Panel, patch_mm: float, loads: Sequence[Shape]) -> tuple[Array, Array]:
-    """(contact, suction) of loads that are fully there, (rows, columns) kPa each."""
-    contact, suction = np.zeros(panel.shape), np.zeros(panel.shape)
-    for load in loads:
-        pressing, sucking = load.mean_pressure(panel, patch_mm)
-        contact, suction = contact + pressing, suction + sucking
-    return contact, suction
 
 
 def travelled(speed_mm_s: float, time: Array) -> Array:
     """Where loads are that go TRAVEL_MM along x and back at one speed, (frames) mm from the middle of their way."""
     way = np.mod(speed_mm_s * time + TRAVEL_MM / 2, 2 * TRAVEL_MM)
     return np.asarray(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2)
-
-
-def moved(load: Shape, along_mm: float) -> Shape:
-    """The load elsewhere."""
-    return replace(load, centre_mm=(load.centre_mm[0] + float(along_mm), load.centre_mm[1]))
 
 
 def remembered_ratio(
@@ -141,27 +120,26 @@ def remembered_ratio(
     water: Array,
     time: Array,
     period: float,
-    response: Response = PUBLISHED,
+    response: Response,
 ) -> Array:
     """r over that of a flat, unloaded film in air, (frames, rows, columns).
 
     pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
     (frames) s, `period` apart.
     """
-    memory = true_memory(film, seed, water, response)
+    memory = _true_memory(film, seed, water, response)
     rest = memory.gain * response.logarithm(water)
     step, parts = period / MOMENTS, []
     for first in range(0, len(time), AT_ONCE):
-        frames = time[first : first + AT_ONCE]
-        moments = (frames[:, None] - step * np.arange(MOMENTS)[::-1]).ravel()
-        for number, loaded in enumerate(pressure(moments) - water):
+        moments = time[first : first + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1]
+        for number, loaded in enumerate(pressure(moments.ravel()) - water, 1):
             memory, change = memory.answered(loaded, step)
-            if number % MOMENTS == MOMENTS - 1:
+            if number % MOMENTS == 0:
                 parts.append(np.exp(rest + change))
     return np.stack(parts)
 
 
-def true_memory(film: Film, seed: int, water: Array, response: Response = PUBLISHED) -> FilmMemory:
+def _true_memory(film: Film, seed: int, water: Array, response: Response) -> FilmMemory:
     """A film at rest, drawn as is known of it: all cells together by its deviation, each by its spread."""
     strengths = []
     for name, value, most in (

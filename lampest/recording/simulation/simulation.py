@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import isfinite
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from lampest.files.document import to_yaml
 from lampest.files.memory import check_memory
-from lampest.files.typed import Validated, typed
+from lampest.files.typed import Configuration, check_positive_fields, check_range, typed
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.loads.shapes import AnyShape
@@ -18,19 +17,16 @@ from lampest.panel.panel import Array
 from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import measured, raw_sums
+from lampest.recording.simulation.measure import Unmodelled, measured, random_stream, raw_sums
 from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
-from lampest.recording.simulation.unmodelled import Unmodelled, random_stream
 
 MOST_VALUES = 20_000_000
 LEAST_OHM, MOST_OHM = 1e-3, 1e12
-SHORTEST_S, LONGEST_S = 1e-9, 1e8  # three years
-MOST_CELLS = 100_000
 COPIES = 10  # of all values, at the worst: pressures, cells, their factors, readings, sums
 
 
 @dataclass(frozen=True)
-class Cells(Validated):
+class Cells(Configuration):
     """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
 
     Raises ValueError where a number is out of range.
@@ -39,22 +35,17 @@ class Cells(Validated):
     3000.0
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     resistance_ohm: float = 3050.0
     spread: float = 0.2
     patch_mm: float = 6.0
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
-            raise ValueError("resistance_ohm must be positive and finite")
-        if not 0 <= self.spread <= 5:
-            raise ValueError("spread must lie between 0 and 5")
-        if not (isfinite(self.patch_mm) and self.patch_mm > 0):
-            raise ValueError("patch_mm must be positive and finite")
+        check_positive_fields(self, "resistance_ohm", "patch_mm")
+        check_range("spread", self.spread, 0, 5)
 
 
 @dataclass(frozen=True)
-class Simulation(Validated):
+class Simulation(Configuration):
     """All that makes a simulated recording.
 
     Parameters
@@ -78,7 +69,6 @@ class Simulation(Validated):
     2
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     schema: Literal[1]
     seed: int
     scene: Scene
@@ -99,12 +89,9 @@ class Simulation(Validated):
             raise ValueError("seed must lie between 0 and 2^64")
         if self.baseline_frames < 0 or self.frames < 1:
             raise ValueError("a recording needs at least one measured frame")
-        if not SHORTEST_S <= self.frame_period_s <= LONGEST_S:
-            raise ValueError(f"frame_period_s must be positive and finite, between {SHORTEST_S:g} and {LONGEST_S:g} s")
+        check_range("frame_period_s", self.frame_period_s, 1e-9, 1e8, " s")
         if self.values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values in one recording")
-        if self.scene.panel.crossings > MOST_CELLS:
-            raise ValueError(f"more than {MOST_CELLS} cells are not simulated")
         if self.course.start_s <= -self.frame_period_s:
             raise ValueError(
                 "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"
@@ -151,22 +138,20 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.crossings} cells")
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]
-    pressure = pressure_at(simulation, loaded_time)
     cells = cells_under(simulation, time)
-    scanned = scanned_cells(simulation, time) if simulation.unmodelled.load_speed_mm_s else ()
-    recorded, sums = measured(
-        simulation.scene, cells, simulation.unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame
-    )
-    raw = raw_sums(simulation.scene.readout, sums)
+    scene, unmodelled = simulation.scene, simulation.unmodelled
+    scanned = _scanned_cells(simulation, time) if unmodelled.load_speed_mm_s else ()
+    recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
+    raw = raw_sums(scene.readout, sums)
     return Recording(
-        scene=simulation.scene,
+        scene=scene,
         recorded=recorded,
         time=time,
         role=np.where(loaded_time < 0, UNLOADED, MEASURED).astype(np.uint8),
         truth_cell_resistance=cells,
-        truth_pressure=pressure,
+        truth_pressure=pressure_at(simulation, loaded_time),
         raw_sums=raw,
-        raw_readings=None if raw is None or simulation.scene.readout is None else simulation.scene.readout.readings,
+        raw_readings=None if raw is None or scene.readout is None else scene.readout.readings,
         name=name,
         simulation=to_yaml(simulation),
     )
@@ -188,58 +173,46 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : as `pressure_at` has it.
 
-    Raises ValueError where a cell leaves its range.
+    r0 is log-normal, and each cell drifts at its own rate. Raises ValueError where a cell leaves its range.
     """
+    scene, unmodelled = simulation.scene, simulation.unmodelled
+
+    def normal(purpose: str) -> Array:
+        return random_stream(simulation.seed, purpose).standard_normal(scene.panel.shape)
+
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        response = answered(film_ratio(simulation, time, later_s), simulation.unmodelled, simulation.seed)
-        cells: Array = unloaded_cells(simulation) * drift(simulation, time) * response
-        if simulation.scene.temperature is not None:
-            cells[simulation.baseline_frames :] *= np.exp(simulation.scene.temperature.logarithm)
+        ratio = _film_ratio(simulation, time, later_s)
+        if unmodelled.response_loss or unmodelled.response_spread:
+            loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
+            ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
+        drift = np.exp(unmodelled.drift_per_minute / 60 * normal("drift") * time[:, None, None])
+        unloaded = simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal("cells"))
+        cells: Array = unloaded * drift * ratio
+        if scene.temperature is not None:
+            cells[simulation.baseline_frames :] *= np.exp(scene.temperature.logarithm)
     if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
         raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
     return cells
 
 
-def scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
+def _scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
     """The cells (frames, rows, columns) ohm while each scanned line is read, in the order of the lines."""
-    scene = simulation.scene
-    each = scene.panel.networks[0]
-    lines = each.columns if scene.circuit.by_columns else each.rows
+    each = simulation.scene.panel.networks[0]
+    lines = each.columns if simulation.scene.circuit.by_columns else each.rows
     later = ((np.arange(lines) + 0.5) / lines - 0.5) * simulation.frame_period_s
     return tuple(cells_under(simulation, time, float(part)) for part in later)
 
 
-def film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
+def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
-    first, film = time[simulation.baseline_frames], simulation.true_film
-    response = simulation.response or simulation.scene.response or PUBLISHED
+    scene, film, first = simulation.scene, simulation.true_film, time[simulation.baseline_frames]
+    response = simulation.response or scene.response or PUBLISHED
     if film is None:
-        pressure = pressure_at(simulation, time - first, later_s)
-        return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
-    scene, period = simulation.scene, simulation.frame_period_s
-    water = water_pressure(scene.panel, simulation.water or scene.water)
-    return film.lowering * remembered_ratio(
+        return np.asarray(
+            ratio_from_pressure(pressure_at(simulation, time - first, later_s), response) ** response.gains
+        )
+    water, period = water_pressure(scene.panel, simulation.water or scene.water), simulation.frame_period_s
+    ratio = remembered_ratio(
         film, simulation.seed, lambda at: pressure_at(simulation, at - first, later_s), water, time, period, response
     )
-
-
-def answered(ratio: Array, unmodelled: Unmodelled, seed: int) -> Array:
-    """What a film makes of the ratio r/r0 (frames, rows, columns) that its response promises: a power of it."""
-    if not (unmodelled.response_loss or unmodelled.response_spread):
-        return ratio
-    normal = random_stream(seed, "response").standard_normal(ratio.shape[1:])
-    loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
-    return np.asarray(ratio ** ((1 - loss) * np.exp(spread * normal)))
-
-
-def unloaded_cells(simulation: Simulation) -> Array:
-    """r0, (rows, columns) ohm, log-normal."""
-    normal = random_stream(simulation.seed, "cells").standard_normal(simulation.scene.panel.shape)
-    return np.asarray(simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal))
-
-
-def drift(simulation: Simulation, time: Array) -> Array:
-    """exp(rate · t), (frames, rows, columns): every cell at its own rate, part of the truth."""
-    normal = random_stream(simulation.seed, "drift").standard_normal(simulation.scene.panel.shape)
-    rate = simulation.unmodelled.drift_per_minute / 60 * normal
-    return np.asarray(np.exp(rate * time[:, None, None]))
+    return film.lowering * ratio

@@ -12,9 +12,9 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.solvers.solution import Settings
 from lampest.studies.methods import (
     BREATHING,

@@ -17,8 +17,8 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.unmodelled import Unmodelled
 from lampest.recording.stored import only_frames
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
