@@ -1,6 +1,6 @@
 """All attacks. A new one joins the tuple of its module; a new module joins here."""
 
-from attack import damage, libraries, lines, memory, names, types, values, writes
+from attack import boards, damage, libraries, lines, memory, names, types, values, writes
 from attack.attack import Attack
 
 ATTACKS: tuple[Attack, ...] = (
@@ -11,5 +11,6 @@ ATTACKS: tuple[Attack, ...] = (
     *values.ATTACKS,
     *types.ATTACKS,
     *lines.ATTACKS,
+    *boards.ATTACKS,
     *libraries.ATTACKS,
 )

@@ -1,0 +1,290 @@
+"""Long, noisy and killed recordings of a board, guests of a live page with a board behind it, a broker that pauses."""
+
+import http.client
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from itertools import count as from_zero
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from attack.attack import HELD, HOUSE, MAIN, Attack, command
+from fuzz.batches import batch
+from fuzz.test_kills import killed_again_and_again
+from wild_board import WildBoard, hundred_a_second, wild_board, wire
+
+from lampest import Recording
+from lampest.recording.board import port, stream
+from lampest.recording.board.protocol import Hello
+from lampest.recording.board.record import record, repair
+from lampest.report.live.publish import publish_at
+
+DAY_FRAMES = 864_000  # of 24 h at 10 frames a second
+PART = 1_000  # frames of a day's part
+MORE_MEGABYTES, FRAME_BYTES = 8.0, 250  # by which a recording five times as long may grow; of a frame of 3 × 4 cells
+TOKEN = "a-token-of-my-own"
+MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
+
+
+def _noise(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Good frames among bursts of garbage in which answers are lost, and jumps of the clock by up to 10 s."""
+    for number in range(count):
+        jumps: list[int] = []
+        with (
+            mock.patch.object(stream, "SILENCE_SECONDS", 0.2),
+            mock.patch.object(port, "ANSWER_SECONDS", 0.05),
+            wild_board(lambda hello, jumps=jumps: _noisy(rng, board, hello, jumps)) as board,
+        ):
+            done = record(board.port, folder / f"{number}.h5", frames=150, period=0.01)
+        found = Recording.load(folder / f"{number}.h5")
+        assert found.acquisition is not None
+        labels = [label for label in found.acquisition.event_label if label == "clock jump"]
+        wrong = done.lost or done.restarts or np.any(np.diff(found.acquisition.sequence) != 1)
+        wrong = wrong or len(labels) != sum(at < 150 for at in jumps) or not np.allclose(np.diff(found.time), 0.01)
+        yield HELD if not wrong else f"{done.lost} lost, {done.restarts} restarts, {len(labels)} jumps of {jumps}"
+
+
+def _noisy(rng: np.random.Generator, board: WildBoard, hello: Hello, jumps: list[int]) -> Iterator[tuple[float, bytes]]:
+    ahead = 60_000
+    for number in from_zero():
+        chance = rng.random()
+        if number > 5 and chance < 0.01:
+            board.deaf = True
+            yield from ((0.005, rng.bytes(int(rng.integers(1, 200)))) for _ in range(int(rng.integers(1, 150))))
+            board.deaf = False
+        elif number > 5 and chance < 0.03 and (not jumps or number > jumps[-1] + 2):
+            ahead += int(rng.choice((-1, 1))) * int(rng.integers(1_000, 10_000))
+            jumps.append(number)
+        yield 0.005, wire(hello, number, ahead + 10 * number)
+
+
+def _kills(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """SIGKILL to a recorder at any moment: every frame that it counted is read, in order, before and after repair."""
+    for number in range(count):
+        yield _killed(rng, folder / f"{number}.h5")
+
+
+def _killed(rng: np.random.Generator, out: Path) -> str:
+    script = (
+        "import sys; from pathlib import Path; from lampest.recording.board.record import record\n"
+        "record(sys.argv[1], Path(sys.argv[2]), period=0.01, on_progress=lambda now: print(now.frames, flush=True))"
+    )
+    with wild_board(hundred_a_second) as board, _running("-c", script, board.port, out) as process:
+        assert process.stdout is not None
+        told = int(process.stdout.readline())
+        time.sleep(float(rng.uniform(0, 1)))
+        process.kill()
+        told = max([told, *(int(line) for line in process.stdout.read().splitlines()[:-1])])
+    left = Recording.load(out)
+    frames = len(left.time)
+    if frames < told:
+        return f"{told} frames were counted, {frames} are left"
+    if repair(out) != (frames, 0):
+        return f"repair lost some of {frames} frames"
+    found = Recording.load(out)
+    same = found.recorded.tobytes() == left.recorded.tobytes() and np.all(np.diff(found.time) > 0)
+    return HELD if same else "repair changed the frames"
+
+
+@contextmanager
+def _running(*words: object) -> Iterator["subprocess.Popen[str]"]:
+    """A Python process, which is killed at the end."""
+    environment = os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Parts of a day at 10 frames a second, over the wrap of the board's clock, as fast as the line takes them."""
+    sizes = {}
+    for frames in (PART, (count + 1) * PART):
+        out = folder / f"{frames}.h5"
+        with wild_board(_hurried) as board:
+            words = ("record", "--port", board.port, "--period", "0.1", "--count", str(frames), "--out", out.name)
+            ended = command(*words, folder=folder, seconds=600)
+        if ended.code:
+            yield ended.said(f"{frames} frames")
+            return
+        sizes[frames] = ended.peak / 1e6, out.stat().st_size / frames
+    found = Recording.load(out)
+    assert found.acquisition is not None
+    (before, _), (after, each) = sizes.values()
+    yield HELD if after < before + MORE_MEGABYTES * max(1, count / 4) else f"{before:.0f} MB, then {after:.0f} MB"
+    yield HELD if each < FRAME_BYTES else f"{each:.0f} bytes a frame: {each * DAY_FRAMES / 1e6:.0f} MB a day"
+    right = np.allclose(found.time, 0.1 * np.arange(len(found.time)), atol=1e-3) and not found.acquisition.lost.any()
+    yield HELD if right and not found.acquisition.session.any() else f"time ends at {found.time[-1]:.3f} s"
+
+
+def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
+    for number in from_zero():
+        yield 0.0, wire(hello, number, 2**32 - 50_000 + 100 * number)
+
+
+def _resumed_day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A long recording is killed: repair keeps all of it, in little memory."""
+    out = folder / "day.h5"
+    with wild_board(_hurried) as board:
+        words = ("record", "--port", board.port, "--period", "0.1", "--out", out)
+        with _running("-c", MAIN, *words) as process:
+            while not out.exists() or out.stat().st_size < count * PART * 100:
+                assert process.poll() is None
+                time.sleep(0.05)
+    ended = command("check", "--repair", out.name, folder=folder)
+    frames = int(ended.out.split()[0]) if ended.code == 0 else 0
+    found = Recording.load(out)
+    assert found.acquisition is not None
+    whole = np.array_equal(found.acquisition.sequence, np.arange(frames)) and frames > 0
+    yield HELD if whole and ended.peak < 4e8 else ended.said(f"{frames} frames, {ended.peak / 1e6:.0f} MB")
+
+
+def _flood(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """As many bytes of garbage as the line takes for so many tenths of a minute, good frames among them."""
+    junk = [rng.bytes(4000) for _ in range(20)]
+
+    def flooding(hello: Hello) -> Iterator[tuple[float, bytes]]:
+        for number in from_zero():
+            yield 0.0, wire(hello, number)
+            yield from ((0.0, junk[(number + part) % len(junk)]) for part in range(5))
+
+    sizes = []
+    for tenths in (1, count):
+        seconds = str(6 * tenths)
+        with wild_board(flooding) as board:
+            words = ("record", "--port", board.port, "--period", "0.1", "--seconds", seconds, "--out", f"{tenths}.h5")
+            ended = command(*words, folder=folder, seconds=6 * tenths + 60)
+        sizes.append(ended.peak / 1e6)
+        said = ended.code == 0 and " 0 restarts" in ended.out
+        yield HELD if said and ended.seconds < 7 * tenths + 30 else ended.said(f"{seconds} s of flood")
+    yield HELD if sizes[-1] < sizes[0] + 30 else f"{sizes[0]:.0f} MB, then {sizes[-1]:.0f} MB"
+
+
+def _guests(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A live page at all addresses before a board: nobody sees, tares or records without the token, by any address."""
+    with wild_board(hundred_a_second) as board, _page(folder, board.port) as where:
+        addresses = sorted({"127.0.0.1", *_addresses()})
+        for _ in range(count):
+            host = str(rng.choice(addresses))
+            wrong = TOKEN[: int(rng.integers(0, len(TOKEN)))] + "".join(rng.choice(list("abcé%&"), 3))
+            path = str(rng.choice(("/", "/views", "/zero", "/record?name=mine")))
+            shown = str(rng.choice((path, f"{path}{'&' if '?' in path else '?'}token={wrong.encode().hex()}")))
+            method = "POST" if path[1:5] in ("zero", "reco") else "GET"
+            status, text = _asked(host, where, method, shown, {"Authorization": f"Bearer {wrong.encode().hex()}"})
+            yield HELD if status == 403 and b"receiving" not in text else f"{method} {shown} at {host}: {status}"
+        yield HELD if not list(folder.glob("*.h5")) else "a guest began a recording"
+        bearer = {"Authorization": f"Bearer {TOKEN}", "X-Lampest": "1"}
+        for host in addresses:
+            status, text = _asked(host, where, "GET", "/", bearer)
+            yield HELD if status == 200 and b"<!doctype" in text[:40].lower() else f"{host} with the token: {status}"
+
+
+@contextmanager
+def _page(folder: Path, board: str) -> Iterator[int]:
+    """The port of a live page in a process of its own."""
+    words = ("live", "--port", board, "--period", "0.1", "--http", "0.0.0.0:0", "--token", TOKEN)
+    with (
+        _at(folder),
+        _running("-c", MAIN, *words) as process,
+    ):
+        assert process.stdout is not None
+        yield int(process.stdout.readline().split("/?token")[0].rpartition(":")[2])
+
+
+@contextmanager
+def _at(folder: Path) -> Iterator[None]:
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+def _addresses() -> set[str]:
+    """This computer's addresses but for the loopback one, as far as its name tells them."""
+    with suppress(OSError):
+        return {str(found[4][0]) for found in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    return set()
+
+
+def _asked(host: str, where: int, method: str, path: str, headers: dict[str, str]) -> tuple[int, bytes]:
+    with closing(http.client.HTTPConnection(host, where, timeout=20)) as connection:
+        connection.request(method, path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read(200)
+
+
+def _run_kills(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """Runs killed at any moment, the command, a worker or all of them: each resumes to the same results."""
+    made = batch(folder, 2, (1e-4, 1e-3))
+    try:
+        kills = killed_again_and_again(folder, made, count, int(rng.integers(2**31)))["kills"]
+    except AssertionError as fault:
+        yield f"a killed run: {fault}"
+        return
+    yield from [HELD] * kills
+
+
+def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A broker pauses for one to three seconds: what was sent meanwhile is lost, but for the first 0.2 s."""
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion
+    from units.test_stalled_listeners import message, reached
+
+    if MOSQUITTO is None:
+        return
+    with socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        where = int(place.getsockname()[1])
+    (folder / "conf").write_text(f"listener {where} 127.0.0.1\nallow_anonymous true\n")
+    ages: list[float] = []
+    ear = Client(CallbackAPIVersion.VERSION2)
+    ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
+    with subprocess.Popen([MOSQUITTO, "-c", folder / "conf"], stderr=subprocess.DEVNULL) as broker:
+        while ear.connect_async("127.0.0.1", where) or not reached(ear):
+            time.sleep(0.05)
+        ear.subscribe("panel")
+        ear.loop_start()
+        with publish_at(f"mqtt://127.0.0.1:{where}/panel").opened(lambda sentence: None) as (_, send):
+            for _ in range(count):
+                ages.clear()
+                paused, begin = float(rng.uniform(1, 3)), time.monotonic()
+                broker.send_signal(signal.SIGSTOP)
+                while time.monotonic() < begin + paused + 1:
+                    if time.monotonic() > begin + paused:
+                        broker.send_signal(signal.SIGCONT)
+                    send(message(1, 2))
+                    time.sleep(0.03)
+                late = sum(age > 0.5 for age in ages)
+                yield HELD if late < 15 and len(ages) > 15 else f"{late} of {len(ages)} messages came late"
+        ear.disconnect()
+        ear.loop_stop()
+        broker.terminate()
+
+
+ATTACKS = (
+    Attack("boards", "noise in which answers are lost, jumps of the clock", _noise, quick=1, full=20),
+    Attack("boards", "recorders killed at any moment", _kills, quick=1, full=100),
+    Attack("boards", "thousands of frames of a day at 10 a second", _day, quick=0, full=8),
+    Attack("boards", "a long recording that was killed", _resumed_day, quick=0, full=8),
+    Attack("boards", "a flood, tenths of a minute", _flood, quick=0, full=5),
+    Attack("page", "guests without the token before a board, at every address", _guests, quick=20, full=500),
+    Attack("kills", "runs killed at any moment", _run_kills, quick=0, full=200),
+    Attack("page", "pauses of a broker", _pauses, quick=1, full=10),
+)
