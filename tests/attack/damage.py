@@ -193,6 +193,28 @@ def _repaired(path: Path, meant: Recording) -> str:
     return HELD if same else "repair changed what it kept"
 
 
+def _shapes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A dataset is a single value, empty, text, or has an axis more: every reader refuses it in a sentence or reads."""
+    made = small_folder(folder / "work")
+    whole = {name: (made / name).read_bytes() for name in ("small.h5", "results.h5")}
+    commands = {"small.h5": ("info", "check", "tare"), "results.h5": ("info", "check", "compare", "plot", "export")}
+    for _ in range(count):
+        name = str(rng.choice(list(whole)))
+        (made / name).write_bytes(whole[name])
+        with h5py.File(made / name, "a") as file:
+            paths: list[str] = []
+            file.visititems(lambda path, node: paths.append(path) if isinstance(node, h5py.Dataset) else None)
+            path = str(rng.choice(paths))
+            values = file[path][()]
+            others = (0.0, h5py.Empty("f8"), np.bytes_(b"text"), np.array([values]), np.zeros(0), np.array(b"x"))
+            del file[path]
+            file[path] = others[int(rng.integers(len(others)))]
+        word = str(rng.choice(commands[name]))
+        further = {"tare": ("--frames", "0:1", "--out", "t.h5"), "export": ("--to", "mat")}.get(word, ())
+        ended = called(word, name, *further, folder=made)
+        yield f"{word}, {path}: {fault}" if (fault := ended.survived()) else HELD
+
+
 ATTACKS = (
     Attack("damage", "bits of a recording", _flipped("a.h5", Recording.load, _recording), 100, 2500),
     Attack("damage", "bits of results", _flipped("b.h5", read_results, good_results), 50, 2500),
@@ -200,6 +222,7 @@ ATTACKS = (
     Attack("damage", "results with pages lost or doubled", _cut("d.h5", read_results, good_results), 20, 400),
     Attack("damage", "bits, pages and tails of an unclosed recording", _unclosed, 20, 400),
     Attack("damage", "a bit in each dataset", _named),
+    Attack("damage", "datasets of another shape or type", _shapes, 20, 400),
     Attack("damage", "files without checksums", _older_files),
     Attack("damage", "sizes in files without checksums", _allocations, 0, 400),
 )
