@@ -193,6 +193,12 @@ def _repaired(path: Path, meant: Recording) -> str:
     return HELD if same else "repair changed what it kept"
 
 
+def _datasets(file: h5py.File) -> list[str]:
+    paths: list[str] = []
+    file.visititems(lambda path, node: paths.append(path) if isinstance(node, h5py.Dataset) else None)
+    return paths
+
+
 def _shapes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A dataset is a single value, empty, text, or has an axis more: every reader refuses it in a sentence or reads."""
     made = small_folder(folder / "work")
@@ -202,9 +208,7 @@ def _shapes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
         name = str(rng.choice(list(whole)))
         (made / name).write_bytes(whole[name])
         with h5py.File(made / name, "a") as file:
-            paths: list[str] = []
-            file.visititems(lambda path, node: paths.append(path) if isinstance(node, h5py.Dataset) else None)
-            path = str(rng.choice(paths))
+            path = str(rng.choice(_datasets(file)))
             values = file[path][()]
             others = (0.0, h5py.Empty("f8"), np.bytes_(b"text"), np.array([values]), np.zeros(0), np.array(b"x"))
             del file[path]
