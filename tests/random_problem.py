@@ -16,7 +16,7 @@ from lampest.cost.losses import Absolute, Huber, Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, term_types
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Panel

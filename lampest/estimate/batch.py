@@ -13,7 +13,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import OptimalMethod
-from lampest.estimate.state import Step
+from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
@@ -26,7 +26,6 @@ from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 Pushed = tuple[Stream | None, Step | None]
-NO_DUAL = np.zeros(0)
 
 
 def pushed_together(streams: Sequence[Stream | None], readings: Sequence[Readings], kept: Kept) -> list[Pushed]:

@@ -1,6 +1,5 @@
 """What an estimator made of a recording's frames, as arrays."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +17,6 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.interval import chi_square_tail
-from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
@@ -33,15 +31,7 @@ AT_RAILS = {  # what stands for the solver's own sentence where readings are at 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBars:
-    """Standard deviations and 95 % intervals; NaN where a frame failed, infinite where an estimate has none.
-
-    Parameters
-    ----------
-    cell_resistance_errors, cell_resistance_lower, cell_resistance_upper : (frames, rows, columns) ohm.
-    relative_change_errors : (frames, rows, columns) percent. ratio_lower, ratio_upper : of r/r0, the same shape.
-    resolution, data_share : (frames, rows, columns) diagonal and row sums of the averaging kernel; 0 without bars.
-    sigma_own, sigma_common : (frames, rows, columns) of log r, its own error and what cells share of it.
-    """
+    """(frames, rows, columns) as the properties of `Estimates` with these names; ratio_lower, ratio_upper : of r/r0."""
 
     cell_resistance_errors: Array
     cell_resistance_lower: Array
@@ -56,30 +46,27 @@ class ErrorBars:
 
     @classmethod
     def of(cls, cells: Array, baseline: Array, steps: tuple[Step, ...]) -> "ErrorBars":
-        """σ_r = r·σ(log r), and r·exp(−below) to r·exp(above).
-
-        cells : (frames, rows, columns) ohm. baseline : (rows, columns) ohm. steps : how the frames were solved.
-        """
+        """σ_r = r·σ(log r), and r·exp(−below) to r·exp(above); infinite, or 0 of shares, where a frame has no bars."""
         ratio = cells / baseline
 
-        def frames(part: Callable[[Bars], Array | None], unbarred: float = np.inf) -> Array:
-            maps = [None if step.bars is None else part(step.bars) for step in steps]
-            stacked = np.stack([np.full(baseline.shape, unbarred) if one is None else one for one in maps])
-            stacked[np.isnan(cells)] = np.nan
-            return stacked
+        def frames(name: str, change: bool = False, unbarred: float = np.inf) -> Array:
+            parts = [step.bars and (step.bars.change if change else step.bars.frame) for step in steps]
+            blank = np.full(baseline.shape, unbarred)
+            stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])
+            return np.where(np.isnan(cells), np.nan, stacked)
 
         with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
             return cls(
-                cells * frames(lambda bars: bars.frame.deviation),
-                cells * np.exp(-frames(lambda bars: bars.frame.below)),
-                cells * np.exp(frames(lambda bars: bars.frame.above)),
-                100 * ratio * frames(lambda bars: None if bars.change is None else bars.change.deviation),
-                ratio * np.exp(-frames(lambda bars: None if bars.change is None else bars.change.below)),
-                ratio * np.exp(frames(lambda bars: None if bars.change is None else bars.change.above)),
-                frames(lambda bars: bars.frame.resolution, 0.0),
-                frames(lambda bars: bars.frame.data_share, 0.0),
-                frames(lambda bars: bars.frame.own),
-                frames(lambda bars: bars.frame.common),
+                cells * frames("deviation"),
+                cells * np.exp(-frames("below")),
+                cells * np.exp(frames("above")),
+                100 * ratio * frames("deviation", change=True),
+                ratio * np.exp(-frames("below", change=True)),
+                ratio * np.exp(frames("above", change=True)),
+                frames("resolution", unbarred=0.0),
+                frames("data_share", unbarred=0.0),
+                frames("own"),
+                frames("common"),
             )
 
 
@@ -192,17 +179,14 @@ class Estimates:
     @property
     def status(self) -> tuple[str, ...]:
         """(frames) how each solve ended, a sentence; it names the converter's rails where they leave cells open."""
-        return tuple(
-            self._status(step, recorded)
-            for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True)
-        )
-
-    def _status(self, step: Step, recorded: Array) -> str:
-        readout, sentence = self.recording.scene.readout, AT_RAILS.get(step.solution.status)
-        if self.recording.scene.panel.modules is not None:
-            return step.status
-        rails = readout.rails_reached(recorded) if readout is not None and sentence is not None else ""
-        return sentence.format(rails) if rails and sentence is not None else step.status
+        readout, said = self.recording.scene.readout, []
+        if readout is None or self.recording.scene.panel.modules is not None:
+            return tuple(step.status for step in self.steps)
+        for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
+            sentence = AT_RAILS.get(step.solution.status)
+            rails = readout.rails_reached(recorded) if sentence else ""
+            said.append(sentence.format(rails) if sentence and rails else step.status)
+        return tuple(said)
 
     @property
     def solved(self) -> NDArray[np.bool_]:

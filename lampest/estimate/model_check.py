@@ -1,5 +1,6 @@
-"""Whether the circuit that a scene specifies can have made the readings, in a sentence."""
+"""Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from warnings import catch_warnings, simplefilter
@@ -7,11 +8,11 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL
-from lampest.estimate.comparison import Better, Explanation, better_rival, broken_law
+from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, moved_score
 from lampest.estimate.outliers import without_outliers
-from lampest.estimate.rivals import Question, nearly_gaussian, rivals_of, standing_frames
+from lampest.estimate.rivals import Question, Rival, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -22,6 +23,12 @@ from lampest.solvers.multistart import BROKEN
 EXPLAINED = "the circuit explains its readings"
 MOST_MODULES = 3  # of which the circuit is checked
 MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved
+NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
+GRID = 5  # resistances in series that are tried; what lies between is found by steps
+# −2 log probability by which another circuit must beat the scene's: e^18 to one. The best of eight kinds, with any
+# resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by 15 or less.
+MARGIN = 36.0
+MOST_ASKED = 3  # rivals: those that linear theory finds best
 
 
 @dataclass(frozen=True)
@@ -52,9 +59,41 @@ class ModelCheck:
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
 def recording_check(recording: Recording) -> ModelCheck:
     """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    measured = np.flatnonzero(recording.role == MEASURED)
+    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured, recording.number)
+
+
+def model_check(
+    scene: Scene,
+    recorded: Array,
+    sigma: Array | None,
+    unloaded: NDArray[np.intp],
+    measured: NDArray[np.intp],
+    number: NDArray[np.intp] | None = None,
+) -> ModelCheck:
+    """The check of frames (frames, rows, columns) as the scene's readout recorded them.
+
+    The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
+    held against the circuit's inequalities, and other circuits are tried on the same two. Raises InputError as
+    `Readings.of`.
+
+    unloaded, measured : which of the frames; without an unloaded one the first frame stands in. number : (frames) by
+    which sentences name them; None: as they come.
+    """
+    if scene.panel.modules is not None:
+        return _of_modules(scene, scene.panel.modules, recorded, sigma, unloaded, measured, number)
+    readings = Readings.of(scene, recorded, sigma)
+    if readings.sigma is None:
+        return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
+    try:
+        with np.errstate(all="ignore"):
+            outliers, _ = without_outliers(readings, np.isin(np.arange(len(recorded)), unloaded))
+            named, count = np.arange(len(recorded)) if number is None else number, int(outliers.sum())
+            check = _checked(scene, np.where(outliers, np.nan, recorded), sigma, unloaded, measured, named)
+            said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+            return replace(check, sentence=check.sentence + said)
+    except BROKEN:
+        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
 
 def _of_modules(
@@ -69,53 +108,23 @@ def _of_modules(
     """Of the modules whose readings move most, MOST_MODULES of them: one circuit after the other takes its time."""
     values = layout.split(Readings.of(scene, recorded, sigma).plain_values)
     with catch_warnings(), np.errstate(all="ignore"):
-        simplefilter("ignore")  # of a module that says nothing
+        simplefilter("ignore")  # of a module without readings
         resting = np.nanmean(values[unloaded if len(unloaded) else [0]], axis=0)
         moved = np.nan_to_num(np.nanmean(np.abs(np.log(values[measured] / resting)), axis=(2, 3))).max(0, initial=0.0)
     living = [one for one in np.argsort(moved)[::-1].tolist() if one not in scene.dead_modules]
-    chosen, found = sorted(living[:MOST_MODULES]), []
-    for one in chosen:
+    found = dict[int, ModelCheck]()
+    for one in sorted(living[:MOST_MODULES]):
         inside = (..., *layout.cells(one))
         known = None if sigma is None else sigma[inside]
-        found.append((one, model_check(scene.of_modules[one], recorded[inside], known, unloaded, measured, number)))
-    explains = [check.explains for _, check in found]
+        found[one] = model_check(scene.of_modules[one], recorded[inside], known, unloaded, measured, number)
+    explains = [check.explains for check in found.values()]
     verdict = False if False in explains else True if True in explains else None
-    said = [(one, check) for one, check in found if check.explains is verdict]
-    sentence = "; ".join(f"module {list(layout.place(one))}: {check.sentence}" for one, check in said)
-    if len(chosen) < layout.count:
-        sentence += f"; {len(chosen)} of {layout.count} modules were checked, those that move most"
-    noise = max(check.noise for _, check in found)
-    return ModelCheck(verdict, sentence, next((check.better for _, check in said if check.better), ""), noise)
-
-
-def model_check(
-    scene: Scene,
-    recorded: Array,
-    sigma: Array | None,
-    unloaded: NDArray[np.intp],
-    measured: NDArray[np.intp],
-    number: NDArray[np.intp] | None = None,
-) -> ModelCheck:
-    """The check of frames (frames, rows, columns) as the scene's readout recorded them.
-
-    unloaded, measured : which of the frames; without an unloaded one the first frame stands in. number : (frames) by
-    which sentences name them; None: as they come. The unloaded panel's
-    mean and the frame that differs most from it are explained by cells alone, every frame is held against the circuit's
-    inequalities, and other circuits are tried on the same two. Raises InputError as `Readings.of`.
-    """
-    if scene.panel.modules is not None:
-        return _of_modules(scene, scene.panel.modules, recorded, sigma, unloaded, measured, number)
-    readings = Readings.of(scene, recorded, sigma)
-    if readings.sigma is None:
-        return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
-    try:
-        with np.errstate(all="ignore"):
-            outliers, _ = without_outliers(readings, np.isin(np.arange(len(recorded)), unloaded))
-            named = np.arange(len(recorded)) if number is None else number
-            check = _checked(scene, np.where(outliers, np.nan, recorded), sigma, unloaded, measured, named)
-            return replace(check, sentence=check.sentence + _said_of_outliers(int(outliers.sum())))
-    except BROKEN:
-        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
+    said = {one: check for one, check in found.items() if check.explains is verdict}
+    sentence = "; ".join(f"module {list(layout.place(one))}: {check.sentence}" for one, check in said.items())
+    if len(found) < layout.count:
+        sentence += f"; {len(found)} of {layout.count} modules were checked, those that move most"
+    better = next((check.better for check in said.values() if check.better), "")
+    return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()))
 
 
 def _checked(
@@ -129,14 +138,13 @@ def _checked(
     """The check of readings whose noise is known, outliers left out."""
     readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
-    others = np.setdiff1d(measured, resting)
+    standing = np.setdiff1d(measured, resting)
     specified, *rivals = rivals_of(scene, recorded, sigma)
     used = replace(readings, seen=readings.seen * nearly_gaussian(specified, 1))
     noise = noise_factor(used[resting])
-    standing = others
-    if len(others):
-        frame = strongest_frame(readings.plain_values, readings[resting].mean().value, others)
-        standing = standing_frames(used, frame, others, noise)
+    if len(standing):
+        frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
+        standing = standing_frames(used, frame, standing, noise)
     question = Question(specified, resting, standing, noise, named)
     found = Explanation.of(specified, question, patient=True)
     fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
@@ -145,13 +153,16 @@ def _checked(
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     compared = readings[np.concatenate([question.resting, question.standing])]
     whole = float(compared.missing(scene).mean()) <= MOST_MISSING
-    better = better_rival([specified, *rivals], question, None if fault else found) if whole else None
-    sentence = _sentence(fault, better)
+    better, reason = better_rival([specified, *rivals], question, None if fault else found) if whole else ("", "")
     if not whole:
         sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing"
+    elif fault:
+        sentence = f"{fault}; {better} does" if better else f"{fault}; no other circuit that was tried gives them"
+    else:
+        sentence = f"{better} explains the readings better: {reason}" if better else EXPLAINED
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
-    return ModelCheck(not fault and better is None, sentence, "" if better is None else better.name, noise)
+    return ModelCheck(not fault and not better, sentence, better, noise)
 
 
 def noise_factor(resting: Readings) -> float:
@@ -166,12 +177,12 @@ def noise_factor(resting: Readings) -> float:
     return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
 
 
-def _unexplained(found: Explanation, question: Question) -> str:
+def _unexplained(found: "Explanation", question: Question) -> str:
     """What the cells leave unexplained, in words; '' where nothing."""
-    if found.holds:
-        return ""
     worst = int(np.argmin([fit.tail for fit in found.fits]))
     fit, what = found.fits[worst], question.loaded if worst else "the unloaded panel"
+    if fit.tail >= LEVEL:
+        return ""
     return (
         f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
         f"be noise, {fit.worst_line()}"
@@ -192,16 +203,163 @@ def _below_series(scene: Scene, recorded: Array, readings: Readings, named: NDAr
     return f"the reading of row {row}, column {column} in frame {named[frame]} lies {short} its noise"
 
 
-def _sentence(fault: str, better: Better | None) -> str:
-    if fault:
-        return f"{fault}; " + (
-            "no other circuit that was tried gives them" if better is None else f"{better.name} does"
-        )
-    if better is None:
-        return EXPLAINED
-    return f"{better.name} explains the readings better: {better.reason}"
+def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp] | None = None) -> str:
+    """The inequality of the circuit that readings break by more than their noise, in words; '' where none.
+
+    noise : factor on every σ. named : (frames) the numbers by which the words name them; None: as they come.
+    """
+    sigma = readings.sigma_of_values
+    assert sigma is not None
+    for test in scene.circuit.free_tests(readings.value, noise * sigma):
+        frame = int(np.argmax(test.excess))
+        if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
+            number = frame if named is None else named[frame]
+            beyond = f"{test.excess[frame]:.3g} times its noise"
+            return f"readings of frame {number} break a law of the circuit by {beyond}: {test.law}"
+    return ""
 
 
-def _said_of_outliers(count: int) -> str:
-    """What a sentence on the circuit says of them; nothing where there are none."""
-    return f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
+
+    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
+    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    """
+
+    rival: Rival
+    fits: tuple[CellsFit, ...]
+    score: float
+    moving: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, rival: Rival, question: Question, near: "Explanation | None" = None, patient: bool = False
+    ) -> "Explanation | None":
+        """Of a circuit; None where no fit is found. near : of a circuit much like it, or None.
+
+        patient : the fit is searched for from every start, and taken whatever it leaves; else a circuit is given up as
+        soon as it fails.
+        """
+        fits: list[CellsFit] = []
+        try:
+            for number, readings in enumerate(question.readings(rival)):
+                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient)
+                if fit is None or (not patient and fit.tail < LEVEL):
+                    return None
+                fits.append(fit)
+            alone = cls(rival, tuple(fits), 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
+            if not alone.comparable:
+                return alone
+            score, moving = moved_score(*fits)
+        except (InputError, *BROKEN):
+            return None
+        bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
+        return replace(alone, score=score + PRICE * bounds, moving=moving)
+
+    def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
+        """Both frames explained by the network itself, as if these cells had moved to begin with."""
+        return JointFit.of(self.rival, question, tuple(fit.cells for fit in self.fits), moving)
+
+    @property
+    def comparable(self) -> bool:
+        """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
+        return len(self.fits) == 2 and self.fits[0].small
+
+    @property
+    def holds(self) -> bool:
+        """Whether the circuit explains both."""
+        return min(fit.tail for fit in self.fits) >= LEVEL
+
+    @property
+    def sparse(self) -> bool:
+        """Whether it leaves more than half of the cells where they were."""
+        return 2 * int(self.moving.sum()) < self.moving.size
+
+
+def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> tuple[str, str]:
+    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better, and how that shows.
+
+    ('', '') without one. rivals : the scene's circuit first. specified : what that explains; None where it does not. No
+    rival is one under which most cells have moved, for nothing then shows which have not, or as many as under the
+    scene's circuit.
+    """
+    if specified is None:
+        tried = (with_some_in_series(rivals[0], question), *(explanation_of(rival, question) for rival in rivals[1:]))
+        found = [one for one in tried if one is not None and one.sparse and _lawful(one.rival, question)]
+        return min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1], ""
+    if not specified.comparable:
+        return "", ""
+    as_told = specified.joint(question, specified.moving)
+    if as_told.beyond_noise < MARGIN:
+        return "", ""
+    best = min(_others(as_told, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
+    if best is None or not _beaten(as_told, best):
+        return "", ""
+    # What moved under the rival may have moved under the specified circuit.
+    again = specified.joint(question, best.moved)
+    moved = min(as_told.count, again.count)
+    if not _beaten(again, best) or best.count >= moved:
+        return "", ""
+    counts = f"{best.count} cells have moved then, and {moved} as told"
+    return best.rival.name, f"between the unloaded panel and {question.loaded} {counts}"
+
+
+def _beaten(specified: JointFit, best: JointFit) -> bool:
+    """Whether a rival explains better by MARGIN, wider where even the rival leaves more than noise."""
+    return bool(specified.beyond_noise > best.beyond_noise + MARGIN * best.excess)
+
+
+def _others(as_told: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
+    """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves.
+
+    Each as it is and with more in series, rivals begun with nothing and with some in series.
+    """
+    plain = (explanation_of(rival, question) for rival in rivals)
+    better = (one for one in plain if one is not None and one.score < specified.score)
+    likely = sorted(better, key=lambda one: one.score)[:MOST_ASKED]
+    begun = (with_some_in_series(one.rival, question) for one in likely)
+    for one in (specified, *likely, *(one for one in begun if one is not None)):
+        try:
+            fit = as_told if one is specified else one.joint(question, one.moving)
+            most = most_in_series(fit.rival, question)
+            fits = [fit] * (one is not specified) + ([fit.with_series(most)] if most else [])
+        except (InputError, *BROKEN):
+            continue
+        yield from (fit for fit in fits if fit.sparse and np.isfinite(fit.score))
+
+
+def explanation_of(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival as it is; where it explains nothing, with the resistance in series that explains best of a few."""
+    return Explanation.of(rival, question) or with_some_in_series(rival, question)
+
+
+def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
+    """Of a rival with the resistance in series that explains best of a few; None where it has none."""
+    most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
+    found: list[Explanation] = []
+    for ohm in np.linspace(0, most, GRID)[int(rival.scene.told_in_series == 0) :] if most else ():
+        one = Explanation.of(rival.with_series(float(ohm)), question, found[-1] if found else None)
+        found += [] if one is None else [one]
+    return min(found, key=lambda one: one.score, default=None)
+
+
+def most_in_series(rival: Rival, question: Question) -> float:
+    """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    if not rival.scene.circuit.series_name or len(question.standing) == 0:
+        return 0.0
+    without = rival.with_series(0.0)
+    try:
+        read = question.readings(without)
+    except (InputError, *BROKEN):
+        return 0.0
+    known = [(one.value, sigma) for one in read if (sigma := one.sigma_of_values) is not None]
+    most = min(without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
+    return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
+
+
+def _lawful(rival: Rival, question: Question) -> bool:
+    """Whether every frame keeps the inequalities of a circuit that is to take the specified one's place."""
+    readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
+    used = replace(readings, seen=readings.seen * nearly_gaussian(question.specified, 1))
+    return not broken_law(rival.scene, used, question.widening)

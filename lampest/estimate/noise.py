@@ -1,4 +1,4 @@
-"""What a recording's own frames say of its noise, beside what the scene says, and readings that allow for it."""
+"""What a recording's own frames show of its noise, beside what the scene says, and readings that allow for it."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL
-from lampest.estimate.motion import scan_share, swept
-from lampest.estimate.outliers import LEAST_FRAMES, without_outliers
-from lampest.estimate.plain_warnings import plain_warnings
+from lampest.estimate.cells_fit import LEVEL, fitted
+from lampest.estimate.outliers import FAR, LEAST_FRAMES, without_outliers
 from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
+from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -29,20 +28,28 @@ FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open 
 MOST_NAMED = 3  # modules of which a sentence says what their frames show
 CROWDED = 0.05  # of the unloaded readings: where more are outliers, neighbours in time are, too, and replace them badly
 
+SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
+MOST_MOVING = 3  # frames, those that move most, in which it is sought
+THIRD = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
+LEAST_LEFT = 0.1  # of a reading, however fast it changes
+
+STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+MOVED = 0.01  # of a reading: what a load changes at least
+SEVERAL = 5  # readings: a finger moves as many
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseSeen:
     """What unloaded frames and neighbours in time show.
 
-    factor, factor_error : of each reading's own noise against the specified one, and its standard deviation; NaN where
-    fewer than two unloaded frames show nothing. used : by what σ is multiplied, 1 where nothing contradicts the scene.
-    frame : what the readings of a frame share, or None. gain : as a fraction; together, apart : rms in LSB, of what all
-    scanned lines of a frame share and of what each has anew; 0 where not seen.
-    share : of its period that a scan seems to take, where loads move within it; else 0.
     outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
-    these, of all. hidden : what still cells leave possible of errors that all frames share, or None.
-    sentence : what speaks against the specified noise; ''. readings : as they are to be taken, of all frames.
-    of_modules : of a panel of modules, what each one's own frames show; None of a dead one.
+    them, of all. sentence : what contradicts the scene, or may mislead; ''. readings : of all frames, which allow for
+    all this. factor, factor_error : of each reading's own noise against the specified one, and its standard deviation;
+    NaN where fewer than two unloaded frames show nothing. used : by what σ is multiplied, 1 where nothing contradicts
+    the scene. frame : what the readings of a frame share, or None. gain : as a fraction; together, apart : rms in LSB,
+    of what all scanned lines of a frame share and of what each has anew; 0 where not seen. hidden : what still cells
+    leave possible of errors that all frames share, or None. share : of its period that a scan seems to take, where
+    loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a single network.
     """
 
     outliers: NDArray[np.bool_]
@@ -87,21 +94,23 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, noise_seen.__wrapped__)
     seen, sizes, scene = frame_noise_seen(recording), usual(recording.scene), recording.scene
-    with np.errstate(all="ignore"):
-        seen = replace(seen, sentence=_joined(*plain_warnings(recording, seen.readings), seen.sentence))
+    seen = replace(seen, sentence=_joined(*plain_warnings(recording, seen.readings), seen.sentence))
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured) or sizes is None:
         return seen
     with suppress(*BROKEN), np.errstate(all="ignore"):
         resting = seen.readings[unloaded].mean()
-        share = scan_share(scene, resting, seen.readings, measured)
-        still = _with_motion(scene, seen, share, measured)
+        still = _with_motion(scene, seen, scan_share(scene, resting, seen.readings, measured), measured)
         strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
         chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
         hidden = errors_left_possible(scene, sizes, resting, still.readings[chosen], seen.frame)
         own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.sure else 0.0
-        said = _reading_error_in_words(own) if own > (sizes.reading_error or 0.0) else ""
-        return replace(still, hidden=hidden, sentence=_joined(still.sentence, said))
+        said = (
+            f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
+            "frames, which error bars allow for"
+        )
+        more = own > (sizes.reading_error or 0.0)
+        return replace(still, hidden=hidden, sentence=_joined(still.sentence, said if more else ""))
     return seen
 
 
@@ -112,11 +121,11 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
     """
     layout = recording.scene.panel.modules
     if layout is not None:
-        told = (None,) * layout.count if known is None else known.of_modules
-        parts = [noise_seen_in_part(*pair) for pair in zip(recording.modules, told, strict=True)]
+        noises = (None,) * layout.count if known is None else known.of_modules
+        parts = [noise_seen_in_part(*pair) for pair in zip(recording.modules, noises, strict=True)]
         return Readings.of_parts(layout, parts)
     seen = frame_noise_seen(recording)
-    if known is not None and known.share:
+    if known is not None:
         with suppress(*BROKEN), np.errstate(all="ignore"):
             seen = _with_motion(recording.scene, seen, known.share, np.flatnonzero(recording.role == MEASURED))
     return seen.readings
@@ -139,67 +148,43 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     readout, frame, sizes = recording.scene.readout, None, (0.0, 0.0)
     specified = readout is None or recording.sigma is not None or readout.noise_told
     open_from = FEWEST_OPEN if readout is not None and readout.noise_lsb is None else 2
-    used = _used_factor(parts)
-    if readout is not None and not specified and unloaded >= open_from:
-        used = _shown_factor(readout, parts.own)
+    from_frames = readout is not None and not specified and unloaded >= open_from
+    used = _shown_factor(readout, parts.own) if readout is not None and from_frames else _used_factor(parts)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
         roots = parts.together * volt, parts.apart * volt
-        sizes = _rms(roots[0], readout), _rms(roots[1], readout)
+        together, apart = (float(np.sqrt((root**2).sum() / len(root))) / readout.lsb_volt for root in roots)
+        sizes = together, apart
         if parts.gain or parts.together.size or parts.apart.size:
             frame = FrameNoise(recording.scene, unloaded, parts.gain, *roots)
-    factor = (
-        ""
-        if used == 1 or not (specified or unloaded < open_from)
-        else (
-            f"unloaded frames scatter {parts.own:.2g} +- {error:.1g} times as much as the scene says, "
-            "and error bars are wider by that"
-        )
+    contradicted = (
+        f"unloaded frames scatter {parts.own:.2g} +- {error:.1g} times as much as the scene says, "
+        "and error bars are wider by that"
     )
     if used != 1 and cleaned.sigma is not None:
         cleaned = replace(cleaned, sigma=used * cleaned.sigma)
-    said = _joined(plain.sentence, factor, _shared_in_words(parts.gain, *sizes))
-    return NoiseSeen(outliers, rate, said, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
+    said = "" if used == 1 or from_frames else contradicted
+    sentence = _joined(plain.sentence, said, _shared_in_words(parts.gain, *sizes))
+    return NoiseSeen(outliers, rate, sentence, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
 
 
 def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording], NoiseSeen]) -> NoiseSeen:
     """What the frames of every module show, each by itself; a dead one shows nothing."""
-    dead, number_of = recording.scene.dead_modules, range(layout.count)
-    every = [None if number in dead else seen(recording.modules[number]) for number in number_of]
+    dead = recording.scene.dead_modules
+    every = [None if number in dead else seen(module) for number, module in enumerate(recording.modules)]
     given = recording.readings()
     readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
     outliers = np.stack([nothing if one is None else one.outliers for one in every], axis=-3)
     said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.sentence]
     more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
-    there = [one for one in every if one is not None]
     return NoiseSeen(
         layout.joined(outliers),
-        float(np.mean([one.outlier_rate for one in there])),
+        float(np.mean([one.outlier_rate for one in every if one is not None])),
         _joined(*said[:MOST_NAMED], more),
         Readings.of_parts(layout, readings),
         of_modules=tuple(every),
     )
-
-
-def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:
-    """With wider σ where readings were taken while loads moved."""
-    sigma = seen.readings.sigma
-    if not share or sigma is None:
-        return seen
-    moved = share * swept(scene, seen.readings, measured)
-    count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
-    said = (
-        f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
-        "error bars allow for it as far as their neighbours show"
-    )
-    wider = replace(seen.readings, sigma=np.hypot(sigma, moved))
-    return replace(seen, readings=wider, share=share, sentence=_joined(seen.sentence, said))
-
-
-def _rms(root: Array, readout: Readout) -> float:
-    """Standard deviation of a channel, LSB."""
-    return float(np.sqrt((root**2).sum() / len(root))) / readout.lsb_volt
 
 
 def _shown_factor(readout: Readout, factor: float) -> float:
@@ -219,15 +204,117 @@ def _used_factor(parts: Scatter) -> float:
     return parts.own if parts.own >= LEAST_FACTOR and tail < LEVEL else 1.0
 
 
-def _reading_error_in_words(size: float) -> str:
-    return (
-        f"cells that nobody touched seem to move as if each reading were off by {100 * size:.2g} %, the same in all "
-        "frames, which error bars allow for"
+def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """Δ·τ (frames, rows, columns) of the measured frames in the unit of readings; 0 for frames before them.
+
+    Δ is half the difference of the frames before and after; the first and the last one have one neighbour.
+    """
+    moved = np.zeros(readings.value.shape)
+    if len(measured) > 1:
+        moved[measured] = np.gradient(readings.value[measured], axis=0)
+    return moved * _late(scene, readings)
+
+
+def swept(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """|τ| times the larger of a reading's steps from the frame before and to the one after, as `passing`.
+
+    A load that has come and gone from one frame to the next but one leaves no difference between these.
+    """
+    step = np.zeros(readings.value.shape)
+    if len(measured) > 1:
+        steps = np.abs(np.diff(readings.value[measured], axis=0))
+        step[measured[1:]] = steps
+        step[measured[:-1]] = np.maximum(step[measured[:-1]], steps)
+    return step * np.abs(_late(scene, readings))
+
+
+def _late(scene: Scene, readings: Readings) -> Array:
+    """τ (1, rows, columns) of each reading: how late it is taken, from the middle of its frame, in periods."""
+    channels = readings.value[0].size
+    late = (np.arange(channels) + 0.5) / channels - 0.5
+    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
+
+
+def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
+    """The share s of its period that a frame's scan seems to take; 0 where nothing shows it.
+
+    Frames with most motion that have two neighbours are tried: no cells explain their readings, but some do once s·Δ·τ
+    is taken off. Where no share helps, loads move too far from frame to frame for Δ, and s is 1.
+    """
+    inner = measured[1:-1]
+    if not len(inner) or readings.sigma is None or resting.sigma is None:
+        return 0.0
+    moved = passing(scene, readings, measured)
+    size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
+    moving = inner[np.argsort(-size[inner])][:MOST_MOVING]
+    if size[moving[0]] < THIRD:
+        return 0.0
+    base = fitted(scene, resting, patient=True)
+    if base is None or base.tail < LEVEL:
+        return 0.0
+
+    def left(share: float) -> tuple[list[float], float]:
+        """(χ²'s tails, Σ log(1 + χ²)) of what cells leave of the frames once share·Δ·τ is taken off."""
+        freed = replace(readings, value=np.maximum(readings.value - share * moved, LEAST_LEFT * readings.value))
+        fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
+        tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
+        return tails, float(sum(np.log1p(fit.chi_square) for fit in fits))
+
+    tails, cost = left(0.0)
+    if min(tails) >= LEVEL:
+        return 0.0
+    least, best = min((left(share)[1], share) for share in SHARES)
+    if least < cost - len(moving) * np.log(THIRD):
+        return best
+    return float(np.median(tails) < LEVEL)  # the whole period, or nothing
+
+
+def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:
+    """With wider σ where readings were taken while loads moved."""
+    sigma = seen.readings.sigma
+    if not share or sigma is None:
+        return seen
+    moved = share * swept(scene, seen.readings, measured)
+    count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
+    said = (
+        f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
+        "error bars allow for it as far as their neighbours show"
     )
+    wider = replace(seen.readings, sigma=np.hypot(sigma, moved))
+    return replace(seen, readings=wider, share=share, sentence=_joined(seen.sentence, said))
+
+
+@np.errstate(all="ignore")
+def plain_warnings(recording: Recording, readings: Readings) -> list[str]:
+    """What a user most often gets wrong, a sentence each without a full stop; readings : of all frames."""
+    unloaded, measured, circuit = recording.role == UNLOADED, recording.role == MEASURED, recording.scene.circuit
+    readout, said = recording.scene.readout, []
+    if not unloaded.any():
+        said.append("no frame is unloaded (role 0), so changes and pressures are against the first measured frame")
+    elif unloaded.sum() == 1:
+        said.append("only one frame is unloaded, so that nothing shows the noise: record five or more")
+    if readout is not None and recording.sigma is None:
+        volt = float(np.nanmedian(circuit.volt_from_recorded(recording.recorded)))
+        steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
+        if steps < STEPS:
+            said.append(
+                f"the median reading, {np.nanmedian(recording.recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
+                f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
+            )
+    if unloaded.any() and measured.any() and readings.sigma is not None:
+        resting, values = readings[unloaded].mean().value, readings[measured].plain_values
+        far = np.abs(values - resting) > FAR * readings.sigma[measured]
+        change: Array = np.log(circuit.apparent_resistance(values) / circuit.apparent_resistance(resting))
+        risen, fallen = (int((far & (sign * change > MOVED)).any(axis=0).sum()) for sign in (1, -1))
+        if risen >= SEVERAL and fallen == 0:
+            said.append(
+                "readings only ever show less load than the unloaded frames: did something lie on the panel then?"
+            )
+    return said
 
 
 def _shared_in_words(gain: float, together: float, apart: float) -> str:
-    """What the readings of a frame share; error bars hold it."""
+    """What the readings of a frame share."""
     said = [
         f"the gain of a frame varies by {100 * gain:.2g} %" if gain else "",
         f"the lines of a scan vary together by {together:.2g} LSB" if together else "",
@@ -266,4 +353,4 @@ def _sizes_in_words(hidden: Possible) -> str:
 
 def _joined(*said: str) -> str:
     """One after the other, what is empty left out."""
-    return "; ".join(part for part in said if part)
+    return "; ".join(filter(None, said))

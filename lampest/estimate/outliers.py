@@ -1,7 +1,7 @@
-"""Single readings that are outliers in time: far from what the frames around let expect, which agree.
+"""Outliers in time: single readings that one frame has otherwise than the frames around it let expect.
 
-A loose contact or a lost bit moves one reading for one frame; a touch moves many together. Among unloaded frames an
-outlier is left out of the mean; among measured ones its neighbours in time replace it.
+A loose contact or a lost bit moves one reading of one frame; a touch moves many together. Unloaded outliers are left
+out of the mean, measured ones replaced by what their neighbours in time let expect.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal
@@ -25,10 +24,7 @@ ALONE = 6.0
 SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
 TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
 LEAST_FRAMES = 3  # that tell which of them is the odd one
-CHECKED = 5  # cells of a diagonal at which it is checked whether lines follow a load
-
-MOVES = 2.0  # times its noise: a reading whose median error is larger moves
-BLOCK = 8  # frames whose errors are compared with those of as many before and after
+BLOCK = 2 * NEAREST  # frames whose errors are compared with those of as many before and after
 FALSE = 0.01  # recordings without outliers in which chance makes one
 
 # (what neighbours in time let expect, how far off that may be by their scatter, and by noise as a multiple of its σ).
@@ -46,32 +42,32 @@ class Outliers:
 
     @classmethod
     def of(cls, value: Array, scale: Array, most_share: float = 1.0) -> "Outliers":
-        """Of readings (frames, rows, columns) in order of time, NaN where one says nothing; scale : their σ.
+        """Of readings (frames, rows, columns) in order of time, NaN where there is none; scale : their σ.
 
         A frame in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
         readings beside σ = 0.
         """
         predictors = [_by_median, *([_by_line] if len(value) > NEAREST else [])]
-        expected = [_predicted(value, predictor) for predictor in predictors]
+        frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
+        first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
+        expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
         scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
         with np.errstate(divide="ignore", invalid="ignore"):
             far = [
-                _stands_out(value, scale, one) & ~_usual(value, scale, one, predict)
+                _stands_out(value, scale, one) & ~_usual(value, one[0], first, predict)
                 for one, predict in zip(expected, predictors, strict=True)
             ]
             outlying = (scale > 0) & np.any(far, axis=0)
-        few = outlying.mean(axis=(1, 2)) <= most_share
-        middle, spread, _ = expected[0]
-        for other, wider, _ in expected[1:]:
-            nearer = wider < spread
-            middle, spread = np.where(nearer, other, middle), np.where(nearer, wider, spread)
-        apart = np.max([np.abs(there - middle) for there, _, _ in expected], axis=0)
-        outlying &= few[:, None, None] & (len(value) >= LEAST_FRAMES)
+        outlying &= (outlying.mean(axis=(1, 2), keepdims=True) <= most_share) & (len(value) >= LEAST_FRAMES)
+        middles, spreads = (np.stack([one[part] for one in expected]) for part in (0, 1))
+        nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
+        middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
+        apart = np.abs(middles - middle).max(axis=0)
         return cls(outlying, middle, np.hypot(spread, np.nan_to_num(apart)))
 
 
 def without_outliers(readings: Readings, unloaded: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Readings]:
-    """(outliers (frames, rows, columns), the readings without them): unloaded ones say nothing, others are replaced.
+    """(outliers (frames, rows, columns), the readings without them): unloaded ones are left out, others replaced.
 
     unloaded : (frames); these and the measured ones are compared apart, because between them a load comes. Bounds are
     no outliers.
@@ -84,18 +80,18 @@ def without_outliers(readings: Readings, unloaded: NDArray[np.bool_]) -> tuple[N
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
     most = 1.0
     for chosen in (unloaded, ~unloaded):
-        enough = chosen.sum() >= LEAST_FRAMES
-        if enough:
+        if chosen.sum() >= LEAST_FRAMES:
             found = Outliers.of(value[chosen], scale[chosen], most)
             outlying[chosen], instead[chosen], spread[chosen] = found.outlying, found.instead, found.spread
-            most = 2 * float(found.outlying.mean())
-        most = max(SHARE, most if enough else 0.0)
+            most = max(SHARE, 2 * float(found.outlying.mean()))
+        else:
+            most = SHARE
     if not outlying.any():
         return outlying, readings
-    resting, moving = outlying & unloaded[:, None, None], outlying & ~unloaded[:, None, None]
+    moving = outlying & ~unloaded[:, None, None]
     wider = None if readings.sigma is None else np.where(moving, np.hypot(readings.sigma, spread), readings.sigma)
-    plain = np.where(moving, instead, readings.value)
-    return outlying, replace(readings, value=plain, sigma=wider, seen=np.where(resting, 0.0, readings.seen))
+    plain, seen_ones = np.where(moving, instead, readings.value), np.where(outlying & ~moving, 0.0, readings.seen)
+    return outlying, replace(readings, value=plain, sigma=wider, seen=seen_ones)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,72 +119,48 @@ class FramesBefore:
             return readings, 0
         value = np.stack([frame.plain_values for frame in self.frames])
         scale = readings.sigma * np.fmax(pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
-        middle = median(value)
-        spread, ones = TO_SIGMA * median(np.abs(value - middle)), np.ones((1, *middle.shape))
+        middle, spread, _ = _by_median(value, np.zeros(0, dtype=int))
+        expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _stands_out(readings.plain_values[None], scale[None], (middle[None], spread[None], ones))[0]
+            outlying = _stands_out(readings.plain_values[None], scale[None], expected)[0]
         if not outlying.any() or outlying.mean() > SHARE:
             return readings, 0
-        if not _lines_follow(scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring), scale):
-            return readings, 0
+        network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
+        for place in np.argwhere(outlying):  # would a load on this cell move its row or its column?
+            step = np.zeros(scale.shape)
+            step[*place] = 1.0
+            moved = np.abs(network.forward(step)) / scale
+            outlying[*place] = ALONE * _beside(moved[None])[0][*place] > moved[*place]
         calm = np.where(outlying, middle, readings.value)
         sigma = np.where(outlying, np.hypot(readings.sigma, spread), readings.sigma)
         return replace(readings, value=calm, sigma=sigma), int(outlying.sum())
 
 
-def _lines_follow(network: Network, scale: Array) -> bool:
-    """Whether a load on one cell moves its row or its column by more than an outlier may; scale : σ of readings."""
-    rows, columns = scale.shape
-    for number in range(CHECKED):
-        place = int((number + 0.5) / CHECKED * rows), int((number + 0.5) / CHECKED * columns)
-        step = np.zeros(scale.shape)
-        step[place] = 1.0
-        moved = np.abs(network.forward(step)) / scale
-        if ALONE * max(_lines_median(moved[None], axis)[0][place] for axis in (1, 2)) <= moved[place]:
-            return False
-    return True
-
-
-def _predicted(value: Array, predict: Predictor) -> Expected:
-    """What up to NEAREST other frames around let expect of every frame."""
-    frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
-    first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
-    return _from_window(value, first, frames - first, predict)
-
-
 def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
     """Of frames first + place, each from the other frames of the window that begins at `first`."""
     width = min(len(value), NEAREST + 1)
-    within = first[:, None] + np.arange(width)
-    target = first + place
+    within, target = first[:, None] + np.arange(width), first + place
     nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
     return predict(value[nearest], nearest - target)
 
 
-def _usual(value: Array, scale: Array, expected: Expected, predict: Predictor) -> NDArray[np.bool_]:
-    """Whether a reading that moves is no farther from what is expected than at other times.
-
-    Its errors at the same place of other windows have a median of noise's size where it rests. Where it moves, it goes
-    by chance as far as the largest of so many normal numbers. Few windows show nothing.
-    """
-    frames, width = len(value), min(len(value), NEAREST + 1)
-    if frames - width < NEAREST:
+def _usual(value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor) -> NDArray[np.bool_]:
+    """Whether a reading is no farther from what is expected than chance takes it, by its errors in other windows."""
+    frames = len(value)
+    if frames - NEAREST - 1 < NEAREST:
         return np.zeros(value.shape, dtype=bool)
-    first = np.clip(np.arange(frames) - NEAREST // 2, 0, frames - width)
-    place = np.arange(frames) - first
-    usual = np.zeros(value.shape)
-    away = np.nan_to_num(np.abs(value - expected[0]))
-    middle = place == NEAREST // 2
+    place, usual = np.arange(frames) - first, np.zeros(value.shape)
+    middle, away = place == NEAREST // 2, np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, BLOCK):
         around = slice(max(begin - BLOCK, 0), begin + 2 * BLOCK)
         usual[begin : begin + BLOCK] = median(away[around][middle[around]])
+    begins = np.arange(frames - NEAREST)
     for frame in np.flatnonzero(~middle):
-        begins = np.arange(frames - width + 1)
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * BLOCK]]
         there, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - there))
     usual = TO_SIGMA * np.nan_to_num(usual)
-    return np.asarray((usual > MOVES * scale) & (away <= largest_normal(value.size, FALSE) * usual))
+    return np.asarray((usual > 0) & (away <= largest_normal(value.size, FALSE) * usual))
 
 
 def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
@@ -216,13 +188,14 @@ def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bo
     """Whether a reading is far from what is expected, while its row and its column are not."""
     middle, spread, noise = expected
     away = np.abs(value - middle)
-    beside = np.fmax(*(_lines_median(away / scale, axis) for axis in (1, 2))) * scale
+    beside = _beside(away / scale) * scale
     return np.asarray(away > np.fmax(np.fmax(FAR * noise * scale, STEADIER * spread), ALONE * beside))
 
 
-def _lines_median(values: Array, axis: int) -> Array:
-    """Of each reading's row (axis 2) or column (axis 1), the same shape."""
-    return np.broadcast_to(np.expand_dims(median(np.moveaxis(values, axis, 0)), axis), values.shape)
+def _beside(values: Array) -> Array:
+    """The larger of the medians of each reading's row and of its column, the same shape (frames, rows, columns)."""
+    rows, columns = (median(np.moveaxis(values, axis, 0)) for axis in (2, 1))
+    return np.asarray(np.fmax(rows[:, :, None], columns[:, None, :]))
 
 
 def median(values: Array) -> Array:

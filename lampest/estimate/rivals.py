@@ -52,6 +52,11 @@ class Rival:
         known = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
         return known if self.own else f"{self.kind}, {known}"
 
+    @property
+    def ohm(self) -> float:
+        """The resistance in series, as it is tried, or as the scene has it."""
+        return self.scene.told_in_series if self.in_series is None else self.in_series
+
     def with_series(self, ohm: float) -> "Rival":
         """The same with a resistance in series."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))

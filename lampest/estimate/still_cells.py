@@ -2,22 +2,8 @@
 
 Errors z that baseline and frames share move the estimated log change of a cell by a = K_f U_f − K_b U_b times z, with U
 as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still,
-
-    d = a z + noise,   z ~ N(0, 1),   of which each reading's own error ~ N(0, e²).
-
-That gives what is left possible of z, and e where it is larger than zero beyond chance, by its marginal likelihood.
-Which cells stand still is found on the way: a cell that moved has any change of the order of 1 instead, and cells that
-touch it are left out in the end.
-
-A reading's own error e moves cells by up to (M + N − 1)/2 · e in log r, one against its neighbours. Errors so large
-that no cells explain the unloaded panel, or that cells respond to nonlinearly, have their size from the unloaded panel
-alone, if its cells scatter about one value without an order, log r ~ N(μ, s²):
-
-    −2 log p(y | e, s) ≈ Σ (y − f(u))²/τ² + Σ (u − ū)²/s² + log |A| + Σ log τ² + (m − 1) log s²,   τ² = σ² + (e y')²
-
-at the most probable u (Laplace), A its Hessian, y' the reading's derivative by its recorded value's logarithm. e and s
-are taken on grids, both with equal odds for equal ratios. Where cells are not alike, e comes out too large rather than
-too small. Still cells then narrow nothing.
+d = a z + noise, z ~ N(0, 1), of which each reading's own error ~ N(0, e²): their marginal likelihood gives e, and what
+is left possible of z. Errors too large for that have e from the unloaded panel alone; see `UnloadedPanel`.
 """
 
 from dataclasses import dataclass, replace
@@ -28,20 +14,16 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
-from lampest.estimate.joint_fit import CREEP
-from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
+from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Possible, hidden_columns
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
-LEAST_ERROR = 5e-4  # of a reading's own errors that are tried
-ERRORS = tuple(float(size) for size in np.geomspace(LEAST_ERROR, 0.2, 12))
-FINE = np.geomspace(LEAST_ERROR / 2, 0.2, 30)  # the same, once cells are chosen
-SIZES = np.geomspace(LEAST_ERROR, 0.3, 22)  # the same, from the unloaded panel alone
-SCATTERS = (0.03, 0.1, 0.2, 0.4)  # s: films of one batch scatter by a tenth, worn ones by 0.4
+ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
+SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
 GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
@@ -50,12 +32,8 @@ HINT = 0.5  # the same, from which on bars allow for what may be chance: where n
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
 AGAIN = 3  # times that cells are chosen by the size that they give
 LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-ROUNDS = 15  # of choosing cells; the choice is settled after a handful
 CLEARLY = 4.0  # σ of a change that noise does not make
 TOGETHER = 0.05  # of log r, by which all cells may change with temperature
-UNREAD = 1e12  # times σ, of a reading that says nothing, or one side only
-# Of −2 log p by less than a hundredth: sizes are taken on a grid of steps of a third.
-FIT = LevenbergMarquardt(evaluations=25, settled=5e-3, damping=0.0, longest=1.5)
 
 Chosen = NDArray[np.bool_]
 
@@ -71,7 +49,7 @@ def errors_left_possible(
         return None
     fit = fitted(scene, resting, patient=True)
     if fit is None or fit.tail < LEVEL:
-        return Possible(with_reading_error(sizes, UnloadedPanel.of(scene, resting).size), None)
+        return Possible(_with_reading_error(sizes, UnloadedPanel.of(scene, resting).size), None)
     base = FrameFit.of(scene, resting, None, sizes, noise)
     if base is None:
         return None
@@ -80,25 +58,64 @@ def errors_left_possible(
     if len(others) < len(fits):
         return None
     moves = Moves.between(base, others)
-    size, still = own_error(moves, resting.value.shape)
-    apart = apart_from_moved(still, resting.value.shape)
-    sure = size > 0
-    if not sure:  # an error that still cells make likelier than none, though that may be chance
-        hint, gained = size_of(moves, apart)
-        size = hint if gained > HINT and hint * moves.reach <= LINEAR else 0.0
+    size, still = _own_error(moves, resting.value.shape)
+    apart = _apart_from_moved(still, resting.value.shape)
+    sure, linear = size > 0, LINEAR / moves.reach
     if sure:
-        alone, linear = UnloadedPanel.of(scene, resting), LINEAR / moves.reach
+        alone = UnloadedPanel.of(scene, resting)
         if size > linear or alone.contradicts(size) > LARGER:
-            return Possible(with_reading_error(sizes, max(alone.size, min(size, linear))), None)
-    told = with_reading_error(sizes, size)
+            return Possible(_with_reading_error(sizes, max(alone.size, min(size, linear))), None)
+    else:  # an error that still cells make likelier than none, though that may be chance
+        hint, gained = _size_of(moves, apart)
+        size = hint if gained > HINT and hint <= linear else 0.0
+    assumed = _with_reading_error(sizes, size)
     if still.mean() < FEWEST:
-        return Possible(told, None, sure)
-    return Possible(told, possible(moves, told.reading_error or 0.0, apart), sure)
+        return Possible(assumed, None, sure)
+    return Possible(assumed, _possible(moves, assumed.reading_error or 0.0, apart), sure)
 
 
-def with_reading_error(sizes: Systematic, size: float) -> Systematic:
+def _with_reading_error(sizes: Systematic, size: float) -> Systematic:
     """The sizes with an error of each reading that is at least so large."""
     return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit:
+    """One frame's fit, gain (cells, readings), covariance of its error, and what shared errors do to its log cells.
+
+    hidden, own, known : (cells, n) of what `hidden_columns` has, of each reading's own, and of channels and reference.
+    """
+
+    fit: CellsFit
+    gain: Array
+    error: Array
+    hidden: Array
+    own: Array
+    known: Array
+
+    @classmethod
+    def of(
+        cls, scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None
+    ) -> "FrameFit | None":
+        """Of one frame; None where it is not fitted. near : cells to begin at; None: it is the unloaded mean."""
+        fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
+        if fit is None or not fit.small:
+            return None
+        assert readings.sigma is not None
+        error = np.linalg.inv(fit.normal)
+        at = fit if near is None else _steadied(scene, fit, near, error)
+        gain = np.linalg.solve(at.normal, at.jacobian.T / readings.sigma.ravel())
+        if noise is not None:
+            drawn = gain @ noise.columns(at.readings.value[None], near is None)
+            error = error + drawn @ drawn.T
+        here = at.cells, at.readings.value
+        channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
+        columns = (
+            hidden_columns(*here, scene, replace(sizes, reading_error=None)),
+            hidden_columns(*here, scene, Systematic(reading_error=1.0)),
+            scene.circuit.shared_errors(*here, scene, *channels),
+        )
+        return cls(fit, gain, error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +132,7 @@ class Moves:
     reach: float
 
     @classmethod
-    def between(cls, base: "FrameFit", others: "list[FrameFit]") -> "Moves":
+    def between(cls, base: FrameFit, others: list[FrameFit]) -> "Moves":
         """The changes of all cells from the unloaded panel to the frames."""
         cells = base.fit.cells.size
         change = np.concatenate([np.log(one.fit.cells / base.fit.cells).ravel() for one in others])
@@ -123,107 +140,58 @@ class Moves:
         for number, one in enumerate(others):
             part = slice(number * cells, (number + 1) * cells)
             covariance[part, part] += one.error + CREEP**2 * np.eye(cells) + TOGETHER**2
-        told = np.vstack([one.told - base.told for one in others])
-        return cls(
-            change,
-            covariance + told @ told.T,
-            np.vstack([one.hidden - base.hidden for one in others]),
-            np.vstack([one.own - base.own for one in others]),
-            float(np.median(np.linalg.norm(base.own, axis=1))),
+        known, hidden, own = (
+            np.vstack([getattr(one, name) - getattr(base, name) for one in others])
+            for name in ("known", "hidden", "own")
         )
+        reach = float(np.median(np.linalg.norm(base.own, axis=1)))
+        return cls(change, covariance + known @ known.T, hidden, own, reach)
 
     def covariance(self, size: float) -> Array:
         """Of changes of still cells, if each reading errs by so much on its own."""
         return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
 
-    def with_column(self, column: Array) -> "Moves":
-        """With one more error that the frames do not share with the baseline, (n, 1), behind the others."""
-        return replace(self, a=np.hstack([self.a, column]))
 
-
-@dataclass(frozen=True, eq=False)
-class FrameFit:
-    """One frame's fit, gain (cells, readings), covariance of its error, and what shared errors do to its log cells.
-
-    hidden, own, told : (cells, n) of what `hidden_columns` has, of each reading's own, and of channels and reference.
-    """
-
-    fit: CellsFit
-    gain: Array
-    error: Array
-    hidden: Array
-    own: Array
-    told: Array
-
-    @classmethod
-    def of(
-        cls, scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None
-    ) -> "FrameFit | None":
-        """Of one frame; None where it is not fitted. near : cells to begin at; None: it is the unloaded mean."""
-        fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
-        if fit is None or fit.sensitivity is None:
-            return None
-        assert readings.sigma is not None
-        error = np.linalg.inv(fit.normal)
-        at = fit if near is None else steadied(scene, fit, near, error)
-        assert at.sensitivity is not None
-        gain = np.linalg.solve(at.normal, at.sensitivity.T / readings.sigma.ravel())
-        if noise is not None:
-            drawn = gain @ noise.columns(at.readings.value[None], near is None)
-            error = error + drawn @ drawn.T
-        here = at.cells, at.readings.value
-        channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
-        columns = (
-            hidden_columns(*here, scene, replace(sizes, reading_error=None)),
-            hidden_columns(*here, scene, Systematic(reading_error=1.0)),
-            scene.circuit.shared_errors(*here, scene, *channels),
-        )
-        return cls(fit, gain, error, *(_answer(gain, one) for one in columns))
-
-    def answer(self, columns: Array) -> Array:
-        """(cells, n): what errors of the readings (n, rows, columns) do to log cells."""
-        return _answer(self.gain, columns)
-
-
-def _answer(gain: Array, columns: Array) -> Array:
-    return np.asarray(gain @ columns.reshape(len(columns), gain.shape[1]).T)
-
-
-def own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
+def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with those of the last.
 
     Chosen anew, a large error alone would explain cells that moved; one beyond the straight line is asked for by the
     largest on it.
     """
-    tried = (0.0, *(size for size in ERRORS if size * moves.reach <= LINEAR))
-    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in tried}
+    coarse = ERRORS[2::2]
+    costs = {
+        size: still_cells(moves.change, moves.covariance(size))
+        for size in (0.0, *coarse[coarse * moves.reach <= LINEAR])
+    }
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(AGAIN):
             _, still = still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
-            size, gained = size_of(moves, apart_from_moved(still, shape))
+            size, gained = _size_of(moves, _apart_from_moved(still, shape))
         if gained > SURE:
             return size, still
     return 0.0, costs[0.0][1]
 
 
-def size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
-    """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains).
-
-    The root of the mean square is larger than the likeliest where the size is uncertain.
-    """
+def _size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
+    """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains)."""
     part, change = np.ix_(still, still), moves.change[still]
 
     def cost(size: float) -> float:
         covariance = moves.covariance(size)[part]
         return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
 
-    costs = np.array([cost(size) for size in FINE])
+    costs = np.array([cost(size) for size in ERRORS])
+    return _mean_square(costs), cost(0.0) - float(costs.min())
+
+
+def _mean_square(costs: Array) -> float:
+    """√E[e²] from −2 log likelihoods of ERRORS: larger than the likeliest where the size is uncertain."""
     odds = np.exp(-(costs - costs.min()) / 2)
-    return float(np.sqrt(odds @ np.square(FINE) / odds.sum())), cost(0.0) - float(costs.min())
+    return float(np.sqrt(odds @ np.square(ERRORS) / odds.sum()))
 
 
-def possible(moves: Moves, size: float, still: Chosen) -> Array:
+def _possible(moves: Moves, size: float, still: Chosen) -> Array:
     """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
 
     Estimates are not moved by what z seems to be; their bars reach as far.
@@ -248,36 +216,25 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     A cell that moved has a change of variance 1, and costs MOVED. It begins with the half that changed least, and ends
     where nothing is better than before.
     """
-    middle = np.median(change)
-    away = np.abs(change - middle)
+    away = np.abs(change - np.median(change))
     still = away <= np.median(away)
     best: tuple[float, Chosen] = (np.inf, still)
-    for _ in range(ROUNDS):
-        cost = likelihood(change, covariance, still)
-        if cost >= best[0]:
-            break
-        best = cost, still
+    while still.any():
         within = np.linalg.inv(covariance[np.ix_(still, still)])
-        pull = within @ change[still]
+        pull, moved = within @ change[still], change[~still]
+        cost = change[still] @ pull - np.linalg.slogdet(within)[1] + (moved**2).sum() + MOVED * len(moved)
+        if not cost < best[0]:
+            break
+        best = float(cost), still
         across = covariance[:, still]
         miss, variance = change - across @ pull, np.diag(covariance) - np.einsum("ij,ij->i", across @ within, across)
         miss[still], variance[still] = pull / np.diag(within), 1 / np.diag(within)
         variance = np.maximum(variance, 1e-300)
         still = miss**2 / variance + np.log(variance) < MOVED + change**2
-        if not still.any():
-            break
     return best
 
 
-def likelihood(change: Array, covariance: Array, still: Chosen) -> float:
-    """−2 log of the density of all changes, of which some stand still."""
-    part = covariance[np.ix_(still, still)]
-    chi_square = change[still] @ np.linalg.solve(part, change[still])
-    moved = change[~still]
-    return float(chi_square + np.linalg.slogdet(part)[1] + (moved**2).sum() + MOVED * len(moved))
-
-
-def apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
+def _apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
     """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
     moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
     touched = sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1))
@@ -285,7 +242,7 @@ def apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
     return apart if apart.mean() >= FEWEST else still
 
 
-def steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
+def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
     """The fit with cells that did not clearly move where they were, and the readings that these would give.
 
     What errors do to a cell's change is a small difference of two large numbers; noise of the cells at which they are
@@ -301,9 +258,12 @@ def steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit
 
 @dataclass(frozen=True, eq=False)
 class UnloadedPanel:
-    """The size of readings' own errors with which the unloaded cells are alike.
+    """The size e of readings' own errors with which unloaded cells scatter about one value, log r ~ N(μ, s²).
 
-    cost : −2 log p(y | e) of SIZES, the least of them 0.
+        −2 log p(y | e, s) ≈ Σ (y − f(u))²/τ² + Σ (u − ū)²/s² + log |A| + Σ log τ² + (m − 1) log s²,   τ² = σ² + (e y')²
+
+    at the most probable u (Laplace), A its Hessian, y' the reading's derivative by its recorded value's logarithm.
+    Where cells are not alike, e comes out too large rather than too small. cost : of ERRORS, the least of them 0.
     """
 
     cost: Array
@@ -316,29 +276,27 @@ class UnloadedPanel:
         columns = hidden_columns(resting.value, resting.value, scene, Systematic(reading_error=1.0))
         share = np.abs(columns).sum(axis=0)
         plain = (resting.seen > 0) & (resting.side == 0)
-        costs = np.empty((len(SIZES), len(SCATTERS)))
+        costs = np.empty((len(ERRORS), len(SCATTERS)))
         for column, spread in enumerate(SCATTERS):
             cells = np.log(data.uniform_start[0])
-            for row in reversed(range(len(SIZES))):
-                deviation = np.where(plain, np.hypot(resting.sigma, SIZES[row] * share), UNREAD * resting.sigma)
-                cells, costs[row, column] = most_probable(data, resting.value, deviation, spread, cells)
+            for row in reversed(range(len(ERRORS))):
+                deviation = np.where(plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
+                cells, costs[row, column] = _most_probable(data, resting.value, deviation, spread, cells)
         together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
         return cls(together - together.min())
 
     @property
     def size(self) -> float:
-        """√E[e²]: wider where the size is uncertain."""
-        weight = np.exp(-self.cost / 2)
-        return float(np.sqrt(weight @ np.square(SIZES) / weight.sum()))
+        """√E[e²]."""
+        return _mean_square(self.cost)
 
     def contradicts(self, size: float) -> float:
         """−2 log likelihood that a larger error gains over this one; 0 where the most likely one is not larger."""
-        best = int(np.argmin(self.cost))
-        return float(np.interp(size, SIZES, self.cost)) if size < SIZES[best] else 0.0
+        return float(np.interp(size, ERRORS, self.cost)) if size < ERRORS[np.argmin(self.cost)] else 0.0
 
 
-def most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, float]:
-    """(u (rows, columns), −2 log p(y | e, s)) from readings and their τ."""
+def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, float]:
+    """(u (rows, columns), −2 log p(y | e, s)) from readings and their τ, infinite where there is none."""
     count = value.size
     unlike = (np.eye(count) - 1 / count) / spread
     free = data.lower[0] < data.upper[0]
@@ -352,7 +310,7 @@ def most_probable(data: Data, value: Array, deviation: Array, spread: float, sta
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
         return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
-    found = FIT.minimum(model, start.ravel(), (lower, upper))
+    found = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper))
     curvature = np.linalg.slogdet(found.at.normal)[1]
-    prior = 2 * np.log(deviation).sum() + 2 * (count - 1) * np.log(spread)
+    prior = 2 * np.log(deviation[np.isfinite(deviation)]).sum() + 2 * (count - 1) * np.log(spread)
     return found.position.reshape(value.shape), 2 * found.at.cost + curvature + prior

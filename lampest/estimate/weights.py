@@ -15,6 +15,7 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.objective import Objective
+from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -116,7 +117,7 @@ class WeightSearch:
         with suppress(*BROKEN):
             weights = [1.0 if given is None else given for given in self._given]
             at = evaluated(self.weighted(weights), self.data, first)
-            found, _ = self._followed(penalty, rule, [LinearModel(at, np.zeros(0))])
+            found, _ = self._followed(penalty, rule, [LinearModel(at, NO_DUAL)])
         return found or [self._suggested((penalty,), first)[penalty]]
 
     def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:
@@ -144,7 +145,7 @@ class WeightSearch:
     def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
         weights = [1.0 if given is None else given for given in self._given]
         at = evaluated(self.weighted(weights), self.data, first)
-        return first_weights(LinearModel(at, np.zeros(0)), weights, penalties)
+        return first_weights(LinearModel(at, NO_DUAL), weights, penalties)
 
     def _solved(self, weights: Sequence[float], start: Array, data: Data) -> LinearModel | None:
         """What surrounds the estimate for these weights."""

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise import frame_noise_seen
-from lampest.estimate.plain_warnings import plain_warnings
+from lampest.estimate.noise import frame_noise_seen, plain_warnings
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.film import Film

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout

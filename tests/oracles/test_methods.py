@@ -14,7 +14,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import Method
 from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel

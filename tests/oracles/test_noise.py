@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
-from lampest.estimate.motion import passing, swept
-from lampest.estimate.noise import noise_seen
+from lampest.estimate.noise import noise_seen, passing, swept
 from lampest.estimate.outliers import Outliers
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct

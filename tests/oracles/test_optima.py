@@ -18,7 +18,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.two_point import resolution_limit

@@ -15,8 +15,8 @@ from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import SmootherMethod
-from lampest.estimate.methods.graduated import Walk, smoothed
 from lampest.estimate.methods.joint import Joint, JointData
+from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -135,7 +135,7 @@ def test_errors_that_the_cost_knows_nothing_of_move_its_end_as_told() -> None:
         moved.append(replace(one, given=replace(one.given, measured=measured)))
     there = replace(joint, frames=replace(joint.frames, data=tuple(moved)))
     for _ in range(20):
-        there = there.stepped(8)
+        there = there.stepped()
     answer = joint.answer(columns)[:, :, 0]
     assert np.abs(there.position - joint.position - answer).max() < 0.1 * np.abs(answer).max()
 

@@ -16,9 +16,8 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.comparison import Explanation
-from lampest.estimate.joint_fit import PRICE
-from lampest.estimate.model_check import ModelCheck, recording_check
+from lampest.estimate.cells_fit import PRICE
+from lampest.estimate.model_check import Explanation, ModelCheck, recording_check
 from lampest.estimate.rivals import Question, rivals_of
 from lampest.recording.simulation.measure import measured
 

@@ -3,8 +3,7 @@
 from typing import Annotated, Literal
 
 from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
-from lampest.estimate.methods.method import Method
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.methods.oral_disc import OralDiscMethod
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.files.errors import InputError, in_words

@@ -9,8 +9,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.estimate.methods.method import Method
-from lampest.estimate.methods.optimal import OptimalMethod
+from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import S, Step
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array

@@ -6,9 +6,6 @@
 over u_t = log r of the unloaded panel (t = 0) and of every frame, what all readings share (z, in standard deviations:
 reference, channels, contacts) and the steps c_t that all cells of a frame have in common. λ is the walk's; a, with
 hardly any weight, is where cells stay that no reading sees.
-
-What frames say of z rests on cells that stand still. Cells that move a little and are taken for still pull at it, so
-that only a share of it is believed.
 """
 
 from collections.abc import Sequence
@@ -20,6 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.state import NO_DUAL
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
@@ -30,11 +28,7 @@ from lampest.posterior.track import Bars, Change
 
 COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
-NO_DUAL = np.zeros(0)
-# Squared errors of channels and reference were 0.6 to 1.8 times what the joint cost says on simulated lampreys, and up
-# to nine times in the direction that matters to a mouth whose inside is nearly open. Of 22 recordings of mouths (seeds
-# 31001 to 41050 of tests.studies.limit) a quarter left 44 % of the changed cells of one held, a tenth two thirds; the
-# median bar is 2 % wider.
+# Share of what frames say of z that is believed: cells that move a little and are taken for still pull at it, too.
 BELIEVED = 0.1
 
 
@@ -211,15 +205,20 @@ class Joint:
         less[:, self._sharing :] = np.eye(len(self.stiffness))
         return np.asarray(self.steps**2 + self.chain.step_variance(less))
 
-    def stepped(self, most: int) -> "Joint":
-        """After a Newton step, halved until Φ is no larger; as it is where `most` halvings do not help."""
-        step, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient), -self.shift_gradient)
-        for halving in range(most):
-            size = 0.5**halving
+    def newton(self) -> tuple[Array, Array]:
+        """The Newton step of the cells (frames, cells), and of z and c."""
+        return self.chain.solve(-np.where(self.pressed, 0.0, self.gradient), -self.shift_gradient)
+
+    def stepped(self) -> "Joint":
+        """After a Newton step, halved until Φ is no larger; as it is where no halving helps."""
+        step, shift = self.newton()
+        size = 1.0
+        while size > np.sqrt(np.finfo(float).eps):
             there = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.frames.bounds)
             trial = replace(self, position=there, shift=self.shift + size * shift)
             if trial.value <= self.value + ROUNDING * abs(self.value):
                 return trial
+            size /= 2
         return self
 
 
