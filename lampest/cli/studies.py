@@ -18,7 +18,7 @@ Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The stu
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
 STUDIES = {
     "bench": (
-        "lampest.studies.bench.report",
+        "lampest.studies.bench_report",
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
@@ -26,7 +26,7 @@ STUDIES = {
         """,
     ),
     "tradeoff": (
-        "lampest.studies.tradeoff.report",
+        "lampest.studies.tradeoff_report",
         "Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure.",
     ),
     "extremes": (
@@ -66,7 +66,7 @@ def weights(
 
     With --withhold, for recordings whose truth nobody knows: how well weights predict readings that are withheld.
     """
-    from lampest.studies.weights.report import STUDY
+    from lampest.studies.weights_report import STUDY
     from lampest.studies.withheld import withheld_study
 
     _run(STUDY if withhold is None else withheld_study(withhold, draws, seed), config, out, assign)

@@ -12,6 +12,7 @@ from lampest.recording.simulation.pressure import Course
 from lampest.runs.terms import Terms, terms_of
 
 LARGEST_SIDE = 1000  # of a simulated panel
+SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 Shape = tuple[int, int]
 Sizes = tuple[int | Shape, ...]  # sides of square panels, or [rows, columns]
 PAPER: dict[str, tuple[Term, ...]] = {  # the paper's five methods with its weights

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.panel.panel import Array
 from lampest.runs.executors import Processes
-from lampest.solvers.solution import Solution
+from lampest.solvers.solution import STRICT, Solution
+from lampest.studies.methods import Shape
 from lampest.studies.study import write_columns
 
 Result = TypeVar("Result")
@@ -24,7 +25,7 @@ STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
 
 @dataclass(frozen=True, eq=False)
 class TimedFrames:
-    """TimedFrames of a recording, solved in sequence.
+    """Frames of a recording, solved in sequence.
 
     wall, cpu : (frames, repeats) s; NaN where a frame was not repeated. objective, gap, iterations, solved, status :
     (frames), of the first repeat; gap : of the objective to the best that is known for it.
@@ -65,6 +66,36 @@ class TimedFrames:
         write_columns(group, self, ends, ("frame",))
 
 
+@dataclass(frozen=True, eq=False)
+class Timing(TimedFrames):
+    """One solver with one method on one recording of a panel; the first frame is a cold start and not repeated.
+
+    recording : its number. inverse_s : seconds of a dense inverse of size rows + columns − 1 at that time.
+    pair : whether the first frame was solved jointly with the baseline.
+    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²) against the best that any solver found for the same data; NaN where there
+    was no other. The last part is the cost of missing every reading by 0.003 %: less is nothing.
+    """
+
+    shape: Shape
+    method: str
+    solver: str
+    recording: int
+    pair: bool
+    inverse_s: float
+
+    def times(self) -> Array:
+        """(frames) s: median of a frame's wall times; the processor's where something else disturbed it."""
+        return np.asarray(np.nanmedian(np.where(undisturbed(self.wall, self.cpu), self.wall, self.cpu), axis=1))
+
+    def clean(self) -> float:
+        """The share of undisturbed solves."""
+        return float(np.mean(undisturbed(self.wall, self.cpu)[np.isfinite(self.wall)]))
+
+    def verified(self) -> NDArray[np.bool_]:
+        """(frames) whether the optimum was verified."""
+        return np.array([status in {strict.value for strict in STRICT} for status in self.status])
+
+
 def clocked(call: Callable[[], Result]) -> tuple[Result, float, float]:
     """What a call returns, its wall time and the processor's, s."""
     wall, cpu = perf_counter(), process_time()
@@ -89,7 +120,7 @@ def inverse_time(matrix: Array) -> float:
     return min(spent, inverses(count), inverses(count)) / count
 
 
-def peak_memory(work: Callable[[Task], None], task: Task) -> float:
+def peak_memory(work: Callable[[Task], object], task: Task) -> float:
     """The largest resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
 
     Not what Python has allocated: compiled costs and IPOPT's factors lie outside what tracemalloc sees.
@@ -98,7 +129,7 @@ def peak_memory(work: Callable[[Task], None], task: Task) -> float:
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
-def _peak_after(task: tuple[Callable[[Task], None], Task]) -> float:
+def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
     """The largest resident size of this process after some work; on Linux without what its parent had before."""
     work, argument = task
     work(argument)

@@ -14,16 +14,56 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
-from lampest.studies.paper.sides import LeftBySolver, Weights
 
 TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
 RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length
 REACH = 100.0
 Function = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the start over R_m."""
+
+    absolute: float = 1e-3
+    relative: float = 10.0
+    start: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LeftBySolver:
+    """What one method leaves of a recording.
+
+    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm. evaluations : (frames) solves
+    of the forward problem that MATLAB would have needed, derivatives included. why : (frames) what ended it.
+    joint : whether the first frame was solved together with the baseline.
+    """
+
+    baseline: Array
+    cells: Array
+    model: Array
+    measured: Array
+    evaluations: NDArray[np.int64]
+    why: tuple[str, ...]
+    joint: bool
+
+    @property
+    def change(self) -> Array:
+        """100·(r/r₀ − 1), (frames, rows, columns) percent."""
+        return np.asarray(100 * (self.cells / self.baseline - 1))
+
+    @property
+    def data_error(self) -> Array:
+        """100·|f(r) − R_m|/R_m, (frames, rows, columns) percent."""
+        return np.asarray(100 * np.abs(self.model - self.measured) / self.measured)
+
+
+WEIGHTS = Weights(relative=1e-3, start=1.66)  # of the scene that was fitted to the paper's numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +201,9 @@ METHODS: dict[str, tuple[str, bool]] = {  # name → what is penalised, and whet
 }
 
 
-def left_by_solver(method: str, panel: Panel, resting: Array, measured: Array, weights: Weights) -> LeftBySolver:
+def left_by_solver(
+    method: str, panel: Panel, resting: Array, measured: Array, weights: Weights = WEIGHTS
+) -> LeftBySolver:
     """Every frame in order; resting : (rows, columns), measured : (frames, rows, columns) ohm as recorded."""
     penalised, relative = METHODS[method]
     problem = _Problem(panel, _operator(penalised, panel), weights)

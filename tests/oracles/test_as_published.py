@@ -12,8 +12,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.studies.paper.sides import Weights
-from tests.oracles.as_published import left_by_solver, lsqnonlin
+from tests.oracles.as_published import Weights, left_by_solver, lsqnonlin
 
 PANEL = Panel(4, 5)
 

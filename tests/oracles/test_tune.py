@@ -19,8 +19,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.studies.weights.choices import Tuned, l_curve, morozov, tune
-from lampest.studies.weights.curves import CurvePoint, WeightSubject, bound_evidence, solve_at
+from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, morozov, solve_at, tune
 
 pytestmark = pytest.mark.slow
 

@@ -15,8 +15,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Solution
-from lampest.studies.bench.run import frame_data, solver_of
-from lampest.studies.bench.settings import BenchFile
+from lampest.studies.bench import BenchFile, frame_data, solver_of
 from lampest.studies.methods import PAPER
 from lampest.studies.study import read_settings
 

@@ -27,8 +27,8 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.report import markdown, short
-from lampest.studies.bench.run import other_solver, timed
+from lampest.studies.bench import other_solver, timed
+from lampest.studies.bench_report import markdown, short
 from lampest.studies.study import grouped, screen_table
 from lampest.studies.timing import clocked, inverse_time, undisturbed
 

@@ -27,8 +27,8 @@ from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.studies.paper.sides import WEIGHTS, Weights, published_numbers
-from tests.oracles.as_published import METHODS, left_by_solver
+from lampest.studies.paper.sides import published_numbers
+from tests.oracles.as_published import METHODS, WEIGHTS, Weights, left_by_solver
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {

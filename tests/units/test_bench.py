@@ -16,9 +16,18 @@ from lampest.recording.recording import Recording
 from lampest.runs.terms import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.studies.bench.report import bench_remarks, bench_rows, growth, page
-from lampest.studies.bench.run import Bench, BenchPart, Timing, frame_data, resting_cells, run_bench
-from lampest.studies.bench.settings import SOLVERS, BenchFile, BenchLimits
+from lampest.studies.bench import (
+    SOLVERS,
+    Bench,
+    BenchFile,
+    BenchLimits,
+    BenchPart,
+    Timing,
+    frame_data,
+    resting_cells,
+    run_bench,
+)
+from lampest.studies.bench_report import bench_remarks, bench_rows, growth, page
 from lampest.studies.methods import SquaredMethod
 from lampest.studies.study import read_settings
 from tests.oracles.published_solvers import Trf, _Point

@@ -10,8 +10,7 @@ from lampest.panel.panel import Array
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.preconditioners import Cholesky
-from lampest.studies.bench.run import first_estimate, frame_data, solver_of
-from lampest.studies.bench.settings import BenchFile
+from lampest.studies.bench import BenchFile, first_estimate, frame_data, solver_of
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[str, int]:

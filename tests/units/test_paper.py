@@ -6,8 +6,8 @@ import numpy as np
 
 from lampest.runs.config import read_run
 from lampest.studies.paper.figures import covered
+from lampest.studies.paper.page import PublishedNumber, counts
 from lampest.studies.paper.sides import published_numbers
-from lampest.studies.paper.tables import PublishedNumber, counts
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lampest.runs.config import read_run
-from lampest.studies.weights.curves import why_not
+from lampest.studies.weights import why_not
 
 
 def test_shipped_file_can_be_tuned() -> None:

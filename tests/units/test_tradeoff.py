@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.studies.tradeoff.report import Measured, front, on_front, run_tradeoff, summary_rows
-from lampest.studies.tradeoff.settings import label, read_plan
+from lampest.studies.tradeoff import Measured, label, read_plan, run_tradeoff
+from lampest.studies.tradeoff_report import front, on_front, summary_rows
 from tests.small_files import TRADEOFF
 
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]

@@ -1,7 +1,5 @@
 """Judges of an estimate that share no code with the solvers: 50 digits, another way to it, another test of it."""
 
-from typing import Any
-
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import coo_array
@@ -38,36 +36,25 @@ def fifty_digits(cells: Array) -> Array:
     with extra("extremes"):
         import mpmath
     rows, columns = cells.shape
-    one, other = np.nonzero(np.isfinite(cells))
-    graph = coo_array((np.ones(len(one)), (one, rows + other)), shape=(rows + columns,) * 2)
-    _, part = connected_components(graph, directed=False)
-    resistance = np.full(cells.shape, np.inf)
+    conducting = coo_array(np.isfinite(cells))
+    lines = (conducting.row, rows + conducting.col)
+    graph = coo_array((conducting.data, lines), shape=(rows + columns,) * 2)
+    part = connected_components(graph, directed=False)[1]
+    resistance = np.where(cells == 0, 0.0, np.inf)
     with mpmath.workdps(50):
-        for lines in (np.flatnonzero(part == label) for label in np.unique(part)):
-            inverse = _grounded_inverse(mpmath, cells, lines.tolist())
-            for j, row in enumerate(lines[lines < rows]):
-                for k, column in enumerate(lines[lines >= rows], np.sum(lines < rows)):
-                    resistance[row, column - rows] = float(inverse[j, j] + inverse[k, k] - 2 * inverse[j, k])
-    resistance[cells == 0] = 0.0
-    return resistance
-
-
-def _grounded_inverse(mpmath: Any, cells: Array, lines: list[int]) -> Any:
-    """(L without its first line)⁻¹ of connected lines, with zeros for that line; a short stands for 10⁻²⁵ ohm."""
-    rows = len(cells)
-    matrix, inverse = mpmath.zeros(len(lines)), mpmath.zeros(len(lines))
-    for j, row in enumerate(lines):
-        for k, column in enumerate(lines):
-            if row < rows <= column and np.isfinite(cells[row, column - rows]):
-                ohm = float(cells[row, column - rows])
-                conductance = 1 / mpmath.mpf(ohm) if ohm else mpmath.mpf(10) ** 25
+        # A tie of each part's first line to ground carries no current; a short stands for 10⁻²⁵ ohm.
+        matrix = mpmath.diag([int(line == np.argmax(part == part[line])) for line in range(rows + columns)])
+        for row, column in zip(*lines, strict=True):
+            ohm = float(cells[row, column - rows])
+            conductance = 1 / mpmath.mpf(ohm) if ohm else mpmath.mpf(10) ** 25
+            for j, k in ((row, column), (column, row)):
                 matrix[j, j] += conductance
-                matrix[k, k] += conductance
                 matrix[j, k] -= conductance
-                matrix[k, j] -= conductance
-    if len(lines) > 1:
-        inverse[1:, 1:] = mpmath.inverse(matrix[1:, 1:])
-    return inverse
+        inverse = mpmath.inverse(matrix)
+        for row, column in np.argwhere((part[:rows, None] == part[rows:]) & (cells > 0)):
+            k = rows + column
+            resistance[row, column] = float(inverse[row, row] + inverse[k, k] - 2 * inverse[row, k])
+    return resistance
 
 
 def convex_estimate(measured: Array) -> Array | None:
@@ -78,10 +65,8 @@ def convex_estimate(measured: Array) -> Array | None:
     Source: Nesterov & Nemirovskii, Interior-Point Polynomial Algorithms in Convex Programming, 1994.
     """
     rows, columns = measured.shape
-    incidence = np.zeros((rows + columns, rows * columns))
-    for cell, (row, column) in enumerate(np.ndindex(rows, columns)):
-        incidence[row, cell], incidence[rows + column, cell] = 1.0, -1.0
-    incidence = incidence[1:]
+    across = np.kron(np.eye(rows), np.ones(columns)), np.kron(np.ones(rows), np.eye(columns))
+    incidence = np.concatenate([across[0], -across[1]])[1:]
     scale = float(np.exp(np.mean(np.log(measured))))
     goal = measured.ravel() / scale
     conductance = (rows + columns - 1) / (rows * columns) / goal

@@ -6,16 +6,23 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from lampest.files import hdf5
 from lampest.report.compare import Table
+from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.solvers.solution import VERIFIED
 from lampest.studies import study
-from lampest.studies.extremes.figure import extremes_figure
 from lampest.studies.extremes.run import COLUMNS, REFUSED, Solve, run_atlas
-from lampest.studies.extremes.scenes import CASES, AtlasFile
+from lampest.studies.extremes.scenes import CASES, GRID, AtlasFile
 
 MILD_DECADES, MILD_NOISE = 6.0, 0.01  # up to which every solve shall end verified
+COLOURS = "YlGnBu"
+CELL_INCH = 0.165  # the side of a square
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
 
 
@@ -114,9 +121,8 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
     """The promise in numbers, and how the others ended."""
     named = sum(not solve.crashed and not solve.doubtful for solve in solves)
     tame = [solve for solve in solves if mild(solve)]
-    lines = [
-        f"{named} of {len(solves)} solves end with a verified optimum or a sentence ({_share(named, len(solves))})"
-    ]
+    share = _share(named, len(solves))
+    lines = [f"{named} of {len(solves)} solves end with a verified optimum or a sentence ({share})"]
     for title, chosen in (
         ("all", list(solves)),
         ("contrast up to 10⁶ or a single fault, noise up to 1 %", tame),
@@ -136,6 +142,101 @@ def _share(part: int, whole: int) -> str:
 def _kind(status: str) -> str:
     """A refusal without the numbers of its scene."""
     return status.split(":")[0] + ": the input" if status.startswith(REFUSED) else status
+
+
+def extremes_figure(found: Sequence[Solve]) -> Figure:
+    """Above: random panels, decades × noise for every method and size. Below: the other cases, a row for each.
+
+    A number is how many solves have no verified optimum; orange where any of them gives no reason or a wrong estimate.
+    White: not tried.
+    """
+    grid = [solve for solve in found if solve.sample.case == GRID]
+    cases = [solve for solve in found if solve.sample.case != GRID]
+    methods = list(dict.fromkeys(solve.method for solve in found if solve.method))
+    panels = list(study.grouped(grid, _panel))
+    noises = sorted({solve.sample.noise for solve in grid})
+    names = list(study.grouped(cases, _case))
+    high = [len(panels) * (len(noises) * CELL_INCH + 0.32), len(names) * CELL_INCH + 0.2]
+    figure = new_figure(sum(high) + 1.3)
+    halves: Any = figure.subfigures(2, 1, height_ratios=[max(part, 0.1) for part in high], hspace=0.02)
+    above, below = halves
+    if grid:
+        _draw_grid(above, grid, methods, panels, noises)
+    if cases:
+        _draw_cases(below, cases, methods, names)
+    last = below if cases else above
+    colours = ScalarMappable(Normalize(0, 100), COLOURS)
+    bar = last.colorbar(colours, ax=last.axes, location="bottom", aspect=60, shrink=0.6, pad=0.01)
+    bar.set_label(
+        "share of solves with a verified optimum [%]; numbers: how many without; white: not tried", fontsize=TEXT_POINT
+    )
+    bar.ax.tick_params(labelsize=SMALL_POINT)
+    return figure
+
+
+def _panel(solve: Solve) -> tuple[int, int, str]:
+    return solve.sample.rows, solve.sample.columns, solve.formulation
+
+
+def _case(solve: Solve) -> tuple[str, float]:
+    return solve.sample.case, solve.sample.decades
+
+
+def _draw_grid(
+    figure: Any, grid: Sequence[Solve], methods: list[str], panels: list[tuple[int, int, str]], noises: list[float]
+) -> None:
+    decades = sorted({solve.sample.decades for solve in grid})
+    axes = figure.subplots(len(panels), len(methods), squeeze=False, sharex=True, sharey=True)
+    for line, panel in zip(axes, panels, strict=True):
+        for own, method in zip(line, methods, strict=True):
+            chosen = [solve for solve in grid if _panel(solve) == panel and solve.method == method]
+            cells = study.grouped(chosen, lambda solve: (solve.sample.noise, solve.sample.decades))
+            _fill(own, [[cells.get((noise, decade), []) for decade in decades] for noise in noises])
+            own.set_xticks(np.arange(len(decades)), [f"{decade:g}" for decade in decades])
+            own.set_yticks(np.arange(len(noises)), [f"{100 * noise:g}" for noise in noises])
+            if panel == panels[0]:
+                own.set_title(method, fontsize=TEXT_POINT)
+            if panel == panels[-1]:
+                own.set_xlabel("decades", fontsize=TEXT_POINT)
+        line[0].set_ylabel(f"{panel[0]} × {panel[1]}\n{panel[2]}\nnoise [%]", fontsize=SMALL_POINT)
+
+
+def _draw_cases(figure: Any, cases: Sequence[Solve], methods: list[str], names: list[tuple[str, float]]) -> None:
+    formulations = list(dict.fromkeys(solve.formulation for solve in cases if solve.formulation))
+    noises = sorted({solve.sample.noise for solve in cases})
+    axes = figure.subplots(1, len(methods), squeeze=False, sharey=True)[0]
+    columns = [(formulation, noise) for formulation in formulations for noise in noises]
+    for own, method in zip(axes, methods, strict=True):
+        chosen = [solve for solve in cases if solve.method == method]
+        cells = study.grouped(chosen, lambda solve: (_case(solve), solve.formulation, solve.sample.noise))
+        _fill(own, [[cells.get((name, *column), []) for column in columns] for name in names])
+        own.set_xticks(np.arange(len(columns)), [f"{100 * noise:g}" for _, noise in columns])
+        for number, formulation in enumerate(formulations):
+            centre = (number + 0.5) * len(noises) - 0.5
+            own.text(centre, -0.7, formulation, fontsize=SMALL_POINT, ha="center", va="bottom")
+            if number:
+                own.axvline(number * len(noises) - 0.5, color="0.3", lw=0.8)
+        own.set_yticks(np.arange(len(names)), [_title(*name) for name in names])
+        own.set_xlabel("noise [%]", fontsize=TEXT_POINT)
+        own.set_title(f"{method}\n", fontsize=TEXT_POINT)
+
+
+def _title(case: str, decades: float) -> str:
+    return f"{case}, 10{str(int(decades)).translate(RAISED)}" if CASES[case].contrasted else case
+
+
+def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:
+    """A square for every cell of the table, coloured by its share, with a number where that is not all."""
+    share = [[np.mean([one.verified for one in solves]) if solves else np.nan for solves in line] for line in table]
+    axes.imshow(np.array(share, dtype=float), cmap=COLOURS, vmin=0, vmax=1, aspect="auto")
+    look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": SMALL_POINT, "fontweight": "bold"}
+    for line, column in zip(*np.nonzero(np.array(share) < 1), strict=True):
+        solves = table[line][column]
+        text = str(sum(not solve.verified for solve in solves))
+        alarm = any(solve.crashed or solve.doubtful for solve in solves)
+        note = axes.text(column, line, text, color=ORANGE if alarm else "black", **look)
+        note.set_path_effects([withStroke(linewidth=2, foreground="white")])
+    axes.tick_params(labelsize=SMALL_POINT, length=1.5, pad=1.5)
 
 
 def _write_solves(entry: Any, found: Sequence[Solve]) -> None:

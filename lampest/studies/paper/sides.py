@@ -1,14 +1,13 @@
 """What the paper publishes as numbers, and what stands beside: shipped scenes, and what five methods make of them."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
@@ -28,21 +27,9 @@ MEASURED = "measured"
 EVALUATION_S = 16.45 / 10_100  # table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative
 NAN = float("nan")
 FASTEST = "formulation=reduced"  # finds the optima that a file's formulation finds, sooner
-CLEAN = (
-    "The shipped recordings: readings within half a percent of the circuit, series resistance told and taken off for "
-    "the estimates (not in maps of measured resistance, as in the paper), optima verified."
-)
-PANEL = (
-    "The scene that was fitted to these numbers (configs/paper_35mm.yaml): unloaded cells differ by factors, every "
-    "reading is off by a static error, and the relative methods weigh changes as fractions, not as percent. Optima "
-    "verified."
-)
-SOLVER = (
-    "The same recordings as MATLAB's lsqnonlin leaves them, in kind: bounds, tolerances and limits are its defaults. "
-    "Times are its evaluations, at the 1.63 ms that one took the paper if LSM met the limit of 10,000."
-)
 OnCase = Callable[[int, int], None]
 FILE = "published.yaml"
+MOUTHS = ("35mm", "25mm")
 
 
 class ChangeAt(NamedTuple):
@@ -128,51 +115,10 @@ def published_numbers(path: Path | None = None) -> Published:
     return cast(Published, validated(parse_document(text, FILE), Published))
 
 
-@dataclass(frozen=True)
-class Weights:
-    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the start over R_m."""
-
-    absolute: float = 1e-3
-    relative: float = 10.0
-    start: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class LeftBySolver:
-    """What one method leaves of a recording.
-
-    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm. evaluations : (frames) solves
-    of the forward problem that MATLAB would have needed, derivatives included. why : (frames) what ended it.
-    joint : whether the first frame was solved together with the baseline.
-    """
-
-    baseline: Array
-    cells: Array
-    model: Array
-    measured: Array
-    evaluations: NDArray[np.int64]
-    why: tuple[str, ...]
-    joint: bool
-
-    @property
-    def change(self) -> Array:
-        """100·(r/r₀ − 1), (frames, rows, columns) percent."""
-        return np.asarray(100 * (self.cells / self.baseline - 1))
-
-    @property
-    def data_error(self) -> Array:
-        """100·|f(r) − R_m|/R_m, (frames, rows, columns) percent."""
-        return np.asarray(100 * np.abs(self.model - self.measured) / self.measured)
-
-
-WEIGHTS = Weights(relative=1e-3, start=1.66)
-
-
 @dataclass(frozen=True, eq=False)
 class LoadSeen:
     """What was measured of one load: relative change in percent, (rows, columns); felt : (lowest, highest) kPa."""
 
-    panel: Panel
     change: Array
     felt: tuple[float, float]
 
@@ -183,30 +129,29 @@ class LoadSeen:
         assert recording.truth_pressure is not None
         felt = recording.truth_pressure[frame]
         change = percent_change(recording.recorded[frame], unloaded(recording))
-        return cls(recording.scene.panel, change, (float(felt.min()), float(felt.max())))
+        return cls(change, (float(felt.min()), float(felt.max())))
 
 
 class StepsSeen(NamedTuple):
-    """Of some steps: mean and standard deviation of the data error in percent, mean time in s."""
+    """Of some steps: mean and standard deviation of the data error in percent, mean time in s; NaN: none."""
 
-    error: float
-    error_sd: float
-    time: float
+    error: float = NAN
+    error_sd: float = NAN
+    time: float = NAN
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
     """One set of scenes that stands beside the paper.
 
-    name, word, about : for the page, for files, a sentence. mouths : the large and the small one.
-    loads : letter of figure 6 → what was seen. first : whether the first frame is shown, else the strongest one.
+    name, word : for the page, for files. mouths : the large and the small one. loads : letter of figure 6 → what was
+    seen. first : whether the first frame is shown, else the strongest one.
     estimated : (method, number of the mouth) → relative change in percent, (frames, rows, columns).
-    steps : (method, steps) → what they took with the large mouth; NaN where there are no such steps.
+    steps : (method, steps) → what they took with the large mouth.
     """
 
     name: str
     word: str
-    about: str
     mouths: tuple[Recording, Recording]
     loads: Mapping[str, LoadSeen]
     first: bool
@@ -236,23 +181,30 @@ def all_sides(shipped: Path, folder: Path, published: Published, jobs: int | Non
     shipped : holds `configs/` and `data/`. Raises InputError where a file is missing, a case fails, or the folder
     cannot be written.
     """
-    configs, data, made = shipped / "configs", shipped / "data", folder / "recordings"
+    configs, data = shipped / "configs", shipped / "data"
+
+    def made(name: str) -> Path:
+        """The recording of a simulation's file; made once."""
+        file = folder / "recordings" / f"{name}.h5"
+        if not file.is_file():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            simulated(configs / f"{name}.yaml", file)
+        return file
+
+    def side(name: str, word: str, files: Sequence[Path], loads: dict[str, LoadSeen], run: str, *assigned: str) -> Side:
+        mouths = Recording.load(files[0]), Recording.load(files[1])
+        results = _solved(configs / run, assigned, folder / word, jobs, on_case)
+        return Side(name, word, mouths, loads, word != "clean", *_optima(name, results, mouths))
+
     letters = {load.letter: load.recording for load in published.loads}
     loads = {letter: LoadSeen.of(Recording.load(data / f"{name}.h5")) for letter, name in letters.items()}
-    mouths = Recording.load(data / "lamprey_35mm.h5"), Recording.load(data / "lamprey_25mm.h5")
-    results = _solved(configs / "table1.yaml", (), folder / "clean", jobs, on_case)
-    clean = Side("clean scenes", "clean", CLEAN, mouths, loads, False, *_optima("clean scenes", results, mouths))
-    files = [_made(configs / f"{name}.yaml", made) for name in ("paper_35mm", "paper_25mm")]
-    mouths = Recording.load(files[0]), Recording.load(files[1])
-    loads = {
-        letter: LoadSeen.of(Recording.load(_made(configs / f"real_{name}.yaml", made)))
-        for letter, name in letters.items()
-    }
-    assigned = (f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]",)
-    results = _solved(configs / "paper_run.yaml", assigned, folder / "panel", jobs, on_case)
-    panel = "paper's panel"
-    optima = Side(panel, "panel", PANEL, mouths, loads, True, *_optima(panel, results, mouths))
-    return clean, optima, Side("its solver", "solver", SOLVER, mouths, loads, True, *_left_by_solver(mouths))
+    clean = side("clean scenes", "clean", [data / f"lamprey_{size}.h5" for size in MOUTHS], loads, "table1.yaml")
+    files = [made(f"paper_{size}") for size in MOUTHS]
+    loads = {letter: LoadSeen.of(Recording.load(made(f"real_{name}"))) for letter, name in letters.items()}
+    recordings = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
+    panel = side("paper's panel", "panel", files, loads, "paper_run.yaml", recordings)
+    estimated, steps = _left_by_solver(panel.mouths)
+    return clean, panel, replace(panel, name="its solver", word="solver", estimated=estimated, steps=steps)
 
 
 def _optima(
@@ -271,7 +223,7 @@ def _optima(
             if (row.recording, row.estimator, row.steps) == (mouths[0].name, method, steps) and row.data_error:
                 time = NAN if row.solve_time is None else row.solve_time.mean
                 return StepsSeen(row.data_error.mean, row.data_error.sd or NAN, time)
-        return StepsSeen(NAN, NAN, NAN)
+        return StepsSeen()
 
     return estimated, taken
 
@@ -282,31 +234,21 @@ def _left_by_solver(
     """What the paper's solver leaves; times are evaluations, at what one of them took the paper."""
 
     @cache
-    def left(method: str, number: int) -> LeftBySolver:
+    def left(method: str, number: int) -> Any:
         recording = mouths[number]
         frames, solve = recording.recorded[recording.measured_frames()], published_code("as_published").left_by_solver
-        found: LeftBySolver = solve(method, recording.scene.panel, unloaded(recording), frames, WEIGHTS)
-        return found
+        return solve(method, recording.scene.panel, unloaded(recording), frames)
 
     def taken(method: str, steps: Steps) -> StepsSeen:
         found = left(method, 0)
         parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
         if steps not in parts:
-            return StepsSeen(NAN, NAN, NAN)
+            return StepsSeen()
         error = spread(found.data_error[parts[steps]])
         time = EVALUATION_S * float(found.evaluations[parts[steps]].mean())
-        return StepsSeen(NAN, NAN, time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
+        return StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
 
     return lambda method, number: left(method, number).change, taken
-
-
-def _made(config: Path, folder: Path) -> Path:
-    """The recording of a simulation's file; made once."""
-    file = folder / f"{config.stem}.h5"
-    if not file.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        simulated(config, file)
-    return file
 
 
 def _solved(config: Path, assigned: tuple[str, ...], folder: Path, jobs: int | None, on_case: OnCase) -> Results:

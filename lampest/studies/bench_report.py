@@ -1,8 +1,8 @@
 """A benchmark's figures by panel, method, solver and kind of frame, how they grow; tables, remarks and files."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import linregress
@@ -11,13 +11,11 @@ from lampest.files import hdf5
 from lampest.panel.panel import Array
 from lampest.report.compare import Table
 from lampest.studies import study
-from lampest.studies.bench.run import Bench, Timing, run_bench
-from lampest.studies.bench.settings import BenchFile, BenchLimits
-from lampest.studies.timing import NO_GAP
+from lampest.studies.bench import Bench, BenchFile, run_bench
+from lampest.studies.timing import NO_GAP, Timing
 
 ALL = "all"  # methods together
 GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
-Kind = Literal["first", "pair", "later"]  # of frames
 SHORT = {
     "reduced": "reduced",
     "nodal": "nodal",
@@ -25,7 +23,6 @@ SHORT = {
     "scipy_difference": "trf 2-point",
     "scipy_lbfgsb": "L-BFGS-B",
 }
-Cells = Callable[[study.Row], str]
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Growth:
 
     method: str
     solver: str
-    frames: Kind
+    frames: str
     exponent: float
     standard_error: float | None
     panels: int
@@ -56,15 +53,18 @@ class FramesOf:
     reduced: Sequence[Timing]
     first: bool
 
-    def over(self, name: str, timings: Sequence[Timing] | None = None) -> Array:
+    def over(self, name: str) -> Array:
         """Values of frames, one for each, of all recordings and methods."""
-        values = [getattr(timing, name) for timing in (self.own if timings is None else timings)]
+        return self._chosen(self.own, name)
+
+    def _chosen(self, timings: Sequence[Timing], name: str) -> Array:
+        values = [getattr(timing, name) for timing in timings]
         chosen = slice(0, 1) if self.first else slice(1, None)
         return np.concatenate([(value() if callable(value) else value)[chosen] for value in values])
 
     @property
-    def frames(self) -> Kind:
-        """Which."""
+    def frames(self) -> str:
+        """first, pair or later."""
         return "later" if not self.first else "pair" if all(timing.pair for timing in self.own) else "first"
 
     def ms(self, share: float = 0.5) -> float:
@@ -73,7 +73,7 @@ class FramesOf:
 
     def ratio(self) -> float | None:
         """The median over the reduced solver's."""
-        return self.ms() / (1e3 * float(np.median(self.over("times", self.reduced)))) if self.reduced else None
+        return self.ms() / 1e3 / float(np.median(self._chosen(self.reduced, "times"))) if self.reduced else None
 
     def gap(self) -> float | None:
         """The largest, failed frames included; None where the solver was alone."""
@@ -82,8 +82,8 @@ class FramesOf:
 
     def memory_mb(self) -> float | None:
         """Peak of a fresh process, 10⁶ bytes; None where it was not measured."""
-        keys = [(timing.shape, timing.method, timing.solver) for timing in self.own]
-        return max((self.bench.memory_mb[key] for key in keys if key in self.bench.memory_mb), default=None)
+        peaks = [self.bench.memory_mb.get((one.shape, one.method, one.solver)) for one in self.own]
+        return max((peak for peak in peaks if peak is not None), default=None)
 
 
 FIGURES: study.Figures = {
@@ -121,11 +121,12 @@ def bench_rows(bench: Bench) -> list[study.Row]:
 
 
 def _samples(bench: Bench, name: str, methods: Sequence[str], timings: Sequence[Timing]) -> Iterator[FramesOf]:
-    for solver in dict.fromkeys(timing.solver for timing in timings):
+    by_solver = study.grouped(timings, lambda timing: timing.solver)
+    for several in by_solver.values():
         for first in (True, False):
             own, reduced = (
-                [timing for timing in timings if timing.solver == one and (first or len(timing.status) > 1)]
-                for one in (solver, "reduced")
+                [timing for timing in some if first or len(timing.status) > 1]
+                for some in (several, by_solver.get("reduced", []))
             )
             if {timing.method for timing in own} == set(methods):
                 yield FramesOf(bench, name, own, reduced, first)
@@ -138,80 +139,19 @@ def growth(bench: Bench) -> list[Growth]:
     """
     rows = [row for row in bench_rows(bench) if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     found: list[Growth] = []
-    for solver in dict.fromkeys(row.solver for row in rows):
-        times: dict[tuple[str, Kind], dict[int, float]] = {}
-        for row in rows:
-            if row.solver == solver:
-                times.setdefault((row.method, row.frames), {})[row.rows + row.columns] = float(np.log(row.ms))
+    for solver, own in study.grouped(rows, lambda row: row.solver).items():
+        times: dict[tuple[str, str], dict[int, float]] = {}
+        for row in own:
+            times.setdefault((row.method, row.frames), {})[row.rows + row.columns] = float(np.log(row.ms))
         later = [of for (_, frames), of in times.items() if frames == "later"]
         common = sorted(set.intersection(*map(set, later))) if later else []
-        found += _grown(ALL, solver, "later", {lines: float(np.mean([of[lines] for of in later])) for lines in common})
-        for (method, frames), of in times.items():
-            found += _grown(method, solver, frames, of)
+        together = {(ALL, "later"): {lines: float(np.mean([of[lines] for of in later])) for lines in common}}
+        for (method, frames), of in (*together.items(), *times.items()):
+            if len(of) > 1:
+                line = linregress(np.log(list(of)), list(of.values()))
+                error = float(line.stderr) if len(of) > 2 else None
+                found.append(Growth(method, solver, frames, float(line.slope), error, len(of), max(of) / 2))
     return found
-
-
-def _grown(method: str, solver: str, frames: Kind, times: dict[int, float]) -> Iterator[Growth]:
-    """times : logarithms by M + N."""
-    if len(times) < 2:
-        return
-    line = linregress(np.log(list(times)), list(times.values()))
-    error = float(line.stderr) if len(times) > 2 else None
-    yield Growth(method, solver, frames, float(line.slope), error, len(times), max(times) / 2)
-
-
-def solvers_table(bench: Bench) -> Table:
-    """All methods together: panel by panel, solver by solver."""
-    rows = [row for row in bench_rows(bench) if row.method == ALL]
-
-    def ratio(row: study.Row) -> str:
-        return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
-
-    return _table(rows, ("solver", lambda row: SHORT[row.solver]), ("ratio", ratio))
-
-
-def methods_table(bench: Bench) -> Table:
-    """The reduced solver: panel by panel, method by method."""
-    rows = [row for row in bench_rows(bench) if row.method != ALL and row.solver == "reduced"]
-
-    def quartiles(row: study.Row) -> str:
-        return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
-
-    return _table(rows, ("method", lambda row: row.method), ("quartiles", quartiles))
-
-
-def _table(rows: Sequence[study.Row], named: tuple[str, Cells], special: tuple[str, Cells]) -> Table:
-    """Columns in which some row has anything."""
-    columns: dict[str, Cells] = {
-        "panel": _panel,
-        named[0]: named[1],
-        "frames": lambda row: row.frames,
-        "ms": lambda row: short(row.ms),
-        special[0]: special[1],
-        "inverses": lambda row: short(row.inverses),
-        "steps": lambda row: short(row.iterations),
-        "gap": lambda row: "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}",
-        "verified": lambda row: f"{row.verified}/{row.count}",
-        "MB": lambda row: study.text_of(row.memory_mb, ".0f"),
-    }
-    return study.screen_table(rows, {title: text for title, text in columns.items() if any(map(text, rows))})
-
-
-def _panel(row: study.Row) -> str:
-    return f"{row.rows} × {row.columns}"
-
-
-def _exponent(one: Growth) -> str:
-    return f"{one.exponent:.2f}" + ("" if one.standard_error is None else f" ± {one.standard_error:.2f}")
-
-
-GROWTH_SCREEN: dict[str, Callable[[Growth], str]] = {
-    "solver": lambda one: one.solver,
-    "method": lambda one: one.method,
-    "frames": lambda one: one.frames,
-    "exponent of the side": _exponent,
-    "panels": lambda one: f"{one.panels}, {GROWTH_FROM} to {one.largest:.0f}",
-}
 
 
 def short(value: float) -> str:
@@ -219,40 +159,80 @@ def short(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}" if value >= 10 else f"{value:.2g}"
 
 
+def _ratio(row: study.Row) -> str:
+    return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
+
+
+def _quartiles(row: study.Row) -> str:
+    return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
+
+
+def _gap(row: study.Row) -> str:
+    return "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}"
+
+
+SCREEN: dict[str, Callable[[study.Row], str]] = {
+    "panel": lambda row: f"{row.rows} × {row.columns}",
+    "solver": lambda row: SHORT[row.solver],
+    "method": lambda row: row.method,
+    "frames": lambda row: row.frames,
+    "ms": lambda row: short(row.ms),
+    "ratio": _ratio,
+    "quartiles": _quartiles,
+    "inverses": lambda row: short(row.inverses),
+    "steps": lambda row: short(row.iterations),
+    "gap": _gap,
+    "verified": lambda row: f"{row.verified}/{row.count}",
+    "MB": lambda row: study.text_of(row.memory_mb, ".0f"),
+}
+GROWTH_SCREEN: dict[str, Callable[[Growth], str]] = {
+    "solver": lambda one: one.solver,
+    "method": lambda one: one.method,
+    "frames": lambda one: one.frames,
+    "exponent of the side": lambda one: (
+        f"{one.exponent:.2f}" + ("" if one.standard_error is None else f" ± {one.standard_error:.2f}")
+    ),
+    "panels": lambda one: f"{one.panels}, {GROWTH_FROM} to {one.largest:.0f}",
+}
+
+
+def tables(bench: Bench) -> list[tuple[str, Table]]:
+    """Titled tables for the screen, those without any row left out."""
+    rows = bench_rows(bench)
+    titled = (
+        ("solvers: all methods together", _table([row for row in rows if row.method == ALL], "method", "quartiles")),
+        (
+            "methods: the reduced solver",
+            _table([row for row in rows if row.method != ALL and row.solver == "reduced"], "solver", "ratio"),
+        ),
+        ("growth: time ∝ side^exponent", study.screen_table(growth(bench), GROWTH_SCREEN)),
+    )
+    return [(title, table) for title, table in titled if table.cells]
+
+
+def _table(rows: Sequence[study.Row], *without: str) -> Table:
+    """Columns in which some row has anything."""
+    columns = {title: text for title, text in SCREEN.items() if title not in without and any(map(text, rows))}
+    return study.screen_table(rows, columns)
+
+
 def bench_remarks(bench: Bench) -> list[str]:
     """Sentences beside the tables: disturbances, limits, and what there was no time for."""
     settings = bench.settings
     lines = [f"{100 * np.mean([timing.clean() for timing in bench.timings]):.0f} % of the solves were not held up"]
     largest = max(max(shape) for shape in settings.shapes)
-    limited = [
-        f"{field.name} {limit}"
-        for field in fields(BenchLimits)
-        if (limit := getattr(settings.limits, field.name)) < largest
-    ]
+    limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
     if limited:
         lines.append(f"not run beyond these sides (limits): {', '.join(limited)}")
-    return lines + list(_left_out(bench))
-
-
-def _left_out(bench: Bench) -> Iterator[str]:
-    """One sentence for panels of which the same was left out."""
-    found: dict[tuple[str, str], list[str]] = {}
-    for shape, what in dict.fromkeys((one.shape, one.what) for one in bench.left_out):
-        methods = [one.method for one in bench.left_out if (one.shape, one.what) == (shape, what)]
-        named = "all methods" if methods == list(bench.settings.estimators) else ", ".join(methods)
-        found.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
-    for (what, named), panels in found.items():
-        yield f"left out, would not end within {bench.settings.budget_s:g} s: {what}: {named} at {', '.join(panels)}"
-
-
-def tables(bench: Bench) -> list[tuple[str, Table]]:
-    """Titled tables for the screen, those without any row left out."""
-    titled = (
-        ("solvers: all methods together", solvers_table(bench)),
-        ("methods: the reduced solver", methods_table(bench)),
-        ("growth: time ∝ side^exponent", study.screen_table(growth(bench), GROWTH_SCREEN)),
-    )
-    return [(title, table) for title, table in titled if table.cells]
+    panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
+    for (shape, what), own in study.grouped(bench.left_out, lambda one: (one.shape, one.what)).items():
+        methods = [one.method for one in own]
+        named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
+        panels.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
+    return lines + [
+        f"left out, would not end within {settings.budget_s:g} s: {what}: {named} at {', '.join(several)}"
+        for (what, named), several in panels.items()
+    ]
 
 
 def page(bench: Bench) -> str:

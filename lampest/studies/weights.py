@@ -1,9 +1,14 @@
-"""The one penalty of an estimator on one frame, and the true curves: solved and evaluated at every weight of a grid."""
+"""What `weight: auto` does: true curves over the weight of a penalty, and every rule's choice on them.
+
+Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O'Leary, SIAM J. Sci. Comput. 14, 1993
+(L-curve).
+"""
 
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 from scipy.special import erfcx
@@ -14,20 +19,20 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import deciding_data, deciding_frame, frames_beside, resting_readings
-from lampest.estimate.weights import WeightSearch
+from lampest.estimate.weights import WeightSearch, rule_in_use
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Spectrum
+from lampest.posterior.spectrum import Rule, Spectrum
 from lampest.posterior.track import MOST_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.solvers.multistart import BROKEN, best_solution, evaluated
-from lampest.solvers.solution import Solution
+from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 
 POINTS = 33  # of the even grid
 FARTHEST = 1e4  # it reaches at most so many times beyond what the rules choose
+STANDING = 0.05  # of the greatest speed along the L-curve; slower, its curvature means nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,26 +100,10 @@ class WeightSubject:
             [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
         )
 
-    def solution(self, weight: float, start: Array | None) -> Solution:
-        """The estimate for a weight, begun from one near it (frames, rows, columns) ohm, or from all starts."""
-        solver = named_method("reduced").solver(self.with_weight(weight), self.scene, self.estimator.solver, 1.0)
-        return best_solution(solver, self.data, start)
-
     @property
     def count(self) -> int:
         """The number of readings that are values."""
         return int(np.sum(self.data.plain))
-
-    @property
-    def misfit_unit(self) -> str:
-        """The unit of the misfit's residuals."""
-        term = self.cost.terms[1 - self.penalty]
-        return "1" if getattr(term, "weighting", "plain") == "noise" else term.unit
-
-    @property
-    def penalty_unit(self) -> str:
-        """The unit of the penalty's residuals."""
-        return self.cost.terms[self.penalty].unit
 
     @property
     def kind(self) -> str:
@@ -122,18 +111,18 @@ class WeightSubject:
         return term_kind(self.cost.terms[self.penalty])
 
     @property
+    def square_units(self) -> tuple[str, str]:
+        """The units of the misfit's residuals and of the penalty's, squared, in ASCII."""
+        term, penalty = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
+        units = "1" if getattr(term, "weighting", "plain") == "noise" else term.unit, penalty.unit
+        misfit, other = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
+        return misfit, other
+
+    @property
     def weight_unit(self) -> str:
         """The unit of λ: the misfit's, squared, over the penalty's, squared."""
-        if self.misfit_unit == self.penalty_unit:
-            return "1"
-        return f"{squared(self.misfit_unit)}/{squared(self.penalty_unit)}"
-
-
-def squared(unit: str) -> str:
-    """The square of a unit, in ASCII."""
-    if unit == "1":
-        return "1"
-    return f"({unit})^2" if " " in unit else f"{unit}^2"
+        misfit, penalty = self.square_units
+        return "1" if misfit == penalty else f"{misfit}/{penalty}"
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
@@ -181,7 +170,8 @@ class CurvePoint:
 
 def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> CurvePoint:
     """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
-    found = subject.solution(weight, start)
+    solver = named_method("reduced").solver(subject.with_weight(weight), subject.scene, subject.estimator.solver, 1.0)
+    found = best_solution(solver, subject.data, start)
     if found.at is None or found.dual is None:
         return CurvePoint(weight)
     model = LinearModel(found.at, found.dual)
@@ -201,14 +191,14 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
         evidence,
         risk,
         press,
-        error(subject, found.cell_resistance),
+        true_error(subject, found.cell_resistance),
         float(found.open_cell[-1].sum()),
         float(np.sum(model.at_lower | model.at_upper)),
         found.cell_resistance,
     )
 
 
-def error(subject: WeightSubject, cells: Array) -> float:
+def true_error(subject: WeightSubject, cells: Array) -> float:
     """√ mean (log r̂ − log r)² over the measured frame of (frames, rows, columns) ohm; NaN without a truth."""
     if subject.truth is None:
         return float("nan")
@@ -304,3 +294,89 @@ def grid(subject: WeightSubject, marks: list[float], at: Array) -> list[float]:
         low, high = max(least, low), min(largest, high)
     even = np.geomspace(min(low, *marks), max(high, *marks), POINTS)
     return [float(weight) for weight in even]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One rule's weight; None where it has none.
+
+    solves : that it took, the estimate for its choice included; None for a rule that needs the whole curve.
+    error : true root-mean-square log error there, excess : over the best in hindsight; None without a truth.
+    in_use : whether the estimator goes by it.
+    """
+
+    rule: str
+    weight: float | None
+    solves: int | None
+    error: float | None
+    excess: float | None
+    in_use: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """One case: its curves and every rule's choice on them."""
+
+    subject: WeightSubject
+    curves: Curves
+    choices: tuple[Choice, ...]
+
+
+@np.errstate(all="ignore")
+def tune(subject: WeightSubject) -> Tuned:
+    """Every rule's choice for a subject, and the true curves round them.
+
+    Raises InputError where the estimator's rule needs the noise and it is unknown.
+    """
+    first = convex(subject.data, None)
+    rules = [rule for rule in get_args(Rule) if subject.noisy or rule == "press"]
+    tried = {rule: subject.search.tried(subject.penalty, rule, first) for rule in rules}
+    in_use = rule_in_use(subject.estimator, subject.noisy) if subject.given is None else "given"
+    marks = [path[-1] for path in tried.values()] + ([subject.given] if subject.given else [])
+    curves = trace(subject, marks, first)
+    weights: dict[str, tuple[float | None, int | None]] = {rule: (path[-1], len(path)) for rule, path in tried.items()}
+    weights["Morozov"] = (morozov(curves) if subject.noisy else None, None)
+    weights["L-curve"] = (l_curve(curves.on_grid()), None)
+    if subject.given:
+        weights["given"] = (subject.given, 1)
+    curves = curves.extended(weight for weight, _ in weights.values() if weight is not None).finer()
+    best = curves.best()
+    if best is not None:
+        weights["best"] = (best.weight, None)
+    choices = (_choice(curves, rule, *chosen, rule == in_use) for rule, chosen in weights.items())
+    return Tuned(subject, curves, tuple(choices))
+
+
+def _choice(curves: Curves, rule: str, weight: float | None, solves: int | None, in_use: bool) -> Choice:
+    best = curves.best()
+    point = None if weight is None else curves.at(weight)
+    if best is None or point is None or not np.isfinite(point.error):
+        return Choice(rule, weight, solves, None, None, in_use)
+    return Choice(rule, weight, solves, point.error, point.error / best.error, in_use)
+
+
+def morozov(curves: Curves) -> float | None:
+    """The largest λ at which data are missed by no more than their noise, ρ/s² = number of data; None if there is none.
+
+    Interpolated between the points, log ρ over log λ.
+    """
+    data = curves.subject.count
+    points = curves.on_grid()
+    for before, after in zip(reversed(points[:-1]), reversed(points[1:]), strict=True):
+        if before.misfit <= data < after.misfit:
+            share = np.log(data / before.misfit) / np.log(after.misfit / before.misfit)
+            return float(before.weight * (after.weight / before.weight) ** share)
+    return None
+
+
+def l_curve(points: tuple[CurvePoint, ...]) -> float | None:
+    """λ of the greatest curvature of log η over log ρ, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where κ ≤ 0."""
+    if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
+        return None
+    weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
+    right, rise = np.gradient(across, weight), np.gradient(up, weight)
+    speed = np.hypot(right, rise)
+    moving = speed > STANDING * speed.max()
+    curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
+    curvature = np.where(moving, curvature / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
+    return float(points[1 + int(np.argmax(curvature))].weight) if curvature.max() > 0 else None

@@ -1,0 +1,389 @@
+"""Time against accuracy: every rung of the ladder of formulations goes through every recording in turn, A B C A B C.
+
+Time and cell error are those of the rung's own sequence. Objectives of relative methods depend on the previous
+estimate, so each estimate is judged by the same cost: with the previous frame of the reference, `reduced`, and against
+the best that any rung found for it. A joint first pair is judged by its second frame, given the reference's baseline.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
+from lampest.estimate.methods.approximate import TruncatedMethod
+from lampest.estimate.sequence import first_stream, reconstruct
+from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
+from lampest.files.typed import Configuration, check_positive_fields, check_ranges
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.measure import Unmodelled
+from lampest.recording.stored import only_frames
+from lampest.report.compare import relative_error
+from lampest.runs.case import check_name
+from lampest.runs.config import recording_paths
+from lampest.solvers.solution import Settings
+from lampest.studies.methods import (
+    BREATHING,
+    LARGEST_SIDE,
+    SERIES_OHM,
+    BoundedMethod,
+    Shape,
+    Sizes,
+    check_sides,
+    lamprey_mouth,
+    paper_methods,
+    shapes_of,
+)
+from lampest.studies.study import OnStep
+from lampest.studies.timing import TimedFrames, peak_memory
+
+REFERENCE = "reduced"
+LADDER: tuple[MethodName | AnyMethod, ...] = (
+    "naive",
+    "scaled",
+    "linearised",
+    *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
+    "region",
+    "reduced",
+    "nodal",
+    "per_pixel",
+)
+CHANGED = 0.05  # a cell has changed that has left its unloaded resistance by more
+Task = tuple[Estimator, Recording]
+Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
+
+
+@dataclass(frozen=True)
+class TradeoffLimits(Configuration):
+    """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
+
+    joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
+    """
+
+    naive: int = LARGEST_SIDE
+    scaled: int = LARGEST_SIDE
+    linearised: int = LARGEST_SIDE
+    truncated: int = LARGEST_SIDE
+    region: int = LARGEST_SIDE
+    nodal: int = 16
+    per_pixel: int = 10
+    joint: int = 16
+
+
+@dataclass(frozen=True)
+class Simulated(Configuration):
+    """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
+
+    Parameters
+    ----------
+    sizes : sides of square panels, or [rows, columns].
+    noise : readouts by name. scenes : unmodelled effects by name.
+    diameter_mm : of the mouth. seed : of all random numbers.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    sizes: Sizes
+    noise: dict[str, TwoPointReadout] = field(default_factory=lambda: {"10bit": TwoPointReadout()})
+    scenes: dict[str, Unmodelled] = field(default_factory=lambda: {"clean": Unmodelled()})
+    diameter_mm: float = 35.0
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.sizes or not self.noise or not self.scenes:
+            raise ValueError("sizes, noise and scenes must hold at least one")
+        check_sides(shapes_of(self.sizes), 8, LARGEST_SIDE)
+        for name in (*self.noise, *self.scenes):
+            check_name(name, "noise or scene")
+        check_positive_fields(self, "diameter_mm")
+        check_ranges(self, 0, 2**64 - 1, "seed")
+
+    def subjects(self, frames: int) -> Iterator["TradeoffSubject"]:
+        """Every combination, in order of size; frames measured frames after three unloaded ones."""
+        for rows, columns in shapes_of(self.sizes):
+            mouth = lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
+            about: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": BREATHING}
+            for noise, readout in self.noise.items():
+                place = Scene(Panel(rows, columns), readout, SERIES_OHM)
+                for scene, unmodelled in self.scenes.items():
+                    simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **about)
+                    recording = simulate(simulation, f"{rows}x{columns}")
+                    yield TradeoffSubject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class TradeoffSubject:
+    """A recording that is measured; scene and noise are '-' for one from a file."""
+
+    recording: Recording
+    scene: str
+    noise: str
+
+    @property
+    def shape(self) -> Shape:
+        """(rows, columns)."""
+        return self.recording.scene.panel.shape
+
+
+@dataclass(frozen=True)
+class TradeoffFile(Configuration):
+    """What is measured.
+
+    Parameters
+    ----------
+    recordings : files, relative to this one. simulated : recordings made for the purpose.
+    estimators : methods by name; the paper's five by default.
+    formulations : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
+    frames : of each recording at most so many measured frames, in sequence, from the first.
+    repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
+    memory : the method with which the peak memory of a fresh process is measured; None: it is not.
+    solver : tolerance and iterations, the same for all.
+    limits : the largest side for each rung.
+
+    Raises ValueError where something is missing or a number is out of range.
+    """
+
+    schema: Literal[1]
+    recordings: tuple[str, ...] = ()
+    simulated: Simulated | None = None
+    estimators: dict[str, BoundedMethod] = field(default_factory=lambda: paper_methods(BoundedMethod))
+    formulations: tuple[MethodName | AnyMethod, ...] = LADDER
+    frames: int = 5
+    repeats: int = 3
+    patience_s: float = 3.0
+    memory: str | None = None
+    solver: Settings = Settings()
+    limits: TradeoffLimits = TradeoffLimits()
+
+    def __post_init__(self) -> None:
+        if not self.recordings and self.simulated is None:
+            raise ValueError("name recordings, or say what is simulated")
+        if not self.estimators:
+            raise ValueError("estimators must hold at least one")
+        for name in self.estimators:
+            check_name(name, "estimator")
+        labels = [label(formulation) for formulation in self.ladder]
+        if REFERENCE not in labels:
+            raise ValueError(f"formulations must hold {REFERENCE}, which the others are compared with")
+        if len(set(labels)) < len(labels):
+            raise ValueError("formulations names a rung twice")
+        check_ranges(self, 2, 1000, "frames")
+        check_ranges(self, 1, 1000, "repeats")
+        if not 0 <= self.patience_s < float("inf"):
+            raise ValueError("patience_s must be zero or positive, and finite")
+        if self.memory is not None and self.memory not in self.estimators:
+            raise ValueError(f"memory: {self.memory} is none of the estimators")
+
+    @property
+    def ladder(self) -> tuple[Method, ...]:
+        """The formulations; words as what they stand for."""
+        return tuple(named_method(formulation) for formulation in self.formulations)
+
+    def rungs(self, shape: Shape) -> dict[str, Method]:
+        """The rungs that are measured on a panel, by label."""
+        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, LARGEST_SIDE))
+        return {label(rung): rung for rung in allowed}
+
+    def methods(self, shape: Shape) -> tuple[str, ...]:
+        """The methods that are measured on a panel."""
+        small = max(shape) <= self.limits.joint
+        chosen = self.estimators.items()
+        return tuple(name for name, method in chosen if small or not any(term.needs_previous for term in method.parts))
+
+    def estimator(self, method: str, formulation: Method) -> Estimator:
+        """A method in a formulation."""
+        chosen = self.estimators[method]
+        return Estimator(chosen.parts, formulation, self.solver, chosen.bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trade-off's file with its recordings at hand, cut to their first frames."""
+
+    settings: TradeoffFile
+    subjects: tuple[TradeoffSubject, ...]
+
+
+def label(formulation: Method) -> str:
+    """The rung's name in tables and figures: its word, with the number of steps where there is one."""
+    return f"{formulation.kind} {formulation.steps}" if isinstance(formulation, TruncatedMethod) else formulation.kind
+
+
+def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
+    """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
+    settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
+    recordings = [Recording.load(file) for file in recording_paths(path, list(settings.recordings))]
+    subjects = [TradeoffSubject(first_frames(recording, settings.frames), "-", "-") for recording in recordings]
+    if settings.simulated is not None:
+        try:
+            subjects += settings.simulated.subjects(settings.frames)
+        except ValueError as error:
+            raise InputError(f"{path}: simulated: {error}") from error
+    names = [subject.recording.name for subject in subjects]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: two recordings are called {name}")
+    return Plan(settings, tuple(subjects))
+
+
+def first_frames(recording: Recording, count: int) -> Recording:
+    """The unloaded frames and the first measured ones. Raises InputError where fewer than two are measured."""
+    measured = recording.measured_frames()[:count]
+    if len(measured) < 2:
+        raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
+    chosen = recording.role == UNLOADED
+    chosen[measured] = True
+    return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured(TimedFrames):
+    """One rung with one method on one recording.
+
+    Parameters
+    ----------
+    wall, cpu : of the solve, and of the processor from one frame to the next; the first frame of relative methods may
+        hold the baseline as well.
+    objective : as the module says. gap : (φ − φ_best)/(φ_best + what missing every reading by its noise costs): a gap
+        far below 1 cannot be seen in the readings.
+    subject, method, formulation : what was measured.
+    baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
+    cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
+        the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
+    memory_mb : peak of a fresh process with this rung on such a panel, libraries included; None: not measured.
+    """
+
+    subject: TradeoffSubject
+    method: str
+    formulation: str
+    baseline_s: float
+    cell_error: Array
+    changed_error: Array
+    memory_mb: float | None = None
+
+    @property
+    def shape(self) -> Shape:
+        """(rows, columns)."""
+        return self.subject.shape
+
+    def times(self) -> Array:
+        """(frames) s: the least of the repeats; the processor's time where something else disturbed it."""
+        return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
+
+
+def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> tuple[Measured, ...]:
+    """Measure everything. on_step is called with how many of how many parts are done."""
+    settings = plan.settings
+    fresh = list(_memory_tasks(plan))
+    chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
+    measured: list[Measured] = []
+    for done, (subject, method) in enumerate(chosen, 1):
+        measured += _measure(settings, subject, method)
+        on_step(done, len(chosen) + len(fresh))
+    memory = {}
+    for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
+        memory[shape, name] = peak_memory(_passage, task)
+        on_step(done, len(chosen) + len(fresh))
+    return tuple(replace(one, memory_mb=memory.get((one.shape, one.formulation))) for one in measured)
+
+
+def _passage(task: Task) -> Passage:
+    """Solve the frames of a recording in sequence."""
+    (estimator, recording), clock = task, [process_time()]
+    found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
+    return found, np.diff(clock)
+
+
+def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[Measured]:
+    """All rungs with one method on one recording."""
+    rungs = settings.rungs(subject.shape)
+    runs: dict[str, list[Passage]] = {name: [] for name in rungs}
+    begin = perf_counter()
+    for turn in range(settings.repeats):
+        if turn and perf_counter() - begin > settings.patience_s:
+            break
+        for name, formulation in rungs.items():
+            runs[name].append(_passage((settings.estimator(method, formulation), subject.recording)))
+    costs = list(_costs(runs[REFERENCE][0][0]))
+    objective = {
+        name: np.array([_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)])
+        for name, run in runs.items()
+    }
+    least = np.nanmin(np.stack(list(objective.values())), axis=0)
+    noise = np.array([_noise_cost(*cost) for cost in costs])
+    for name, run in runs.items():
+        first = run[0][0]
+        cell, changed = errors(first)
+        yield Measured(
+            subject=subject,
+            method=method,
+            formulation=name,
+            wall=np.stack([[step.seconds for step in found.steps] for found, _ in run], axis=1),
+            cpu=np.stack([cpu for _, cpu in run], axis=1),
+            baseline_s=0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run),
+            cell_error=cell,
+            changed_error=changed,
+            objective=objective[name],
+            gap=(objective[name] - least) / (least + noise),
+            **TimedFrames.ends([step.solution for step in first.steps]),
+        )
+
+
+def errors(found: Estimates) -> tuple[Array, Array]:
+    """(frames) median error of all cells and of the changed ones, percent; NaN where there is nothing to compare."""
+    recording, frames = found.recording, len(found.frame)
+    truth = recording.truth_cell_resistance
+    if truth is None:
+        return np.full(frames, np.nan), np.full(frames, np.nan)
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
+    error = relative_error(found.cell_resistance, truth[found.frame])
+    changed = np.abs(truth[found.frame] / resting - 1) > CHANGED
+    inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
+    return np.median(error, axis=(1, 2)), np.array(inside)
+
+
+def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
+    """Every frame's cost and data, with the reference's estimate of the frame before."""
+    recording, estimator = reference.recording, reference.estimator
+    readings = recording.readings()
+    stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
+    before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
+    for frame, previous in zip(reference.frame, before, strict=True):
+        data, _ = replace(stream, previous=previous).given(readings[frame])
+        yield estimator.cost(recording.scene, len(data.measured), data.partial), data
+
+
+def _objective(cost: Cost, data: Data, cells: Array) -> float:
+    if not np.all(np.isfinite(cells)):
+        return float("nan")
+    # What a rung with other data (the joint pair) puts a hair outside the bounds must not look better for it.
+    return Evaluation.at(cost, data, np.clip(cells, data.lower[0], data.upper[0])[None]).objective
+
+
+def _noise_cost(cost: Cost, data: Data) -> float:
+    """The misfit terms where every reading is missed by its standard deviation."""
+    costs = Evaluation(cost, data, data.apparent_resistance, data.measured + data.sigma, ()).costs
+    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
+
+
+def _memory_tasks(plan: Plan) -> Iterator[tuple[Shape, str, Task]]:
+    """Every rung on every size of panel, with two frames of the first of its recordings."""
+    settings = plan.settings
+    first = {subject.shape: subject for subject in reversed(plan.subjects)} if settings.memory is not None else {}
+    for shape in dict.fromkeys(subject.shape for subject in plan.subjects if subject.shape in first):
+        short = first_frames(first[shape].recording, 2)
+        for name, formulation in settings.rungs(shape).items():
+            yield shape, name, (settings.estimator(str(settings.memory), formulation), short)

@@ -1,1 +1,0 @@
-"""What every saved millisecond costs in accuracy: the ladder of formulations, measured side by side."""

@@ -1,1 +1,0 @@
-"""What `weight: auto` did: true curves over the weight of a penalty, and where every rule stands on them."""

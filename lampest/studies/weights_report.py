@@ -1,0 +1,312 @@
+"""`lampest study weights`: every case of a run that has one penalty, its rules' choices, the curves, a figure."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
+
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.recording.recording import Recording
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
+from lampest.runs.config import Case, Run, read_run
+from lampest.studies import study
+from lampest.studies.weights import Tuned, WeightSubject, tune, why_not
+
+LOOKS: dict[str, dict[str, Any]] = {
+    "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},
+    "evidence": {"color": "#D55E00", "ls": (0, (5, 1.5)), "marker": "s"},
+    "press": {"color": "#009E73", "ls": (0, (4, 1.2, 1, 1.2)), "marker": "D", "name": "PRESS"},
+    "Morozov": {"color": "#CC79A7", "ls": (0, (1, 1)), "marker": "^"},
+    "L-curve": {"color": "#E69F00", "ls": (0, (3, 1, 1, 1, 1, 1)), "marker": "v"},
+    "given": {"color": "#7A5230", "ls": (0, (8, 2)), "marker": "P", "name": "given in the file"},
+    "best": {"color": "black", "ls": "-", "marker": "*", "name": "best in hindsight"},
+}
+PENALTY = "#56738C"  # the colour of its axis
+LINE: dict[str, Any] = {"color": "black", "lw": 1.3, "zorder": 2.5}
+
+
+def file_name(one: Tuned) -> str:
+    """<recording>_<estimator> as part of a file's name."""
+    return re.sub(r"[^\w.@=,+-]", "_", f"{one.subject.recording}_{one.subject.name}")
+
+
+def weights_figure(one: Tuned) -> Figure:
+    """Five panels over log λ, and the L-curve; a line, or a sign, for the choice of every rule.
+
+    Evidence, risk and PRESS stand above their least values; what has no known noise or truth says so.
+    """
+    figure = new_figure(7.4)
+    panels = figure.subplots(3, 2)
+    for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcdef", strict=True):
+        axes.tick_params(labelsize=SMALL_POINT, which="both")
+        axes.grid(True, which="major", color="0.92", lw=0.5)
+        axes.set_axisbelow(True)
+        axes.set_title(f"({letter}) {title}", fontsize=TEXT_POINT, loc="left")
+        draw(axes, one)
+    title = f"{one.subject.recording}, frame {one.subject.frame}: {one.subject.name}"
+    figure.suptitle(title, fontsize=TEXT_POINT + 1)
+    look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": 3}
+    figure.legend(*panels[2, 1].get_legend_handles_labels(), loc="outside lower center", **look)
+    return figure
+
+
+def _shown(unit: str) -> str:
+    """A unit in print."""
+    return unit.replace("^2", "²").replace("ohm", "Ω").replace("percent", "%").replace("/", " / ")
+
+
+def _labels(one: Tuned) -> tuple[str, str]:
+    """Of misfit and penalty."""
+    misfit, penalty = map(_shown, one.subject.square_units)
+    return f"misfit {'ρ/s² [1]' if one.subject.noisy else f'ρ [{misfit}]'}", f"penalty η [{penalty}]"
+
+
+def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
+    """The axis of λ with every choice; returns λ at all points."""
+    weights = one.curves.values("weight")
+    axes.set_xscale("log")
+    axes.set_xlim(weights[0] / 1.6, weights[-1] * 1.6)
+    axes.xaxis.set_major_locator(LogLocator(numticks=9))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel(f"weight λ of {one.subject.kind} [{_shown(one.subject.weight_unit)}]", fontsize=TEXT_POINT)
+    axes.set_ylabel(label, fontsize=TEXT_POINT)
+    for choice in one.choices:
+        if choice.weight is not None:
+            look, wide = LOOKS[choice.rule], 1.6 if choice.in_use else 0.9
+            axes.axvline(choice.weight, color=look["color"], ls=look["ls"], lw=wide, alpha=0.9, zorder=1.5)
+    return weights
+
+
+def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
+    """A panel of a rule's function, less its least value, on a logarithmic scale that holds zero."""
+
+    def draw(axes: Axes, one: Tuned) -> None:
+        values = one.curves.values(name)
+        unit = one.subject.square_units[0] if name == "press" else "1"
+        weights = _over_weight(axes, one, f"{label} [{_shown(unit)}]")
+        if not np.isfinite(values).any():
+            _words_instead(axes, "needs the noise of the readings")
+            return
+        above = values - np.nanmin(values)
+        positive = above[above > 0]
+        small, large = np.quantile(positive, (0.2, 1.0)) if len(positive) else (1.0, 1.0)
+        first, last = int(np.floor(np.log10(small))), int(np.floor(np.log10(large)))
+        axes.set_yscale("symlog", linthresh=10.0**first)
+        axes.plot(weights, above, **LINE)
+        axes.plot(weights[int(np.nanargmin(values))], 0, "o", color="black", ms=4, clip_on=False, zorder=3)
+        axes.set_ylim(0, 1.5 * large)
+        axes.set_yticks([0.0, *(10.0**power for power in range(first, last + 1, 1 + (last - first) // 6))], minor=False)
+        axes.yaxis.set_minor_locator(NullLocator())
+
+    return draw
+
+
+def _words_instead(axes: Axes, words: str) -> None:
+    text = axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=TEXT_POINT)
+    text.set_path_effects([withStroke(linewidth=3, foreground="white")])
+    axes.set_yscale("linear")
+    axes.set_yticks([])
+
+
+def _misfit(axes: Axes, one: Tuned) -> None:
+    """ρ and η, on two axes."""
+    misfit, penalty = _labels(one)
+    weights = _over_weight(axes, one, misfit)
+    axes.plot(weights, one.curves.values("misfit"), **LINE)
+    if one.subject.noisy:
+        axes.axhline(one.subject.count, color="0.4", lw=0.8, ls=":")
+        look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "color": "0.3"}
+        axes.text(0.02, one.subject.count, "number of readings", transform=axes.get_yaxis_transform(), **look)
+    other = axes.twinx()
+    other.tick_params(labelsize=SMALL_POINT, which="both", colors=PENALTY)
+    other.set_ylabel(f"{penalty} (dashed)", fontsize=TEXT_POINT, color=PENALTY)
+    other.plot(weights, one.curves.values("penalty"), **LINE | {"color": PENALTY, "ls": "--"})
+    _logarithmic(axes.yaxis, other.yaxis)
+
+
+def _error(axes: Axes, one: Tuned) -> None:
+    """The true error, and the expected one."""
+    values, risk = (one.curves.values(name) for name in ("error", "risk"))
+    free = one.subject.data.measured.size - one.curves.values("bound_cells")
+    expected = np.sqrt(np.maximum(risk, 0) / np.maximum(free, 1))
+    weights = _over_weight(axes, one, "rms error of log r")
+    if np.isfinite(values).any():
+        axes.plot(weights, values, label="true", **LINE)
+    if np.any(expected > 0):
+        look = LINE | {"color": "0.5", "lw": 1.0, "label": "√(risk/cells)"}
+        axes.plot(weights, np.where(expected > 0, expected, np.nan), **look)
+    if not axes.get_legend_handles_labels()[0]:
+        _words_instead(axes, "needs the truth, or the noise of the readings")
+        return
+    _logarithmic(axes.yaxis)
+    axes.legend(fontsize=SMALL_POINT, edgecolor="none", framealpha=0.9, loc="best")
+
+
+def _l_curve(axes: Axes, one: Tuned) -> None:
+    misfit, penalty = _labels(one)
+    axes.set_xlabel(misfit, fontsize=TEXT_POINT)
+    axes.set_ylabel(penalty, fontsize=TEXT_POINT)
+    axes.plot(one.curves.values("misfit"), one.curves.values("penalty"), **LINE)
+    for choice in one.choices:
+        point = None if choice.weight is None else one.curves.at(choice.weight)
+        place = ([], []) if point is None else ([point.misfit], [point.penalty])
+        look = LOOKS[choice.rule] | {"lw": 1.6 if choice.in_use else 0.9, "ms": 5 if choice.rule != "best" else 8}
+        excess = "" if choice.excess is None or choice.rule == "best" else f", error × {choice.excess:.3g}"
+        text = "none" if choice.weight is None else f"{choice.weight:.2g}{excess}"
+        name = f"{look.pop('name', choice.rule)}{' (in use)' if choice.in_use else ''}: {text}"
+        axes.plot(*place, mec="white", mew=0.6, zorder=3, label=name, **look)
+    _logarithmic(axes.xaxis, axes.yaxis)
+
+
+def _logarithmic(*axes: Axis) -> None:
+    """Ticks at 1, 2, 5 where there are few powers of ten, else at those."""
+    for axis in axes:
+        (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,), numticks=8))
+        axis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
+        axis.set_minor_locator(NullLocator())
+
+
+PANELS: Sequence[tuple[str, Callable[[Axes, Tuned], None]]] = (
+    ("evidence", _above_least("evidence", "−2 log evidence − least")),
+    ("expected error, Σ(log r̂ − log r)²", _above_least("risk", "risk − least")),
+    ("prediction from all other readings", _above_least("press", "PRESS − least")),
+    ("misfit and penalty", _misfit),
+    ("error of the estimate", _error),
+    ("L-curve", _l_curve),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class TunedCases:
+    """tuned : in the order of the run. left_out : 'recording/estimator left out: why'."""
+
+    tuned: Sequence[Tuned]
+    left_out: Sequence[str]
+
+
+def run_weights(run: Run, on_step: study.OnStep) -> TunedCases:
+    """Every case that has one penalty with a squared loss. on_step is called with how many of how many are done.
+
+    Raises InputError where there is none, or where a rule needs the noise and it is unknown.
+    """
+    tuned: list[Tuned] = []
+    left_out: dict[str, str] = {}
+    for number, case in enumerate(run.cases, 1):
+        found = _tuned(case)
+        if isinstance(found, Tuned):
+            tuned.append(found)
+        else:
+            left_out[f"{case.recording}/{case.name}"] = found
+        on_step(number, len(run.cases))
+    if not tuned:
+        raise InputError(f"nothing to tune: {'; '.join(f'{name}: {reason}' for name, reason in left_out.items())}")
+    return TunedCases(tuned, [f"{name} left out: {reason}" for name, reason in left_out.items()])
+
+
+def _tuned(case: Case) -> Tuned | str:
+    recording = Recording.load(case.path)
+    frames = 2 if case.estimator.relative else 1
+    reason = why_not(case.estimator, frames * recording.scene.panel.crossings)
+    if reason is not None:
+        return reason
+    subject = WeightSubject.of(case, recording)
+    if subject is None:
+        return "too little was read of every measured frame"
+    found = tune(subject)
+    return found if any(point.solved for point in found.curves.points) else "it was solved for no weight"
+
+
+FIGURES: study.Figures = {  # of a case and one rule's choice
+    "recording": lambda both: both[0].recording,
+    "estimator": lambda both: both[0].name,
+    "frame": lambda both: both[0].frame,
+    "rule": lambda both: both[1].rule,
+    "in_use": lambda both: int(both[1].in_use),
+    "weight": lambda both: both[1].weight,
+    "weight_unit": lambda both: both[0].weight_unit,
+    "solves": lambda both: both[1].solves,
+    "rms_log_error": lambda both: both[1].error,
+    "over_best": lambda both: both[1].excess,
+}
+SCREEN: dict[str, Callable[[study.Row], str]] = {
+    "recording": lambda row: row.recording,
+    "estimator": lambda row: row.estimator,
+    "rule": lambda row: row.rule,
+    "in use": lambda row: "*" * row.in_use,
+    "λ": lambda row: study.text_of(row.weight) or "none",
+    "unit of λ": lambda row: row.weight_unit,
+    "solves": lambda row: study.text_of(row.solves, "d"),
+    "true error": lambda row: study.text_of(row.rms_log_error, ".4f"),
+    "over the best": lambda row: study.text_of(row.over_best, ".3f"),
+}
+
+
+def _write_curves(entry: Any, found: TunedCases) -> None:
+    """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
+    for one in found.tuned:
+        recording = entry.require_group(one.subject.recording)
+        hdf5.set_attributes(recording, NX_class="NXsubentry")
+        _write_one(recording.create_group(one.subject.name), one)
+
+
+def _write_one(group: Any, one: Tuned) -> None:
+    subject, points = one.subject, one.curves.points
+    signal = "evidence" if subject.noisy else "press"
+    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["weight"], frame=subject.frame)
+    hdf5.set_attributes(group, readings=subject.count, noise_known=int(subject.noisy))
+    hdf5.write_scale(group, "weight", one.curves.values("weight"), subject.weight_unit, "weight of the penalty")
+    square, penalty = subject.square_units
+    unit = "1" if subject.noisy else square
+    curves = (
+        ("misfit", unit, "sum of squared misfits, over the noise's mean square where that is known"),
+        ("penalty", penalty, "sum of squared penalties"),
+        ("evidence", "1", "-2 log of the Laplace evidence, up to a constant"),
+        ("risk", "1", "estimate of the sum of squared errors of log resistance"),
+        ("press", square, "sum of squared errors of readings predicted from all others"),
+        ("error", "1", "true root-mean-square error of log resistance over the frame"),
+        ("open_cells", "1", "cells of the frame at their upper bound"),
+        ("bound_cells", "1", "cells at a bound, of all frames of the solve"),
+        ("solved", "1", "1: solved, 0: failed"),
+    )
+    study.write_columns(group, points, curves, ("weight",), float)
+    choices = group.create_group("choices")
+    hdf5.set_attributes(choices, NX_class="NXcollection")
+    study.write_columns(choices, one.choices, (("rule", "1", "rule"), ("in_use", "1", "1: the estimator's")))
+    numbers = (
+        ("weight", subject.weight_unit, "the rule's weight, NaN where it has none"),
+        ("solves", "1", "solves that it took, NaN where it needs the whole curve"),
+        ("error", "1", "true root-mean-square error of log resistance"),
+        ("excess", "1", "error over that of the best weight in hindsight"),
+    )
+    study.write_columns(choices, one.choices, numbers, (), float)
+
+
+def weight_rows(found: TunedCases) -> list[study.Row]:
+    """A row for every case and rule."""
+    return study.rows_of([(one.subject, choice) for one in found.tuned for choice in one.choices], FIGURES)
+
+
+STUDY: study.Study[Run, TunedCases] = study.Study(
+    "tune",
+    "cases",
+    "tune.yaml",
+    read_run,
+    run_weights,
+    FIGURES,
+    weight_rows,
+    lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
+    "tune/1",
+    _write_curves,
+    lambda found: {f"tune_{file_name(one)}": weights_figure(one) for one in found.tuned},
+    left_out=lambda found: found.left_out,
+)
