@@ -137,7 +137,7 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     for place in (
         "lampest.solvers.projected_newton.direction",
         "lampest.solvers.multistart.evaluated",
-        "lampest.panel.readouts.floating_start",
+        "lampest.panel.readouts.two_point.convex_start",
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, breaks)
