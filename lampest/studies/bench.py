@@ -23,9 +23,9 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.recording.simulation.measure import Unmodelled
 from lampest.solvers.multistart import best_solution, convex, evaluated
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.solution import Settings, Solution, Solver, check

@@ -27,8 +27,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.simulation.measure import Unmodelled
+from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.recording.stored import only_frames
 from lampest.report.compare import relative_error
 from lampest.runs.case import check_name
