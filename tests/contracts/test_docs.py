@@ -1,6 +1,6 @@
 """The pages are true: examples run as a stranger would run them, and what is named is there.
 
-Of docs/howto/adding.md every section is played in a copy of the house: a block that begins with a path is written to
+Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is written to
 it, a diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
 """
 
@@ -23,7 +23,7 @@ from lampest import read_run, read_scene
 REPOSITORY = Path(__file__).parents[2]
 README = REPOSITORY / "README.md"
 DOCS = REPOSITORY / "docs"
-ADDING = DOCS / "howto" / "adding.md"
+ADDING = sorted((DOCS / "howto" / "adding").glob("*.md"))
 ARCHITECTURE = DOCS / "reference" / "architecture.md"
 GLOSSARY = DOCS / "theory" / "glossary.md"
 READOUTS = DOCS / "howto" / "readouts.md"
@@ -64,17 +64,13 @@ class Fence:
             yield typed, answer
 
 
-def sections(page: Path) -> dict[str, tuple[Fence, ...]]:
-    """Heading of the second level → its blocks."""
-    chapters = re.split(r"^## (.+)\n", page.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
-    fences = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-    return {
-        heading: tuple(Fence(*found.groups()) for found in fences.finditer(text))
-        for heading, text in zip(chapters[::2], chapters[1::2], strict=True)
-    }
+def fences(text: str) -> tuple[Fence, ...]:
+    """The blocks of a text."""
+    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return tuple(Fence(*block.groups()) for block in found)
 
 
-EXAMPLES = {heading: fences for heading, fences in sections(ADDING).items() if fences}
+EXAMPLES = {page.stem: fences(page.read_text(encoding="utf-8")) for page in ADDING}
 
 
 @pytest.fixture
@@ -128,10 +124,10 @@ def change(folder: Path, diff: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("heading", EXAMPLES)
-def test_example_says_what_the_page_says(heading: str, copy: Path) -> None:
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
-    for fence in EXAMPLES[heading]:
+    for fence in EXAMPLES[name]:
         applied(copy, fence)
         for command, answer in fence.commands() if fence.language == "console" else ():
             found = typed(copy, command)
@@ -141,24 +137,22 @@ def test_example_says_what_the_page_says(heading: str, copy: Path) -> None:
 @pytest.mark.slow
 def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
     new = []
-    for fence in (fence for fences in EXAMPLES.values() for fence in fences):
+    for fence in (fence for blocks in EXAMPLES.values() for fence in blocks):
         applied(copy, fence)
         for command, _ in fence.commands() if fence.language == "console" else ():
             if command.startswith("mv "):
                 typed(copy, command)
                 new.append(command.split()[-1])
         new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
-    assert len(new) == len(EXAMPLES), "each section moves one file or one class into the house"
+    assert len(new) == len(EXAMPLES), "each page moves one file or one class into the house"
     typed(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
     typed(copy, "ruff check lampest && ruff format --check lampest")
     typed(copy, "mypy")
 
 
-@pytest.mark.parametrize("heading", EXAMPLES)
-def test_example_ends_in_a_checklist(heading: str) -> None:
-    _, _, chapter = ADDING.read_text(encoding="utf-8").partition(f"\n## {heading}\n")
-    chapter = chapter.split("\n## ")[0].strip()
-    assert chapter.splitlines()[-1].startswith(("- [ ] ", "      "))
+@pytest.mark.parametrize("page", ADDING, ids=lambda page: page.stem)
+def test_example_ends_in_a_checklist(page: Path) -> None:
+    assert page.read_text(encoding="utf-8").splitlines()[-1].startswith(("- [ ] ", "      "))
 
 
 def indented(page: Path) -> list[str]:
@@ -232,7 +226,9 @@ def anchors(page: Path) -> set[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_paths_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    made = set(re.findall(r"^\$ mv \S+ (\S+)$", ADDING.read_text(encoding="utf-8"), flags=re.MULTILINE))
+    made = set(
+        re.findall(r"^\$ mv \S+ (\S+)$", "".join(page.read_text(encoding="utf-8") for page in ADDING), re.MULTILINE)
+    )
     for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
         built = path.startswith("docs/_build/")
         assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
@@ -261,12 +257,13 @@ def test_glossary_says_truly_where_things_are_defined() -> None:
             assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
 
 
-@pytest.mark.parametrize("heading", [heading for heading, fences in sections(READOUTS).items() if fences])
-def test_a_scene_of_the_readouts_page_is_one(heading: str, tmp_path: Path) -> None:
-    for number, fence in enumerate(sections(READOUTS)[heading]):
-        file = tmp_path / f"{number}.yaml"
+def test_scenes_of_the_readouts_page_are_scenes(tmp_path: Path) -> None:
+    blocks = fences(READOUTS.read_text(encoding="utf-8"))
+    assert len(blocks) >= 4, "one for each kind"
+    for fence in blocks:
+        file = tmp_path / "scene.yaml"
         file.write_text(fence.text, encoding="utf-8")
-        assert read_scene(file).readout is not None
+        assert read_scene(file).readout is not None, fence.text
 
 
 def test_the_readouts_page_has_every_kind_and_its_drawings() -> None:
