@@ -1,16 +1,16 @@
-"""Whether a file holds what was written: HDF5's own checksums, digests where they do not reach, seals of older files.
+"""Whether a file holds what was written: HDF5's own checksums, and digests where they do not reach.
 
-A seal is text behind the end that HDF5 sees: a line for every piece of the file with where it begins, its length, the
-first half of its SHA-256, and what it holds; then the same of the seal itself. Another program that changes such a file
-cuts it off.
+A file whose writer was killed says for ever that it is being written (SWMR). HDF5 would open it as one that grows, and
+wait without end for a checksum that is wrong; `Closed` shows it as if it had been closed.
 """
 
 import hashlib
-import re
+import io
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import h5py
 import numpy as np
@@ -20,13 +20,9 @@ from lampest.files.errors import InputError
 
 DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and in no chunk
 FILTER_FAILED = "filter returned failure during read"  # of HDF5
-MARK = b"\n# lampest seal 1: begin, length, SHA-256 (first half), what it holds\n"
-LAST = re.compile(rb"end ([0-9a-f]{32}) (\d{16})\n")
-LENGTH_OF_LAST = 54
-LINE = re.compile(r"(\d{1,16}) (\d{1,16}) ([0-9a-f]{32}) (.+)")
-MOST_AT_OPENING = 2**26  # bytes: what holds more is left to HDF5's own checksums, unless all is asked for
-SUPERBLOCK_0 = b"\x89HDF\r\n\x1a\n\0"
-END_IN_SUPERBLOCK = slice(40, 48)  # of version 0, which such files have
+# Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
+SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
+BEING_WRITTEN = 4
 
 
 @contextmanager
@@ -36,16 +32,7 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (
-        OSError,
-        RuntimeError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-        MemoryError,
-    ) as error:
+    except Exception as error:
         said = " ".join(str(error).split()).replace(FILTER_FAILED, "checksum or packing of its values is wrong")
         raise InputError(f"{file.filename}: {path} is damaged ({said})") from error
 
@@ -111,48 +98,54 @@ def _read_values(dataset: h5py.Dataset) -> bool:
     return compact or dataset.fletcher32 or DIGEST in dataset.attrs
 
 
-def check_seal(path: Path, everything: bool = False) -> bool:
-    """Whether a file has a seal; then its pieces are what was written.
-
-    everything : also large ones. Raises InputError where a piece is another, with the path of the dataset, or the seal
-    itself is damaged; OSError where the file cannot be read.
-    """
+def is_left_open(path: Path) -> bool:
+    """Whether a file's superblock is whole and says that the file is being written."""
     with path.open("rb") as stream:
-        size = stream.seek(0, 2)
-        stream.seek(max(size - LENGTH_OF_LAST, 0))
-        last = LAST.fullmatch(stream.read())
-        if last is None and not _begins(stream, size):
-            if 0 < _end(stream) < size:
-                raise InputError(f"{path}: is damaged: what stands behind its end are no checksums")
-            return False
-        stream.seek(max(size - int(last[2]), 0) if last else size)
-        text = stream.read()[:-LENGTH_OF_LAST]
-        lines = [LINE.fullmatch(line) for line in text[len(MARK) :].decode("utf-8", "replace").splitlines()]
-        if last is None or not text.startswith(MARK) or _digest(text) != last[1].decode() or None in lines:
-            raise InputError(f"{path}: the checksums at its end are damaged, so that nothing says whether the rest is")
-        for begin, length, digest, what in (line.groups() for line in lines if line is not None):
-            stream.seek(int(begin))
-            if (everything or int(length) <= MOST_AT_OPENING) and _digest(stream.read(int(length))) != digest:
-                raise InputError(
-                    f"{path}: {what} is damaged: the {length} bytes from {begin} on are not those that were written "
-                    "(checksum)"
-                )
-    return True
+        head = stream.read(SUPERBLOCK.size)
+    return (
+        len(head) == SUPERBLOCK.size
+        and bool(head[11] & BEING_WRITTEN)
+        and head[-4:] == struct.pack("<I", lookup3(head))
+    )
 
 
-def _begins(stream: BinaryIO, size: int) -> bool:
-    """Whether a seal begins where HDF5 ends."""
-    end = _end(stream)
-    stream.seek(min(end, size))
-    return end > 0 and any(sign == mark for sign, mark in zip(stream.read(len(MARK)), MARK, strict=False))
+class Closed(io.FileIO):
+    """A file that was left open as if it had been closed; what is on the disk stays."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "rb")
+        fields = list(SUPERBLOCK.unpack(super().read(SUPERBLOCK.size)))
+        fields[4], fields[7] = 0, path.stat().st_size
+        fields[9] = lookup3(SUPERBLOCK.pack(*fields))
+        self._head = SUPERBLOCK.pack(*fields)
+        self._path = path
+
+    def __repr__(self) -> str:
+        """What h5py calls the file."""
+        return str(self._path)
+
+    def readinto(self, buffer: Any) -> int | None:
+        """Bytes from where the file stands, the superblock as of a closed file."""
+        begin, count = self.tell(), super().readinto(buffer)
+        head = self._head[begin : begin + (count or 0)]
+        memoryview(buffer).cast("B")[: len(head)] = head
+        return count
 
 
-def _end(stream: BinaryIO) -> int:
-    """Where HDF5 ends, as the superblock of an older file says; 0 of any other."""
-    stream.seek(0)
-    head = stream.read(END_IN_SUPERBLOCK.stop)
-    return int.from_bytes(head[END_IN_SUPERBLOCK], "little") if head.startswith(SUPERBLOCK_0) else 0
+def lookup3(superblock: bytes) -> int:
+    """HDF5's checksum of the first 44 bytes. Source: Jenkins, lookup3.c, 2006."""
+    words: tuple[int, ...] = struct.unpack("<11I", superblock[:44])
+    a = b = c = 0xDEADBEEF + 44
+    for first in range(0, 9, 3):
+        a, b, c = a + words[first], b + words[first + 1], c + words[first + 2]
+        for shift in (4, 6, 8, 16, 19, 4):
+            a, b, c = b, c + b, (a - c) ^ _turned(c, shift)
+    a, b = a + words[9], b + words[10]
+    for shift in (14, 11, 25, 16, 4, 14, 24):
+        a, b, c = b, (c ^ b) - _turned(b, shift), a
+    return b % 2**32
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:32]
+def _turned(word: int, shift: int) -> int:
+    word %= 2**32
+    return word << shift | word >> 32 - shift

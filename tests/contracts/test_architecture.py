@@ -59,7 +59,7 @@ DOORS = {
     "pynwb": ("report.export.nwb",),
     "hdmf": ("report.export.nwb",),
     "openpyxl": ("recording.foreign",),
-    "h5py": ("files.hdf5", "files.checksums", "files.scales", "files.parts", "recording", "runs.results"),
+    "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
     "psutil": ("files.memory",),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),

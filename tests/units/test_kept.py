@@ -13,7 +13,6 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
-from lampest.files.hdf5 import attach_scales
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_case_ids, read_kept, read_results, write_kept, write_results
 from lampest.runs.results.kept import MOST_PACKED
@@ -99,37 +98,3 @@ def test_a_batch_waits_for_the_disk_once(disk: SimpleNamespace, lampest: Command
     monkeypatch.setattr(os, "fsync", lambda descriptor: (waited.append(descriptor), sync(descriptor)))
     assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder / "out", "--jobs", "1").code == 0
     assert len(waited) == 1
-
-
-def test_scales_are_those_of_the_library(tmp_path: Path) -> None:
-    """Of both ways the same lists, of the same types, and another program's function agrees."""
-    for name in ("ours", "theirs"):
-        with h5py.File(tmp_path / name, "w") as file:
-            for axis in ("time", "row"):
-                file[axis] = np.arange(2.0)
-                file[axis].make_scale(axis)
-            file["map"], file["in/line"] = np.zeros((2, 2, 3)), np.zeros(2)
-            if name == "ours":
-                attach_scales(file["/"], {"map": ("time", "row", "")})
-                attach_scales(file["/"], {"in/line": ("time",)})
-            else:
-                file["map"].dims[0].attach_scale(file["time"])
-                file["map"].dims[1].attach_scale(file["row"])
-                file["in/line"].dims[0].attach_scale(file["time"])
-    found = [described(tmp_path / name) for name in ("ours", "theirs")]
-    assert found[0] == found[1]
-
-
-def described(path: Path) -> Any:
-    with h5py.File(path) as file:
-        lists = {}
-        for axis in ("time", "row"):
-            held = h5py.h5a.open(file[axis].id, b"REFERENCE_LIST")
-            members = [held.get_type().get_member_name(number) for number in range(2)]
-            places = [(file[reference].name, int(number)) for reference, number in file[axis].attrs["REFERENCE_LIST"]]
-            lists[axis] = (members, held.get_type().get_size(), places, h5py.h5ds.is_scale(file[axis].id))
-        axes = {
-            name: [[scale.name for scale in dim.values()] for dim in file[name].dims] for name in ("map", "in/line")
-        }
-        attached = h5py.h5ds.is_attached(file["map"].id, file["row"].id, 1)
-        return lists, axes, attached

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lampest.files import hdf5
+from lampest.files.checksums import is_left_open
 from lampest.files.errors import InputError
-from lampest.files.left_open import is_left_open
 
 VALUES = np.arange(6.0)
 
