@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lampest.files.memory import ONE_THREAD
+from lampest.files.process import ONE_THREAD
 
 # Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
@@ -60,7 +60,7 @@ def lampest(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
     """Installs a package of one module, `addon`, which names something in a group of entry points."""
-    from lampest.files.tagged import installed
+    from lampest.files.typed import installed
 
     def install(group: str, named: str, module: str) -> None:
         about = tmp_path / "site" / "addon-1.dist-info"

@@ -13,9 +13,7 @@ import typer
 from lampest.cli import board, estimation, results, studies
 from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
 from lampest.files.errors import InputError, extra
-from lampest.files.interrupts import ending_signals
-from lampest.files.log import libraries_to_the_log
-from lampest.files.memory import ONE_THREAD
+from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
 
 app = typer.Typer(

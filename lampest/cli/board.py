@@ -194,7 +194,7 @@ def live(
     frames: OldCount = None,
 ) -> None:
     """Reconstruct each frame as it comes and show it in the browser."""
-    from lampest.files.interrupts import ending_signals
+    from lampest.files.process import ending_signals
     from lampest.report.live.run import LiveBoard, Replay
     from lampest.report.live.run import live as run_live
 

@@ -14,8 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import casadi
 import numpy as np
 
-from lampest.files.tagged import ByKind
-from lampest.files.typed import Validated
+from lampest.files.typed import ByKind, Validated
 from lampest.panel.panel import Array
 
 

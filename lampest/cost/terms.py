@@ -10,8 +10,7 @@ import casadi
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
-from lampest.files.tagged import ByKind, members_by_kind
-from lampest.files.typed import Validated
+from lampest.files.typed import ByKind, Validated, members_by_kind
 from lampest.panel.panel import Panel
 
 Reference = Literal["baseline", "previous"]

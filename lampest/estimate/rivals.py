@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.files.tagged import members_of
+from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.scene import Scene

@@ -17,7 +17,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 from lampest.files.errors import InputError
-from lampest.files.memory import in_bytes
+from lampest.files.process import in_bytes
 
 # By the letter that `ls` has for them.
 KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}

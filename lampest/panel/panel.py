@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.document import LARGEST, SMALLEST
-from lampest.files.memory import check_memory
+from lampest.files.process import check_memory
 from lampest.files.typed import Configuration
 
 Array = NDArray[np.floating[Any]]

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from lampest.files.tagged import ByKind
-from lampest.files.typed import Configuration
+from lampest.files.typed import ByKind, Configuration
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.document import to_yaml
-from lampest.files.tagged import members_of
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, members_of
 from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.panel.conditions import Systematic as Systematic
 from lampest.panel.conditions import Temperature as Temperature

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
-from lampest.files.memory import check_memory
+from lampest.files.process import check_memory
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, as_panels_have
 from lampest.panel.readouts import Readout, TwoPointReadout

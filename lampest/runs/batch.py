@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.files.log import told_reason
+from lampest.files.process import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened

@@ -15,7 +15,6 @@ from lampest.estimate.sequence import Parts, asked_frames
 from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.memory import large_arrays_apart
 from lampest.files.whole import inner_folder, remove_own
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording
@@ -74,7 +73,6 @@ class PartFiles:
 
 def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
-    large_arrays_apart()
     files = PartFiles.beside(case, file)
     parts = Parts.of(stored, case.estimator, _asked(stored))
     solved: list[int] = []  # what stands behind a part that is solved now followed from another one

@@ -5,7 +5,7 @@ from dataclasses import field, make_dataclass
 from typing import Any
 
 from lampest.cost.terms import AnyTerm, Term, term_types
-from lampest.files.tagged import kinds_of, shipped
+from lampest.files.typed import kinds_of, shipped
 
 FORBID: dict[str, Any] = {"extra": "forbid"}
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.files.interrupts import delayed_interrupt
+from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton

@@ -60,7 +60,7 @@ DOORS = {
     "hdmf": ("report.export.nwb",),
     "openpyxl": ("recording.foreign",),
     "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
-    "psutil": ("files.memory",),
+    "psutil": ("files.process",),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),
     "serial": ("recording.board",),

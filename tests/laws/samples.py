@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 
 import lampest
-from lampest.files.tagged import ByKind
+from lampest.files.typed import ByKind
 
 # Ordinary numbers, the ends of usual ranges, and such as lose digits or change type where text is careless.
 NUMBERS: dict[type, tuple[Any, ...]] = {

@@ -13,7 +13,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.files.tagged import members_by_kind
+from lampest.files.typed import members_by_kind
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.scene import Scene

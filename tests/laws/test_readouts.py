@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest.estimate.estimator import Bounds
-from lampest.files.tagged import members_of
+from lampest.files.typed import members_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout

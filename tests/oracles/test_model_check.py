@@ -15,7 +15,7 @@ from lampest.estimate.cells_fit import MOST_CELLS, fitted
 from lampest.estimate.model_check import recording_check
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import standing_frames
-from lampest.files.tagged import members_of
+from lampest.files.typed import members_of
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point import four_point_excess
 from lampest.recording.readings import Readings

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest.files import interrupts
+from lampest.files import process
 from lampest.files.errors import InputError
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
@@ -150,12 +150,12 @@ def test_no_cluster_at_the_address() -> None:
 def hanging(seconds: float) -> float:
     """Waits in a call that no Python code interrupts, under a limit that is far shorter."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(interrupts, "HUNG_SECONDS", 0.3)
+        patch.setattr(process, "HUNG_SECONDS", 0.3)
         return _waiting(seconds)
 
 
 def _waiting(seconds: float) -> float:
-    with interrupts.ended_where_hung(1e-3):
+    with process.ended_where_hung(1e-3):
         ctypes.PyDLL(None).usleep(int(1e6 * seconds))
     return seconds
 

@@ -7,7 +7,7 @@ from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.methods.oral_disc import OralDiscMethod
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.files.errors import InputError, in_words
-from lampest.files.tagged import ByKind, members_by_kind
+from lampest.files.typed import ByKind, members_by_kind
 
 __all__ = [
     "AnyMethod",

@@ -18,7 +18,7 @@ from lampest.estimate.objective import Objective
 from lampest.estimate.state import S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
-from lampest.files.interrupts import delayed_interrupt, ended_where_hung
+from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout

@@ -13,7 +13,7 @@ from lampest.cost.terms import Term
 from lampest.estimate.methods.method import Method
 from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
-from lampest.files.interrupts import delayed_interrupt
+from lampest.files.process import delayed_interrupt
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector

@@ -28,7 +28,7 @@ from lampest.estimate.methods.joint import Joint, JointData, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import NO_DUAL, S, SequenceState, Step
 from lampest.files.errors import InputError
-from lampest.files.interrupts import delayed_interrupt
+from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.dense import positive_inverse

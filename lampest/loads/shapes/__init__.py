@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from lampest.files.tagged import ByKind, shipped
+from lampest.files.typed import ByKind, shipped
 from lampest.loads.shapes.kinds import Block as Block
 from lampest.loads.shapes.kinds import OralDisc as OralDisc
 from lampest.loads.shapes.kinds import Ring as Ring

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from lampest.files.tagged import ByKind
+from lampest.files.typed import ByKind
 from lampest.panel.readouts.grounded import GroundedReadout, VirtualGroundReadout
 from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.readouts.readout import Readout

@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.interrupts import deaf, ending_signals
+from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

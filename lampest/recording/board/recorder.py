@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event, Thread
 
 from lampest.files.errors import InputError
-from lampest.files.interrupts import deaf
+from lampest.files.process import deaf
 from lampest.panel.scene import Scene
 from lampest.recording.board.journal import Journal
 from lampest.recording.board.record import appended, finished, journal_of

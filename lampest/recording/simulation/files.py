@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from lampest.files.document import Document, read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.memory import check_memory
+from lampest.files.process import check_memory
 from lampest.files.sweep import combinations
 from lampest.files.typed import typed
 from lampest.files.whole import check_room

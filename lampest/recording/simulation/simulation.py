@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from lampest.files.document import to_yaml
-from lampest.files.memory import check_memory
+from lampest.files.process import check_memory
 from lampest.files.typed import Configuration, check_positive_fields, check_range, typed
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED, ratio_from_pressure

@@ -11,7 +11,7 @@ from lampest.estimate.noise import noise_seen
 from lampest.estimate.sequence import resting_readings
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.log import told_reason
+from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.settings import RecognitionSettings
 from lampest.loads.recognition.watch import Panelled, Watch

@@ -11,8 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from lampest.files.errors import InputError
-from lampest.files.tagged import installed
-from lampest.files.typed import typed
+from lampest.files.typed import installed, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export

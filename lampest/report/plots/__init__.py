@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
-from lampest.files.tagged import installed
-from lampest.files.typed import typed
+from lampest.files.typed import installed, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure

@@ -7,7 +7,7 @@ A package adds columns by naming them in the entry point group `lampest.columns`
 from collections.abc import Sequence
 
 from lampest.files.errors import InputError
-from lampest.files.tagged import installed
+from lampest.files.typed import installed
 from lampest.runs.columns.column import CELLS, FRAMES, MAPS, Column, Figures, of_steps
 from lampest.runs.columns.shipped import CERTAINTY, ESTIMATE, FIGURES, FRAME, GIVEN, MEASURED, PRESSURE, TIME
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Annotated, Any
 
-from lampest.files.tagged import ByKind
+from lampest.files.typed import ByKind
 from lampest.runs.executors.dask import Dask, Tls
 from lampest.runs.executors.executor import Executor, Function, LostError, cores
 from lampest.runs.executors.processes import Processes, Serial, Worker

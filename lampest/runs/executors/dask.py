@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.files.errors import InputError, extra
-from lampest.files.interrupts import ENDING
-from lampest.files.memory import ONE_THREAD
+from lampest.files.process import ENDING, ONE_THREAD
 from lampest.files.typed import Validated
 from lampest.runs.executors.executor import (
     DIED,

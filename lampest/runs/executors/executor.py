@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from lampest.files.memory import ONE_THREAD
+from lampest.files.process import ONE_THREAD
 
 MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
 DIED = f"its process died {MOST_TRIES} times"

@@ -12,8 +12,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, ClassVar, Literal
 
-from lampest.files.interrupts import ENDING, EXPENDABLE, interrupted
-from lampest.files.log import libraries_to_the_log
+from lampest.files.process import ENDING, EXPENDABLE, interrupted, libraries_to_the_log
 from lampest.files.typed import Validated
 from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
 
