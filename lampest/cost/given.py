@@ -1,7 +1,6 @@
-"""What a solve is given beside its unknowns, by name: the one place that declares it.
+"""What a solve is given beside its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
 
-A term reads these names of its `State`; data hold them as arrays, compiled costs as symbols. Whatever a new term must
-know is one more field here: what it is, where it comes from, and what stands for it where there is none.
+Whatever a new term must know is one more field here: where it comes from, and what stands for it where there is none.
 """
 
 from collections.abc import Callable, Iterable
@@ -44,12 +43,8 @@ class FrameReadings(Protocol):
 class Background:
     """What stands behind a frame: the scene, and what is known from earlier frames.
 
-    Parameters
-    ----------
-    scene : panel, readout, faults and all else that is known of the measurement.
-    period : s between frames; infinite where there is one only.
-    previous, previous_deviation : (rows, columns) the last estimate in ohm and the standard deviation of its logarithm.
-    baseline : (rows, columns) ohm, the cells of the unloaded panel. None where nothing is known.
+    period : s between frames; infinite where there is one only. previous, previous_deviation : (rows, columns) the last
+    estimate in ohm and the standard deviation of its logarithm. baseline : (rows, columns) ohm. None: not known.
     """
 
     scene: Scene
@@ -63,14 +58,10 @@ class Background:
 class Source:
     """Where a field of `Given` comes from.
 
-    Parameters
-    ----------
-    of : its value from the readings and the background; None where there is none.
-    absent : the number that stands in the arrays of a compiled cost where there is none; no term reads it then.
-    per_frame : (frames, rows, columns) rather than (rows, columns).
-    partial : only there where readings may be bounds or say nothing.
-    after : of a field that speaks of an earlier frame: what it is for a frame that is solved together with the
-        baseline, from the baseline's cells (cells, 1), which are unknown then.
+    of : its value from the readings and the background, or None. absent : the number that stands in the arrays of a
+    compiled cost where there is none. per_frame : (frames, rows, columns) rather than (rows, columns). partial : only
+    there where readings may be bounds or missing. after : of a field of an earlier frame: what it is for a frame that
+    is solved together with the baseline, from the baseline's unknown cells (cells, 1).
     """
 
     of: Callable[[FrameReadings, Background], Array | None]
@@ -89,15 +80,10 @@ def given(source: Source) -> Any:
 class Given:
     """Arrays in a solve's data, symbols in a compiled cost, columns (cells, 1) in a term's `State`; None: not known.
 
-    Parameters
-    ----------
-    measured : the network's readings, in the readout's unit (ohm or volt).
-    sigma : their standard deviation; ones where it is unknown.
-    side, seen : of each reading: 0 a value, 1 or -1 where the truth is at least or at most this; 1, or 0 where it says
-        nothing, or between them the weight of what stands in for it, a reading of σ/seen. None where all readings are
-        values.
-    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm.
-    baseline : the unloaded panel's cell resistance, ohm.
+    measured, sigma : the network's readings, in the readout's unit, and their standard deviation, ones if unknown.
+    side, seen : of each reading: 0 a value, 1 or -1 where the truth is at least or at most this; 1, or 0 where it is
+    missing, between them the weight of what stands in for it. None where all readings are values.
+    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm. baseline : the unloaded panel's, ohm.
     previous_deviation : standard deviation of log r0; 0 where r0 is an unknown of the same solve.
     """
 
@@ -108,9 +94,7 @@ class Given:
     previous: Any = given(Source(lambda readings, behind: behind.previous, 1.0, after=lambda cells: cells))
     baseline: Any = given(Source(lambda readings, behind: _baseline(behind), 1.0, after=lambda cells: cells))
     previous_deviation: Any = given(
-        Source(
-            lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: casadi.SX.zeros(*cells.shape)
-        )
+        Source(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: 0 * cells)
     )
 
     @staticmethod
@@ -135,31 +119,28 @@ class Given:
     def of_frame(self, frame: int, baseline: casadi.SX | None, looks_back: bool) -> dict[str, Any]:
         """Symbols by name as a term sees them in one frame.
 
-        baseline : the cells of a baseline that is solved together with it, else None. looks_back : whether what is
-        known from earlier frames is given.
+        baseline : the cells of a baseline that is solved together with it, or None. looks_back : whether earlier frames
+        are given.
         """
         parts = {}
         for name, source in self.sources().items():
             value = getattr(self, name)
             if source.after is not None:
-                earlier = value if looks_back else None
-                parts[name] = earlier if baseline is None else source.after(baseline)
-            else:
-                parts[name] = value[:, frame] if source.per_frame and value is not None else value
+                value = (value if looks_back else None) if baseline is None else source.after(baseline)
+            elif source.per_frame and value is not None:
+                value = value[:, frame]
+            parts[name] = value
         return parts
 
     @cached_property
     def flat(self) -> dict[str, Array]:
         """Flat arrays by name, with the number that stands for what is not known."""
-        names = (
-            name for name, source in self.sources().items() if getattr(self, name) is not None or not source.partial
-        )
-        return {name: self.flat_field(name) for name in names}
-
-    def flat_field(self, name: str) -> Array:
-        """One of them."""
-        value: Array | None = getattr(self, name)
-        return np.full(self.measured[0].size, self.sources()[name].absent) if value is None else value.ravel()
+        found = {}
+        for name, source in self.sources().items():
+            value = getattr(self, name)
+            if value is not None or not source.partial:
+                found[name] = np.full(self.measured[0].size, source.absent) if value is None else value.ravel()
+        return found
 
     def named(self) -> Iterable[tuple[str, Any]]:
         """(name, value) of all that is there."""

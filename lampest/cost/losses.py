@@ -1,8 +1,7 @@
 """How a residual becomes a cost. To add a loss: write its class here, before `AnyLoss`, and name it there.
 
-Losses are sums of one even function ρ of every residual, zero at 0, and scaled so that the squared one is ρ = x²,
-without a half: where a factor of two would stand elsewhere, here is half a derivative. `cost` is enough; all else
-follows from it by default, for the losses that are smooth.
+Losses are sums of one even function ρ of every residual, zero at 0; the squared one is ρ = x², without a half. `cost`
+is enough: all else follows from it by default, for smooth losses.
 """
 
 from abc import abstractmethod
@@ -22,9 +21,8 @@ from lampest.panel.panel import Array
 class Lowered:
     """weight·loss of a column of residuals x as the least of `objective` over p, q ≥ 0 where `equation` is 0.
 
-    split : p and q, (rows, 1) each, in a unit that makes them of order one; () where the loss needs none.
-    equation : (rows, 1), x in that unit − p + q, whose multipliers are weight·unit·z, z the duals; None unless the loss
-    enters through duals.
+    split : p and q, (rows, 1) each, in a unit that makes them of order one, or (). equation : (rows, 1), x in that unit
+    − p + q, whose multipliers are weight·unit·z, z the duals; None unless the loss enters through duals.
     """
 
     objective: casadi.SX
@@ -64,10 +62,9 @@ class PenaltyEvidence(Protocol):
 class Loss(Validated):
     """Σ ρ(x) over the residuals of a term.
 
-    enters : how solvers take it. 'whole', as it is: its second derivative exists but for single points. 'split': its
-    second derivative jumps, and an interior-point method takes `lowered` instead. 'dual': it is Σ |x|, and its duals z
-    stand for its derivative. squared : whether it is Σ x², so that the cost is one of least squares. convex : whether ρ
-    is; where it is not the cost may have several minima, and an estimate is one of them.
+    enters : how solvers take it. 'whole': as it is. 'split': its second derivative jumps, and an interior-point method
+    takes `lowered` instead. 'dual': it is Σ |x|, and its duals z stand for its derivative. squared : whether it is
+    Σ x². convex : whether ρ is; where it is not, the cost may have several minima.
 
     >>> issubclass(lampest.Huber, lampest.Loss)
     True
@@ -83,10 +80,7 @@ class Loss(Validated):
         """Σ ρ(x), one number, of a column of residuals; symbolic or numeric."""
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """weight·cost as an interior-point method takes it.
-
-        weight : (1, 1), or of every row where the loss enters through duals. unit : of the split, that of residuals.
-        """
+        """weight·cost as an interior-point method takes it; weight (1, 1), or of every row; unit : of the split."""
         return Lowered(weight * self.cost(residual))
 
     def split_start(self, residual: Array) -> tuple[Array, Array]:
@@ -117,11 +111,7 @@ class Loss(Validated):
         return np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0))
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """η of the evidence's fixed point λ = s² γ/η: Σ ½ x ρ'(x).
-
-        Whatever ρ is, a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ, by parts: each residual that data determine
-        counts once.
-        """
+        """η of the evidence's fixed point λ = s² γ/η: Σ ½ x ρ'(x); a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ."""
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
@@ -157,18 +147,6 @@ class Squared(Loss):
     def cost(self, residual: Any) -> Any:
         """Σ x², symbolic or numeric."""
         return casadi.sumsqr(residual)
-
-    def curvature(self, residual: Array) -> Array:
-        """ω = 1."""
-        return np.ones_like(residual)
-
-    def steady_pull(self, residual: Array) -> Array:
-        """0: curvature explains the whole slope."""
-        return np.zeros_like(residual)
-
-    def size(self, evidence: PenaltyEvidence) -> float:
-        """η = Σ x²."""
-        return evidence.squares
 
 
 def _check_corner(corner: float) -> None:
@@ -206,14 +184,6 @@ class Huber(Loss):
         outside = 2 * self.corner * unit * casadi.sum1(above + below)
         return Lowered(weight * (casadi.sumsqr(inside) + outside), (above, below))
 
-    def curvature(self, residual: Array) -> Array:
-        """ω = 1 within the corner, 0 beyond."""
-        return np.asarray(np.abs(residual) <= self.corner, dtype=float)
-
-    def steady_pull(self, residual: Array) -> Array:
-        """0 within the corner, corner beyond."""
-        return np.where(np.abs(residual) > self.corner, self.corner, 0.0)
-
     def size(self, evidence: PenaltyEvidence) -> float:
         """η = Σ x² of the rows that count: where ω = 0 a residual does not inform the weight."""
         return evidence.squares
@@ -245,10 +215,7 @@ class Absolute(Loss):
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """ω/weight of the normal distribution with the same variance.
-
-        exp(−w|x|/2s²) has the variance 8s⁴/w², a normal density exp(−ωx²/2s²) s²/ω: ω = w²/8s².
-        """
+        """ω/weight of the normal distribution with the variance 8s⁴/w² of exp(−w|x|/2s²): w/8s²."""
         return np.full_like(residual, weight / (8 * scale))
 
     def steady_pull(self, residual: Array) -> Array:
@@ -268,9 +235,8 @@ class Absolute(Loss):
 class Student(Loss):
     """Σ c²·log(1 + (x/c)²), c the corner: x² near 0, logarithmic far out, so that outliers have little influence.
 
-    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν + 1. It is not convex
-    beyond the corner, and brings local minima. corner has the unit of the term's residual. Raises ValueError unless it
-    is positive and finite.
+    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν + 1; not convex
+    beyond the corner, which has the unit of the term's residual. Raises ValueError unless it is positive and finite.
     Source: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989.
 
     >>> lampest.Misfit(loss=lampest.Student(corner=3.0)).loss.corner
@@ -287,16 +253,6 @@ class Student(Loss):
     def cost(self, residual: Any) -> Any:
         """The sum, symbolic or numeric."""
         return self.corner**2 * casadi.sum1(casadi.log1p((residual / self.corner) ** 2))
-
-    def curvature(self, residual: Array) -> Array:
-        """ω = (1 − q)/(1 + q)², q = (x/c)²; 0 beyond the corner. The default, in closed form."""
-        square = (residual / self.corner) ** 2
-        return np.asarray(np.maximum(1 - square, 0.0) / (1 + square) ** 2)
-
-    def steady_pull(self, residual: Array) -> Array:
-        """√((x/(1 + q))² − (ω x)²)."""
-        slope = residual / (1 + (residual / self.corner) ** 2)
-        return np.asarray(np.sqrt(np.maximum(slope**2 - (self.curvature(residual) * residual) ** 2, 0.0)))
 
 
 AnyLoss = Annotated[Squared | Huber | Absolute | Student, ByKind("lampest.losses")]

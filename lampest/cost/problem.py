@@ -1,17 +1,16 @@
-"""The estimation problem: lower ≤ r ≤ upper minimising φ(r), with f(r) from Kirchhoff's law eliminated in closed form.
-
-What every solver shares: the data of a solve, the cost at a point with its derivatives, and the test of optimality.
-"""
+"""The data of a solve, the cost and the terms' residuals at a point with derivatives, and the test of optimality."""
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from time import monotonic
 
+import casadi
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-from lampest.cost.cost import Cost
+from lampest.cost.cost import Cost, Symbols
 from lampest.cost.given import Given
 from lampest.panel.compiled import Compiled
 from lampest.panel.network import Network
@@ -26,11 +25,9 @@ ROUNDING = 1e-15  # of what a residual would be off by were every digit wrong: s
 class Data:
     """What one solve is given.
 
-    given : readings, their noise and what is known from earlier frames, as arrays.
-    lower, upper : (frames, rows, columns) ohm; bounds of the cell resistance.
-    readout : how readings follow from cells. wiring : what lies between these and the terminals, or None. noise_known :
-    whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up. first : whether no frame before
-    this one was solved, so that the solve begins at several places. parts : see `Scene.parts`.
+    given : readings, noise, earlier frames. lower, upper : (frames, rows, columns) ohm. readout, wiring : how readings
+    follow from cells. noise_known : whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up.
+    first : whether no frame before was solved. parts : see `Scene.parts`.
 
     >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
@@ -57,14 +54,12 @@ class Data:
     @property
     def measured(self) -> Array:
         """(frames, rows, columns) the network's readings."""
-        measured: Array = self.given.measured
-        return measured
+        return np.asarray(self.given.measured)
 
     @property
     def sigma(self) -> Array:
         """Their standard deviation; ones where unknown."""
-        sigma: Array = self.given.sigma
-        return sigma
+        return np.asarray(self.given.sigma)
 
     @property
     def plain(self) -> NDArray[np.bool_]:
@@ -135,10 +130,7 @@ class Evaluation:
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
         networks = _solved(data, cell_resistance)
-        reading = np.empty_like(cell_resistance)
-        for frame, network in enumerate(networks):
-            reading[frame] = network.reading()
-        return cls(cost, data, cell_resistance, reading, networks)
+        return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
         """The same cost and data at other cells, evaluated in the same way."""
@@ -164,13 +156,8 @@ class Evaluation:
         """A function of the terms' residuals at this point, which knows neither weights nor duals."""
         return self.call(function, self._no_dual)
 
-    @property
-    def first(self) -> Array:
-        """What the cost's `first` returns here."""
-        return self._first
-
     @cached_property
-    def _first(self) -> Array:
+    def first(self) -> Array:
         """The costs of the terms, here and at f(r) = 0, and their derivatives without duals."""
         return self.call(self.cost.functions.first, self._no_dual)
 
@@ -232,15 +219,14 @@ class Evaluation:
         return float(np.sum(self.cost.slope * self.last_bits)) if len(self.cost.slope) else 0.0
 
     def dual_gap(self, dual: Array) -> float:
-        """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient. Rounding of x counts for none."""
+        """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient; rounding of x counts for none."""
         left = np.abs(self.rough) - dual * self.rough - self.last_bits
         return float(np.sum(self.cost.slope * np.maximum(left, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.
 
-        Zero exactly at a point that satisfies the first-order optimality conditions. The duals of absolute losses
-        come from the solver and are held to |z| ≤ 1 here. log_gradient : for these duals, where it is known already.
+        Zero where the first-order optimality conditions hold. log_gradient : for these duals, where it is known.
         """
         dual = within_one(dual)
         gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
@@ -266,3 +252,76 @@ def _solved(data: Data, cell_resistance: Array) -> tuple[Network, ...]:
 def within_one(dual: Array) -> Array:
     """The duals of absolute losses, held to |z| ≤ 1."""
     return np.clip(dual, -1, 1) if len(dual) else dual
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some rows of the residuals x, unweighted: functions of what `Evaluation` holds.
+
+    value : x. by_cells, by_model, by_previous, by_baseline : ∂x/∂ cells, readings, previous and baseline, sparse.
+    term : the number of the term that every row belongs to.
+    """
+
+    value: Compiled
+    by_cells: Compiled
+    by_model: Compiled
+    by_previous: Compiled
+    by_baseline: Compiled
+    term: NDArray[np.intp]
+
+    def values(self, at: Evaluation) -> Array:
+        """x at a point."""
+        return at.of_terms(self.value)
+
+    def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
+        """One of the derivatives at a point, (rows, unknowns) sparse."""
+        structure = self._structures[name]
+        if not structure.nnz:
+            return structure
+        values = at.of_terms(getattr(self, name))
+        return sparse.csc_array((values, structure.indices, structure.indptr), shape=structure.shape)
+
+    @cached_property
+    def _structures(self) -> dict[str, sparse.csc_array]:
+        names = ("by_cells", "by_model", "by_previous", "by_baseline")
+        patterns = {name: getattr(self, name).function.sparsity_out(0) for name in names}
+        return {
+            name: sparse.csc_array((np.ones(pattern.nnz()), pattern.row(), pattern.colind()), shape=pattern.shape)
+            for name, pattern in patterns.items()
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """data : the rows that read readings. penalties : all others."""
+
+    data: Part
+    penalties: Part
+
+
+def residuals(cost: Cost) -> Residuals:
+    """The residuals of a cost, compiled once for all weights."""
+    return _residuals(cost.unweighted)
+
+
+@lru_cache(maxsize=64)
+def _residuals(cost: Cost) -> Residuals:
+    symbols = cost.symbols
+    pairs = cost.residuals(symbols)
+    stacked = casadi.vertcat(*(part for _, part in pairs))
+    term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
+    reads = set(casadi.jacobian_sparsity(stacked, symbols.inputs()["reading"]).row())
+    rows = ([row for row in range(len(term)) if (row in reads) is data] for data in (True, False))
+    return Residuals(*(_part(symbols, stacked[chosen], term[chosen]) for chosen in rows))
+
+
+def _part(symbols: Symbols, rows: casadi.SX, term: NDArray[np.intp]) -> Part:
+    inputs = symbols.inputs()
+    outputs = {
+        "value": casadi.densify(rows),
+        "by_cells": casadi.jacobian(rows, inputs["cell_resistance"]),
+        "by_model": casadi.jacobian(rows, inputs["reading"]),
+        "by_previous": casadi.jacobian(rows, inputs["previous"]),
+        "by_baseline": casadi.jacobian(rows, inputs["baseline"]),
+    }
+    return Part(**{name: symbols.compiled(name, output) for name, output in outputs.items()}, term=term)

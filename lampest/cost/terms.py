@@ -20,13 +20,8 @@ Reference = Literal["baseline", "previous"]
 class State(Given):
     """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
 
-    Parameters
-    ----------
-    panel : shape of the panel.
-    cell_resistance : r, ohm.
-    reading : y = f(r) as the model has it, in the readout's unit (ohm or volt).
-
-    and all that `Given` declares: what was measured, and what is known from earlier frames.
+    cell_resistance : r, ohm. reading : y = f(r) as the model has it, in the readout's unit; and all that `Given`
+    declares.
 
     >>> [field.name for field in dataclasses.fields(lampest.State)][:2]
     ['measured', 'sigma']
@@ -50,10 +45,7 @@ class State(Given):
         return casadi.log((second @ values) / (first @ values)) / distance
 
     def gradient(self, values: Any) -> Any:
-        """(row part; column part) of ∇x over the panel, (2·cells, 1), per unit cell; paper, section IV.D.
-
-        Of cells at places of their own (x_b − x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch.
-        """
+        """(row part; column part) of ∇x, (2·cells, 1), paper, section IV.D; of listed cells by pairs of neighbours."""
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
         first, second, distance = neighbour_operators(self.panel)
@@ -73,9 +65,7 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
 
 @cache
 def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Sparse (pairs, cells), twice: what picks the first and the second cell of every pair of neighbours; (pairs, 1)
-    their distance in pitches.
-    """
+    """Sparse (pairs, cells), twice: the first and second cell of every pair of neighbours; their distances."""
     *cells, distance = panel.neighbours
     pairs = range(len(distance))
     first, second = (
@@ -92,12 +82,10 @@ Weight = float | Literal["auto"]
 class Term(Validated):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    weight : a number, or 'auto' where the data are to choose it, which is what lampest's penalties have where none is
-    named. reads_measurement : whether it is a data term, which reads what was measured; all others are penalties.
-    needs_previous : whether it compares with the previous frame or the baseline. weighs_previous : whether it reads
-    how well the previous frame is known, so that its variance is that of the change and of the previous frame's error
-    together. convex_in_log : whether it is convex in log r once those are known. Raises ValueError unless the weight
-    is finite and not negative.
+    weight : a number, or 'auto' where the data are to choose it. reads_measurement : whether it is a data term; all
+    others are penalties. needs_previous : whether it compares with the previous frame or the baseline.
+    weighs_previous : whether its variance holds the previous frame's error. convex_in_log : whether it is convex in
+    log r once those are known. Raises ValueError unless the weight is finite and not negative.
 
     >>> issubclass(lampest.Misfit, lampest.Term)
     True
@@ -220,9 +208,7 @@ class GradientOfRelativeChange(Term):
 class TotalVariation(Term):
     """100·log(r_b/r_a) in percent per pitch, over all pairs a, b of neighbours.
 
-    With its absolute loss this is the anisotropic total variation of log r. In log r a fall to a tenth and a rise to
-    tenfold are edges of one height, and forward differences see a cell that stands out alone, which central ones do
-    not. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+    With its absolute loss the anisotropic total variation of log r. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
 
     >>> lampest.TotalVariation().loss.kind
     'absolute'
@@ -241,9 +227,7 @@ class TotalVariation(Term):
 
 @dataclass(frozen=True)
 class LogGradient(Term):
-    """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch: divided by their distance in units of the pitch.
-
-    Scale-free, and open cells cost no more than their neighbours make them: for panels whose unloaded cells are open.
+    """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch: scale-free, for panels whose unloaded cells are open.
 
     >>> lampest.LogGradient().weight
     'auto'
@@ -262,9 +246,8 @@ class LogGradient(Term):
 class LogRatio(Term):
     """100·log(r/r0) in percent, r0 the baseline or the previous frame; weighs suction and pressure alike.
 
-    Convex in log r, which the relative change is not. Against the baseline and squared it is a Gaussian prior of log r
-    with the baseline as its mean; with its absolute loss few cells change, by any amount. Source: Tarantola, Inverse
-    Problem Theory, 2005 (positive parameters by their logarithms).
+    Squared, a Gaussian prior of log r; with its absolute loss few cells change, by any amount. Source: Tarantola,
+    Inverse Problem Theory, 2005 (positive parameters by their logarithms).
 
     >>> lampest.LogRatio(weight=1.0).kind
     'log_ratio'
@@ -287,8 +270,7 @@ class LogRatio(Term):
 class TotalVariationOfChange(Term):
     """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 as `reference` says.
 
-    With its absolute loss the anisotropic total variation of log r/r0. Source: Rudin, Osher & Fatemi, Physica D 60,
-    1992.
+    With its absolute loss the anisotropic total variation of log r/r0; see `TotalVariation`.
 
     >>> lampest.TotalVariationOfChange().loss.kind
     'absolute'
@@ -311,16 +293,12 @@ class TotalVariationOfChange(Term):
 class Arrival(Term):
     """(log r − log r0)/√(sd0² + q²), r0 the previous frame and sd0 the standard deviation of its logarithm.
 
-    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in percent. A step that
-    the readings have in common is no cell's own: r0 takes it before (`Readout.common_step`).
-
-    A random walk of log r whose past is summed up in one frame: the arrival cost of moving-horizon estimation with a
-    horizon of one frame, an extended Kalman filter with bounds. Of the covariance it reads the diagonal. Huber's loss
-    lets cells jump when a load sets in. With misfit.weighting: noise a weight of one is right, with plain readings that
-    all have the noise σ, one of σ² ohm². The baseline is solved alone, by the other terms. Raises ValueError unless q
-    is positive and finite.
-    Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Huber, Ann. Math. Statist. 35,
-    1964; Masreliez & Martin, IEEE Trans. Automat. Contr. 22, 1977 (robust Kalman filter).
+    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in percent, without
+    steps that all readings share (`Readout.common_step`). An extended Kalman filter with bounds, of whose covariance it
+    reads the diagonal; Huber's loss lets cells jump. With misfit.weighting: noise a weight of one is right, with plain
+    readings that all have the noise σ, one of σ² ohm². Raises ValueError unless q is positive and finite.
+    Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Masreliez & Martin, IEEE Trans.
+    Automat. Contr. 22, 1977 (robust Kalman filter).
 
     >>> lampest.Arrival(weight=1.0).kind
     'arrival'

@@ -12,7 +12,7 @@ from lampest.posterior.linear import LinearModel
 
 
 class Errors(Protocol):
-    """The error of an estimate in log r, over its free cells, however it is computed."""
+    """The error of an estimate in log r, over its free cells."""
 
     @property
     def model(self) -> LinearModel:
@@ -40,12 +40,10 @@ class Errors(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Of log r, all (frames, rows, columns).
+    """Of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
 
-    deviation : standard deviation; infinite for an open cell. below, above : how far the 95 % interval reaches down and
-    up; infinite upwards for an open cell. resolution, data_share : diagonal and row sums of the averaging kernel, 0
-    where a bound decides. common : the part of the deviation that cells share, among all or along a line; the rest is
-    each cell's own.
+    deviation : standard deviation. below, above : how far the 95 % interval reaches. resolution, data_share : diagonal
+    and row sums of the averaging kernel, 0 where a bound decides. common : the part of the deviation that cells share.
     """
 
     deviation: Array
@@ -62,10 +60,7 @@ class Certainty:
 
     @classmethod
     def of(cls, errors: Errors) -> "Certainty":
-        """Two-sided for free cells, one-sided for cells that press against a bound, none for cells without a choice.
-
-        Below a lower bound that is itself a reading, the interval reaches as far as that reading's noise.
-        """
+        """Two-sided for free cells, one-sided at active bounds; below a lower bound as far as its reading's noise."""
         model = errors.model
         at, free = model.at, model.free
         size = at.cell_resistance.size
@@ -115,10 +110,7 @@ class Certainty:
         return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
     def by_conductance(self) -> "Certainty":
-        """With intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1.
-
-        Readings are linear in conductances; of a nearly open cell little of its own is left, and its logarithm far off.
-        """
+        """With intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1."""
         with np.errstate(divide="ignore"):
             return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
 

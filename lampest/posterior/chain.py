@@ -1,12 +1,8 @@
 """Frames in a row, each tied to its neighbours, and unknowns that all share: Gaussian elimination in both directions.
 
-The matrix is block tridiagonal with a border,
-
-    H = [[A_1 + …, −Λ_1, 0, …; −Λ_1, A_2 + …, −Λ_2, …], B; Bᵀ, C],
-
-A_t (cells, cells) of frame t with all that ties add to its diagonal, Λ_t diagonal between the frames t and t + 1, B
-what each frame has in common with the border, C the border's. With S_1 = H_11, S_{t+1} = H_{t+1,t+1} − Λ_t S_t⁻¹ Λ_t
-and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ, those beside K_t P_{t+1}.
+H is block tridiagonal with a border: A_t (cells, cells) with all that ties add to its diagonal, −Λ_t diagonal between
+the frames t and t + 1, B between frames and border, C the border's. With S_1 = H_11, S_{t+1} = H_{t+1,t+1} −
+Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ.
 Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal. Appl. 13, 1992.
 """
 
@@ -21,9 +17,9 @@ from lampest.posterior.dense import positive_inverse
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """own : (frames, cells, cells), A_t with the ties. tie : (frames − 1, cells). border : (frames, cells, n).
+    """own : (frames, cells, cells), A_t. tie : (frames − 1, cells), Λ. border : (frames, cells, n), B. corner : C.
 
-    corner : (n, n). Raises numpy.linalg.LinAlgError, when it is asked for anything, where H is not positive definite.
+    Raises numpy.linalg.LinAlgError, when it is asked for anything, where H is not positive definite.
     """
 
     own: Array
@@ -109,10 +105,7 @@ class Chain:
         return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
 
     def step_variance(self, less: Array) -> Array:
-        """Of the differences between neighbours less what the border does to them, (frames − 1, cells).
-
-        less : (frames − 1, n), of every step.
-        """
+        """Of the differences between neighbours (frames − 1, cells) less (frames − 1, n) of the border."""
         between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
         alone = np.stack([np.diag(block) for block in self.blocks])
         steps = alone[1:] + alone[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)

@@ -7,15 +7,10 @@ estimate is K·noise plus what the penalties pull it away from the truth:
 
 where V is what one chance moves together in a frame, and S₀ is the error of the previous frame and of the baseline, as
 far as terms read them. With C = 1 and one noise for all data this is the Laplace approximation s² A⁻¹. B is the share
-of a residual's variance that is the previous frame's error where a term's weight allows for that (an arrival cost), so
-that it counts once: Joseph's form of a Kalman filter's covariance, right also for a gain that reads only the diagonal
-of S₀. A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of
-1, of ω x̂²/s², how much larger it is than its weight allows (of cells that were not read, see `least_widening`), and of
-c = Σ ω x̂² / (s² γ), the same for its term, where data determine γ of the term's residuals; c = 1 where the weight
-maximises the evidence. Where a loss pulls more than
-its curvature accounts for, H is the rest: beyond the corner of Huber's loss a residual has no curvature and still
-pulls, with H = weight · corner.
-Sources: Rodgers, Inverse Methods for Atmospheric Sounding, 2000, chapter 3; MacKay, Neural Computation 4, 1992.
+of a residual's variance that is the previous frame's error where a term weighs that (Joseph's form).
+A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of 1,
+of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, of whose residuals data determine γ. H is what a loss pulls beyond its
+curvature.
 """
 
 from dataclasses import dataclass
@@ -29,10 +24,11 @@ from scipy import sparse
 from scipy.linalg import blas, lapack
 
 from lampest.cost.cost import Cost
-from lampest.cost.residuals import residuals
+from lampest.cost.problem import residuals
 from lampest.panel.panel import Array
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
+from lampest.solvers.hessian import block_diagonal
 
 MOST_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties is nearly full
 
@@ -72,11 +68,7 @@ class DenseErrors:
     @cached_property
     def sensitivity(self) -> Array:
         """∂x/∂u of the data (rows, frames · cells)."""
-        at, size = self.model.at, self.model.at.cell_resistance[0].size
-        through = np.zeros((at.cell_resistance.size, at.cell_resistance.size))
-        for frame, network in enumerate(at.networks):
-            block = slice(frame * size, (frame + 1) * size)
-            through[block, block] = network.sensitivity()
+        through = block_diagonal([network.sensitivity() for network in self.model.at.networks])
         return np.asarray(self.model.through @ through)
 
     @cached_property
@@ -93,7 +85,6 @@ class DenseErrors:
 
     @cached_property
     def _penalties(self) -> Array:
-        """The same as a matrix with all its zeros."""
         return np.asarray(self._sparse_penalties.toarray())
 
     def _of_free(self, columns: Any) -> Any:
@@ -227,9 +218,7 @@ class DenseErrors:
 
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
-        weighted = self.sensitivity * np.sqrt(self.model.data_curvature)[:, None]
-        rows = self.model.penalty_jacobian.toarray() * np.sqrt(self.model.penalty_curvature)[:, None]
-        both = np.vstack([weighted, rows])
+        both = _rows(self)
         own, free = both[:, cells], self._of_free(both)
         across = free.T @ own
         left = np.sum(own**2, axis=0) - np.sum(across * (self.inverse @ across), axis=0)
@@ -238,16 +227,11 @@ class DenseErrors:
 
 @dataclass(frozen=True, eq=False)
 class ActiveBounds:
-    """Cells that shared errors press against a bound: how far they, and cells beside them, may be off.
+    """Cells that shared errors z press against a bound: how far they, and cells beside them, may be off.
 
-    A bound that noise alone makes active holds a cell, and an error z that all readings share moves the free cells
-    only. Where U z is what pressed the cell there, z drawn otherwise leaves it free. So a cell c at a bound stands
-    alone,
-
-        t_c ~ N(−slope·v, v + |a|²)  cut off at t_c ≥ 0,    v its variance among the free cells, a what z does to it,
-
-    and where |a| is larger than slope·v, it moves together with the free cells when z does. An open cell's t is its
-    conductance, in units of a typical cell's: of that readings are linear where log r is far from it.
+    A cell c at a bound stands alone, t_c ~ N(−slope·v, v + |a|²) cut off at t_c ≥ 0, v its variance among the free
+    cells, a what z does to it; where |a| > slope·v it moves with the free cells. An open cell's t is its conductance,
+    in units of a typical cell's.
 
     cells : the numbers of those at a bound. below, above : how far in log r their intervals reach into the inside.
 
@@ -261,10 +245,7 @@ class ActiveBounds:
 
     @classmethod
     def of(cls, errors: DenseErrors, rows: Array, last: Array, baseline: Array) -> "ActiveBounds":
-        """With z's columns in the data (rows, n), and in earlier estimates (cells, n).
-
-        Raises numpy.linalg.LinAlgError where the cost is flat.
-        """
+        """With z's columns in the data (rows, n), and in earlier estimates (cells, n). Raises LinAlgError if flat."""
         model = errors.model
         free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
         typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
@@ -293,10 +274,15 @@ def _stacked(errors: DenseErrors, rows: Array, last: Array, baseline: Array) -> 
     """(√Ω [J; Z] (rows, cells), √Ω of what z moves of them (rows, n)): data above penalties."""
     model = errors.model
     data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
-    through = errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties
-    known = (model.previous_jacobian, last), (model.baseline_jacobian, baseline)
-    carried = sum((rows_known @ moved for rows_known, moved in known if rows_known.nnz), np.zeros((1, rows.shape[1])))
-    return np.vstack(through), np.vstack([rows * data, -carried * penalties])
+    carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
+    return _rows(errors), np.vstack([rows * data, -carried * penalties])
+
+
+def _rows(errors: DenseErrors) -> Array:
+    """√Ω [J; Z] (rows, cells)."""
+    model = errors.model
+    data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
+    return np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
 
 
 def positive_inverse(matrix: Array) -> Array:

@@ -1,12 +1,12 @@
 """What all readings of a frame, or of one of its scanned lines, have in common by chance: columns V of their errors.
 
-A frame's readings err by noise + V·z with z standard normal, drawn for each frame: one column for its gain, some for
-patterns that all its lines share, and the same for each line's own.
+A frame's readings err by noise + V·z with z standard normal, drawn for each frame.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
@@ -28,19 +28,11 @@ class FrameNoise:
     apart: Array
 
     def columns(self, measured: Array, baseline: bool) -> Array:
-        """V (frames · cells, n) in the unit of the network's readings (frames, rows, columns).
-
-        baseline : whether the first frame is the mean of the unloaded ones.
-        """
-        frames, size = len(measured), measured[0].size
+        """V (frames · cells, n) of readings (frames, rows, columns); baseline : the first is the unloaded mean."""
         parts = [self._of_frame(frame) for frame in measured]
         if baseline:
             parts[0] = parts[0] / np.sqrt(self.unloaded)
-        width = parts[0].shape[1]
-        columns = np.zeros((frames * size, frames * width))
-        for frame, part in enumerate(parts):
-            columns[frame * size : (frame + 1) * size, frame * width : (frame + 1) * width] = part
-        return columns
+        return np.asarray(linalg.block_diag(*parts))
 
     def _of_frame(self, measured: Array) -> Array:
         """V (cells, n) of one frame's readings (rows, columns): differences of the readout's own equations."""

@@ -15,8 +15,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
-from lampest.cost.problem import Evaluation
-from lampest.cost.residuals import Part, Residuals, residuals
+from lampest.cost.problem import Evaluation, Residuals, residuals
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL, TWO_SIDED
 
@@ -28,8 +27,7 @@ IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anyt
 class LinearModel:
     """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows.
 
-    own_error : standard deviation of what each reading is off by in all frames, as `Data.measured` or 0: no noise, but
-    what penalties leave open is weighed against it.
+    own_error : standard deviation of what each reading is off by in all frames, as `Data.measured`, or 0.
     """
 
     at: Evaluation
@@ -65,11 +63,7 @@ class LinearModel:
 
     @cached_property
     def ignorance(self) -> Array:
-        """(free) precision of log r where neither data nor penalties say anything.
-
-        Of a cell whose own reading is missing 12/ln²(upper/lower), as of any place within its bounds: others are off by
-        a share of what it is off by, and would seem open if that had no end.
-        """
+        """(free) precision of log r without data or penalties; of unread cells 12/ln²(upper/lower)."""
         lower, upper = (bound[self.free] for bound in self._log_bounds)
         within = 12 / np.maximum(upper - lower, NEAR_BOUND) ** 2
         return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
@@ -95,18 +89,10 @@ class LinearModel:
     def _residuals(self) -> Residuals:
         return residuals(self.at.cost)
 
-    @property
-    def _data(self) -> Part:
-        return self._residuals.data
-
-    @property
-    def _penalties(self) -> Part:
-        return self._residuals.penalties
-
     @cached_property
     def through(self) -> sparse.csc_array:
         """∂x/∂y of the data."""
-        return self._data.jacobian("by_model", self.at)
+        return self._residuals.data.jacobian("by_model", self.at)
 
     @cached_property
     def noise(self) -> Array:
@@ -120,9 +106,9 @@ class LinearModel:
 
     @cached_property
     def data_curvature(self) -> Array:
-        """ω of the data; zero where a row says nothing, and where it is a bound: that tells one side and no width."""
-        curvature: Array = self.at.cost.weights[self._data.term] * (self.noise > 0) * ~self._bound
-        for _, loss, rows in curved_rows(self.at.cost, self._data.term):
+        """ω of the data; zero where a row is missing, and where it is a bound."""
+        curvature: Array = self.at.cost.weights[self._residuals.data.term] * (self.noise > 0) * ~self._bound
+        for _, loss, rows in curved_rows(self.at.cost, self._residuals.data.term):
             curvature[rows] *= loss.data_curvature(self.residual[rows], self.noise[rows])
         return curvature
 
@@ -137,7 +123,7 @@ class LinearModel:
     @cached_property
     def residual(self) -> Array:
         """x̂ of the data."""
-        return self._data.values(self.at)
+        return self._residuals.data.values(self.at)
 
     @cached_property
     def scale(self) -> float:
@@ -150,7 +136,7 @@ class LinearModel:
     @cached_property
     def penalty(self) -> Array:
         """x̂ of the penalties."""
-        return self._penalties.values(self.at)
+        return self._residuals.penalties.values(self.at)
 
     @property
     def penalty_squares(self) -> Array:
@@ -160,7 +146,7 @@ class LinearModel:
     @cached_property
     def penalty_term(self) -> NDArray[np.intp]:
         """The number of the term that every penalty row belongs to."""
-        return self._penalties.term
+        return self._residuals.penalties.term
 
     @cached_property
     def penalty_curvature(self) -> Array:
@@ -178,7 +164,7 @@ class LinearModel:
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
         """∂x/∂u of the penalties."""
-        jacobian = self._penalties.jacobian("by_cells", self.at)
+        jacobian = self._residuals.penalties.jacobian("by_cells", self.at)
         cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
         return sparse.csc_array((jacobian.data * cells, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
 
@@ -193,11 +179,7 @@ class LinearModel:
         return self._known_jacobian("by_baseline", self.at.data.given.baseline)
 
     def known_share(self, variance: Array | None) -> Array:
-        """Of every penalty row's variance, what the previous frame's error makes up where the weight allows for it.
-
-        variance : of log of the previous frame's cells, or None. Nothing for terms whose weight is that of a change
-        alone.
-        """
+        """Of every penalty row's variance the previous frame's share, where its term weighs that."""
         weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))
@@ -206,12 +188,10 @@ class LinearModel:
         return np.where(np.isin(self.penalty_term, weighing), np.minimum(squares @ variance, 1.0), 0.0)
 
     def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
-        jacobian = self._penalties.jacobian(name, self.at)
-        return (
-            jacobian
-            if cells is None or not jacobian.nnz
-            else sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
-        )
+        jacobian = self._residuals.penalties.jacobian(name, self.at)
+        if cells is None or not jacobian.nnz:
+            return jacobian
+        return sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
 
 
 def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
@@ -223,20 +203,16 @@ def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
 
 
 def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
-    """(number of the term, loss, its rows) where ω is not the weight alone: of all losses but the squared one.
-
-    term : the number of the term that every row belongs to.
-    """
+    """(number of the term, loss, its rows of `term`) of all losses but the squared one: where ω is not the weight."""
     for number, part in enumerate(cost.terms):
         if not part.loss.squared and (rows := term == number).any():
             yield number, part.loss, rows
 
 
 def least_widening(model: LinearModel) -> Array:
-    """At least C of every penalty row of one estimate; see `lampest.posterior.dense`.
+    """C of every penalty row, at least: the largest of 1 and ω x̂²/s²; see `lampest.posterior.dense`.
 
-    The largest of 1 and ω x̂²/s². An estimate obeys a penalty on a cell that was not read as if it were true, so that x̂
-    tells nothing there: such a row may be as far off as 95 % of its term's other rows are, which loads make far.
+    On a cell that was not read x̂ is no evidence: its rows are as far off as 95 % of its term's others are.
     """
     squares = model.penalty_squares
     widened = np.maximum(1.0, squares)

@@ -1,15 +1,8 @@
 """Profile intervals: where all cells go while one that no reading of its own sees goes to either end of its interval.
 
-Such cells are known within a factor only, and to so much all cells answer along curves. Without a penalty a missing
-reading is what its row and its column let expect (see `StandIn`), and the frame is solved again at both ends of that.
-With one the penalty decides its cell, and data and penalties leave it a curved valley, of which a tangent leads up the
-sides. It is followed by continuation in short steps,
-
-    δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c,   λ such that cell c goes on by one step,
-
-Gauss and Newton's step with c held, A = Jᵀ Ω J + Zᵀ Ω Z anew at every step (see `lampest.posterior.dense`). It ends
-where φ has risen by 1.96² s² C, as it would have where the tangent ends if φ were a parabola. Intervals reach as far as
-cells go where that is farther than their tangents lead.
+Without a penalty a missing reading is what `StandIn` says, and the frame is solved again at both ends. With one, the
+valley of data and penalties is followed by continuation, δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c, Gauss and Newton's step with
+cell c going on by one step, A = Jᵀ Ω J + Zᵀ Ω Z, until φ has risen by 1.96² s² C.
 Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg, Introduction to
 Numerical Continuation Methods, 2003, chapter 2.
 """
@@ -91,9 +84,8 @@ def beyond_tangents(
 ) -> tuple[Array, Array]:
     """What to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
 
-    As far as up to MOST missing readings take the cells of the last frame, where that is farther than tangents lead.
-    readings : (rows, columns) what the estimate was solved from. missing : which of them.
-    moved : readings → where log r goes with them (rows, columns), NaN where no solve ends; None: penalties decide.
+    readings : (rows, columns) what the estimate was solved from. missing : which of them. moved : readings → log r
+    (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
     """
     errors, size = errors_of(model, None), readings.value.size
 

@@ -5,7 +5,7 @@ gradients and has the covariance S of `lampest.posterior.dense`. Standard deviat
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,30 +75,20 @@ class SampledErrors:
         return self._adjoint(self.model.data_curvature * self._forward(change))
 
     @cached_property
-    def _inverse(self) -> Linear:
-        return partial(self._solved, accuracy=ACCURACY)
-
-    @cached_property
     def _system(self) -> tuple[Linear, Linear]:
         """A, and what approximates A⁻¹, on vectors over the free cells."""
         model, whole, free = self.model, np.zeros(self.model.at.cell_resistance.size), self.model.free
-        least = IGNORANCE * model.scale
 
         def product(search: Array) -> Array:
             whole[free] = search
             image = self._data(whole) + self._penalties.T @ (self._penalties @ whole)
             return np.asarray(image[free] + model.scale * model.ignorance * search)
 
-        return product, self._preconditioner(least)
+        ridge, chosen = np.full(len(whole), IGNORANCE * model.scale), np.isin(np.arange(len(whole)), free)
+        return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
-    def _solved(self, right: Array, accuracy: float) -> Array:
+    def _solved(self, right: Array, accuracy: float = ACCURACY) -> Array:
         return -steihaug(*self._system, right, accuracy).step
-
-    def _preconditioner(self, least: float) -> Linear:
-        size = self.model.at.cell_resistance.size
-        free = np.zeros(size, dtype=bool)
-        free[self.model.free] = True
-        return TwoLevel.of(self._curvature, np.full(size, least)).over(free, self.model.at.cell_resistance)
 
     @cached_property
     def _widened(self) -> Array:
@@ -119,7 +109,7 @@ class SampledErrors:
         rows, total = self._penalties[own], 0.0
         for _ in range(PROBES):
             right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
-            total += float(right @ self._inverse(right))
+            total += float(right @ self._solved(right))
         return total / PROBES
 
     @property
@@ -144,7 +134,7 @@ class SampledErrors:
             if self.before is not None:
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known
-            samples[number] = self._inverse(right[model.free])
+            samples[number] = self._solved(right[model.free])
             pulled += samples[number] * (self._penalties.T @ (pull / size))[model.free] / SAMPLES
         return samples, pulled
 
@@ -168,7 +158,7 @@ class SampledErrors:
         back = model.penalty_jacobian.T @ (model.penalty_curvature[:, None] * known)
         for number in range(rows.shape[1]):
             right = self._adjoint(model.data_curvature * rows[:, number]) - back[:, number]
-            answers[:, number] = self._inverse(right[model.free])
+            answers[:, number] = self._solved(right[model.free])
         return answers
 
     @property
@@ -191,7 +181,7 @@ class SampledErrors:
             unit[cell] = 1.0
             image = self._data(unit) + self._penalties.T @ (self._penalties @ unit)
             across = image[self.model.free]
-            left = image[cell] - across @ self._inverse(across)
+            left = image[cell] - across @ self._solved(across)
             variance[place] = self.model.scale / max(left, IGNORANCE * self.model.scale)
         return variance
 

@@ -48,10 +48,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, model: LinearModel) -> "Spectrum":
-        """The surroundings of an estimate whose one penalty has a squared loss; what its weight was does not matter.
-
-        Raises numpy.linalg.LinAlgError where the data's curvature is no positive matrix.
-        """
+        """Of an estimate whose one penalty has a squared loss. Raises LinAlgError where data leave it flat."""
         size = np.sqrt(model.data_curvature)
         jacobian = DenseErrors(model).jacobian * size[:, None]
         matrix = jacobian.T @ jacobian
@@ -105,9 +102,8 @@ class Spectrum:
     def risk(self, weight: float) -> float:
         """An estimate of Σ (log r̂ − log r)²: the noise that is left, and the square of what the penalty pulls away.
 
-        The latter is the mean of two estimates: the distance to the estimate without a penalty, which is unbiased and
-        noisy (Eldar, IEEE Trans. Signal Process. 57, 2009), and what the penalty would do to the present estimate.
-        Where the data tell nothing, as of a cell that was not read, the penalty decides whatever its weight.
+        The latter is the mean of the distance to the estimate without a penalty, which is unbiased and noisy (Eldar,
+        IEEE Trans. Signal Process. 57, 2009), and what the penalty would do to the present estimate.
         """
         left = 1 / (1 + weight * self.stiffness)
         apart = np.where(self.told, self.change(weight) + self.misfit_slope, 0.0)
@@ -134,10 +130,7 @@ class Spectrum:
 def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
     """The λ that minimises a rule's function over several estimates, among all λ that make a difference to any.
 
-    Beyond the λ that make one to an estimate its function stays as it is.
-
-    Functions that need the noise are summed. Those of `press` are multiplied: nothing but a frame's own errors says by
-    how much its readings are missed, and the likelihood with an unknown variance has the logarithm of their sum.
+    Functions are summed; those of `press` multiplied, as likelihoods with an unknown variance are.
     """
     together = math.prod if rule == "press" else sum
 

@@ -60,13 +60,12 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What error bars of later frames need of earlier ones.
+    """What error bars of later frames need of earlier ones; None where there is none.
 
-    shared : errors that all readings have in common, or None. baseline : of the baseline, (rows, columns).
-    deviation : of log r of the last frame without shared errors, which the next one repeats, (rows, columns).
-    memory : of the last frame's error, for costs that look back. answers : what shared errors did to log r of the last
-    frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by chance, or None.
-    beyond : squares of how far intervals reach down and up on top because of what the baseline left unread, or None.
+    shared : errors that all readings have in common. baseline : of the baseline. deviation : of log r of the last frame
+    without shared errors, (rows, columns). memory : of the last frame's error. answers : what shared errors did to log
+    r of the last frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by
+    chance. beyond : squares of how far intervals reach on top because of what the baseline left unread.
     """
 
     shared: Shared | None = None
@@ -78,10 +77,7 @@ class Track:
     beyond: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, remembered: bool) -> "Track":
-        """After a baseline that is solved alone; remembered : whether later frames look back at it.
-
-        Raises numpy.linalg.LinAlgError where the cost is flat.
-        """
+        """After a baseline alone; remembered : whether later frames look back at it. Raises LinAlgError if flat."""
         errors = errors_of(self._blurred(model), None, self._drawn(model, baseline=True))
         own = Certainty.of(errors)
         answer, certainty = self._answered(errors, own)
@@ -126,10 +122,7 @@ class Track:
         return np.asarray(model.through @ self.noise.columns(model.at.data.measured, baseline))
 
     def _answered(self, errors: DenseErrors | SampledErrors, own: Certainty) -> tuple[Array, Certainty]:
-        """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's.
-
-        Where one cell or more press against bounds, see `ActiveBounds`.
-        """
+        """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's."""
         model = errors.model
         cells = model.at.cell_resistance
         if self.shared is None:

@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
+from lampest.panel.trust_region import LONGEST
 from lampest.solvers.certificate import Certificate, Definiteness, at_kinks
-from lampest.solvers.descent import free_cells
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.descent import free_cells, moved_by
+from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
-from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS
 
 MOST_ROUNDS = 12  # near the minimum two or three
 MOST_CHANGED, FEW = 0.05, 4  # of all rows, and rows: where more change in a round the point is not near
-LONGEST = 1.0  # of log r: rows were sorted where the steps began
-LAST = 1e-7  # of log r: such a Newton step leaves rounding
+LAST = 1e-7  # of log r: such a Newton step leaves rounding; of the cost's scale: such a gradient
 MET = 1e-6  # of a residual, after a step to its kink; of those that depend on heavier ones more is left
-BALANCED = 1e-8  # of the test of optimality's scale
 
 
 def unsmoothed_minimum(at: Evaluation, dual: Array) -> tuple[Evaluation, Array, Certificate] | None:
@@ -29,7 +27,7 @@ def unsmoothed_minimum(at: Evaluation, dual: Array) -> tuple[Evaluation, Array, 
 
     dual : of the smoothed losses at the point.
     """
-    if not len(at.rough) or at.cell_resistance.size > ORTHOGONAL_UNKNOWNS:
+    if not len(at.rough) or at.cell_resistance.size > DENSE_STIFF_CELLS:
         return None
     begun, active = at, at_kink(at, dual)
     for _ in range(MOST_ROUNDS):
@@ -45,7 +43,7 @@ def unsmoothed_minimum(at: Evaluation, dual: Array) -> tuple[Evaluation, Array, 
         changed = np.count_nonzero(further != active)
         if changed > max(FEW, MOST_CHANGED * len(dual)):
             return None
-        there = _there(at, found.step * min(1.0, LONGEST / max(longest, LONGEST)))
+        there = moved_by(at, found.step * min(1.0, LONGEST / max(longest, LONGEST)))
         if there is None:
             return None
         at, active = there, further
@@ -80,22 +78,13 @@ def _released(at: Evaluation, active: NDArray[np.bool_], dual: Array) -> NDArray
     return np.asarray(beyond & (np.abs(dual) == np.abs(dual[beyond]).max()))
 
 
-def _there(at: Evaluation, step: Array) -> Evaluation | None:
-    """The cost after a step of u, within the bounds."""
-    cells = np.exp(at.position + step.reshape(at.position.shape))
-    try:
-        return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
-    except np.linalg.LinAlgError:
-        return None
-
-
 def _ended(begun: Evaluation, at: Evaluation, dual: Array) -> tuple[Evaluation, Array, Certificate] | None:
     """The minimum, where it is one, and no higher than the point."""
     hessian = Hessian(at, Unsmoothed(0.0, dual))
     free = np.flatnonzero(free_cells(at, hessian.gradient))
     found = at_kinks(hessian, free, Kinks.of(hessian, at_kink(at, dual), free))
     residual = at.projected_gradient(hessian.gradient.reshape(at.cell_resistance.shape))
-    balanced = residual <= BALANCED or found.converged(at.cost_scale)
+    balanced = residual <= LAST or found.converged(at.cost_scale)
     lower = at.objective <= begun.objective + begun.rounding + at.rounding
     known = found.settled or found.definiteness is Definiteness.UNDETERMINED
     return (at, dual, found) if balanced and lower and known else None

@@ -1,10 +1,7 @@
-"""Many panels of one shape solved at once: projected Newton over a leading axis, every panel judged by itself.
+"""Projected Newton (`lampest.solvers.projected_newton`) for many panels at once, over a leading axis.
 
-The iteration is that of `lampest.solvers.projected_newton`, without what hard cases need: an inverse of ∇²φ of an
-earlier frame preconditions conjugate gradients with the exact ∇²φ (chord steps), cells that pass a bound stop there,
-and a step counts if the cost falls. What has converged leaves the batch. A panel that gets stuck, or of which ∇²φ is
-not positive definite nearby, is handed back unsolved: the solver for single panels takes it.
-Source: Nocedal & Wright, Numerical Optimization, 2006, sections 7.1 (inexact Newton) and 16.7 (projected gradients).
+What has converged leaves the batch. A panel that gets stuck, or whose ∇²φ is not positive definite, is handed back
+unsolved: the solver for single panels takes it.
 """
 
 from collections.abc import Callable
@@ -12,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import MILLIONTH, SHARE
+from lampest.solvers.certificate import MILLIONTH, SHARE, clear_of_rounding
+from lampest.solvers.descent import STILL
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
-from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, HALF, MOVED, NEAR, ROUNDING, SHORTER
+from lampest.solvers.preconditioners import Cholesky, matrix_between
+from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOVED, NEAR, SHORTER
 from lampest.solvers.solution import Settings
 
 MOST_STEPS = 25  # of a panel in a batch; the solver for single panels goes on from there
@@ -26,7 +24,6 @@ MOST_STOPS = 5  # solves of one direction, in which cells stop at their bounds
 MOST_TRIES = 4  # lengths of a step, each a quarter of the one before
 WORN = 6  # products of a direction after which its preconditioner is made anew
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
-CLEAR = 1e-10  # of a unit diagonal: the least pivot that is no rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +31,8 @@ class Kept:
     """What panels keep from frame to frame: M⁻¹, where it was made, and whether it shows a minimum.
 
     inverse : (panels, cells, cells). position : (panels, cells), NaN where there is none yet. free : (panels, cells)
-    between which M is ∇²φ. positive : (panels) whether that ∇²φ was positive definite. worn : (panels) whether a
-    direction took many products.
+    between which M is ∇²φ. positive, worn : (panels) whether that ∇²φ was positive definite; whether a direction took
+    many products.
     """
 
     inverse: Array
@@ -47,10 +44,8 @@ class Kept:
     @classmethod
     def nothing(cls, panels: int, cells: int) -> "Kept":
         """Before the first frame."""
-        blank = np.zeros((panels, cells), dtype=bool)
-        inverse = np.zeros((panels, cells, cells))
-        none = np.zeros(panels, dtype=bool)
-        return cls(inverse, np.full((panels, cells), np.nan), blank, none, ~none)
+        blank, none = np.zeros((panels, cells), dtype=bool), np.zeros(panels, dtype=bool)
+        return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
 
     def distance(self, panels: Numbers, position: Array) -> Array:
         """(of some panels) the largest change of log r since; infinite where there is nothing."""
@@ -66,29 +61,16 @@ class Kept:
         """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel."""
         matrices = points.matrix()
         for number, panel in enumerate(panels):
-            free = points.free[number]
-            inverse = _inverse_of(matrices[number], free)
-            self.positive[panel] = inverse is not None
-            if inverse is None:
-                scale = np.abs(np.diag(matrices[number]))
-                inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-            self.inverse[panel], self.free[panel] = inverse, free
+            matrix, free = matrices[number], np.flatnonzero(points.free[number])
+            scale = np.abs(np.diag(matrix))
+            inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
+            factor = Cholesky.of(points.position[number], free, matrix_between(matrix, free)) if len(free) else None
+            positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
+            if factor is not None and positive:
+                inverse[np.ix_(free, free)] = factor.solve(np.diag(factor.size)) / factor.size[:, None]
+            self.inverse[panel], self.free[panel] = inverse, points.free[number]
+            self.positive[panel] = positive or not len(free)
         self.position[panels], self.worn[panels] = points.position, False
-
-
-def _inverse_of(matrix: Array, free: Mask) -> Array | None:
-    """The inverse of a matrix between the free cells, by Cholesky, the others left apart; None where it has none."""
-    size = np.abs(np.diag(matrix))
-    size = np.sqrt(np.where(size > 0, size, 1.0))
-    unit = matrix / size / size[:, None]
-    if not free.all():
-        unit = np.where(free[:, None] & free, unit, np.eye(len(free)))
-    triangle, failed = lapack.dpotrf(unit)
-    if failed or not np.diag(triangle).min() ** 2 > CLEAR:
-        return None
-    inverse, _ = lapack.dpotri(triangle)
-    upper = np.triu(inverse)
-    return np.asarray((upper + np.triu(inverse, 1).T) / size / size[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +89,8 @@ class Ended:
         if chosen.all():
             return self
         position = np.where(chosen[:, None], self.points.position, other.points.position)
-        solved, iterations = (
-            np.where(chosen, self.solved, other.solved),
-            np.where(chosen, self.iterations, other.iterations),
-        )
+        solved = np.where(chosen, self.solved, other.solved)
+        iterations = np.where(chosen, self.iterations, other.iterations)
         return Ended(Points.at(self.points.batch, position), solved, iterations)
 
 
@@ -125,6 +105,8 @@ def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, setting
     solved, iterations = np.zeros(len(start), dtype=bool), np.zeros(len(start), dtype=np.int64)
     panels = np.arange(len(start))
     for _ in range(min(MOST_STEPS, settings.max_iterations)):
+        if not len(panels):
+            break
         near = here.residual <= settings.tolerance
         if near.any():
             doubtful = near & ~kept.shows_minimum(numbers[panels], here)
@@ -185,11 +167,11 @@ def _advanced(here: Points, kept: Kept, panels: Numbers) -> tuple[Points, Mask]:
         trial = Points.at(some.batch, np.clip(target, lower[trying], upper[trying]))
         gain = some.objective - trial.objective
         expected = predicted[trying] * (length * (2 - length))
-        invisible = ROUNDING * np.abs(some.objective)
+        invisible = STILL * np.abs(some.objective)
         lowered = np.where(
             expected > invisible,
             gain >= ACCEPTED * expected,
-            (np.abs(gain) <= invisible) & (trial.residual <= HALF * some.residual),
+            (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
         )
         if attempt == 0 and lowered.all():
             return trial, np.ones(len(panels), dtype=bool)
@@ -206,34 +188,29 @@ def _direction(here: Points, inverse: Array) -> tuple[Array, Array, NDArray[np.i
     lower, upper = (bound - here.position for bound in here.batch.log_bounds)
     low, high = -np.expm1(-np.maximum(lower, -FARTHEST)), -np.expm1(-np.minimum(upper, FARTHEST))
     accuracy = np.minimum(0.1, np.sqrt(here.residual))
-    step, moving, slope = np.zeros_like(here.gradient), here.free, here.gradient
-    exact, count = np.ones((len(step), 1)), np.zeros(len(step), dtype=np.int64)
-    predicted: Array = np.zeros(len(step))
-    left = np.arange(len(step))
+    step, moving, slope = np.zeros_like(here.gradient), here.free, here.gradient.copy()
+    exact, left = np.ones((len(step), 1)), np.arange(len(step))
+    predicted, count = np.zeros_like(accuracy), np.zeros(len(step), dtype=np.int64)
     for stop in range(MOST_STOPS):
         some = here if len(left) == len(step) else here.some(left)
-        found = conjugate_gradients(some.product, inverse[left], moving[left], slope[left], accuracy[left], exact[left])
+        given = inverse[left], moving[left], slope[left], accuracy[left]
+        found = conjugate_gradients(some.product, exact[left], *given)
         if found.negative.any():
-            again = left[found.negative]
-            exact[again] = 0.0
-            found = conjugate_gradients(
-                some.product, inverse[left], moving[left], slope[left], accuracy[left], exact[left]
-            )
+            exact[left[found.negative]] = 0.0
+            found = conjugate_gradients(some.product, exact[left], *given)
         count[left] = np.maximum(count[left], found.products)
         step[left] = np.where(moving[left], found.step, step[left])
-        if stop == 0:
-            predicted = found.decrease.copy()
+        if not stop:
+            predicted = found.decrease
         beyond = moving & ((step < low) | (step > high))
-        hit = np.flatnonzero(beyond.any(axis=1))
-        if not len(hit):
+        left = np.flatnonzero(beyond.any(axis=1))
+        if not len(left):
             break
         step, moving = np.clip(step, low, high), moving & ~beyond
-        some = here if len(hit) == len(step) else here.some(hit)
-        slope = slope.copy()
-        slope[hit] = here.gradient[hit] + some.product(np.where(moving[hit], 0.0, step[hit]), exact[hit])
-        left = hit
-        whole = some.product(step[hit], exact[hit])
-        predicted[hit] = -(step[hit] * (here.gradient[hit] + whole / 2)).sum(axis=1)
+        some = here if len(left) == len(step) else here.some(left)
+        slope[left] = here.gradient[left] + some.product(np.where(moving[left], 0.0, step[left]), exact[left])
+        whole = some.product(step[left], exact[left])
+        predicted[left] = -(step[left] * (here.gradient[left] + whole / 2)).sum(axis=1)
     return np.clip(step, low, high), predicted, count
 
 
@@ -248,12 +225,7 @@ class Directions:
 
 
 def conjugate_gradients(
-    product: Callable[[Array, Array], Array],
-    inverse: Array,
-    moving: Mask,
-    slope: Array,
-    accuracy: Array,
-    exact: Array,
+    product: Callable[[Array, Array], Array], exact: Array, inverse: Array, moving: Mask, slope: Array, accuracy: Array
 ) -> Directions:
     """argmin gᵀs + ½ sᵀHs over the moving cells of every panel; see `lampest.panel.trust_region.steihaug`."""
     residual = np.where(moving, slope, 0.0)

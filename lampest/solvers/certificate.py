@@ -10,6 +10,7 @@ section 9.5 (the decrement).
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,15 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
 from lampest.solvers.descent import downhill, free_cells, within_bounds
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
-from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, Squares
-from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, matrix_between
+from lampest.solvers.orthogonal import Squares
+from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel, matrix_between
 
-MILLIONTH = 1e-6  # of a cell: what a verified estimate may still move by where the noise is not known
+# Of a cell: what a verified estimate may still move by where the noise is not known; of the cost's scale: its gradient.
+MILLIONTH = 1e-6
 SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
-LEVEL = 1e-6  # of the cost's scale: the gradient of a verified cost
 REPRODUCED = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
 SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
 REPRODUCED_CELLS = 1024  # up to which a solve with J is affordable where no noise says what may be off
@@ -65,12 +66,23 @@ class Certificate:
     descent: Array | None = None
 
     @classmethod
-    def at(cls, hessian: Hessian, definiteness: Definiteness, step: Array, decrement: float) -> "Certificate":
-        """Of a step from where second derivatives are known."""
+    def of(
+        cls,
+        hessian: Hessian,
+        definiteness: Definiteness,
+        free: Numbers,
+        part: Array,
+        decrement: float | None,
+        **more: Any,
+    ) -> "Certificate":
+        """From Newton's step of the free cells (numbers)."""
+        step = within_bounds(hessian.at, free, part)
+        if decrement is None:
+            decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
         short = float(np.abs(step).max(initial=0.0)) <= MILLIONTH
         positive = definiteness is Definiteness.POSITIVE
         deviations = _deviations(hessian, decrement) if positive and not short else float("inf")
-        return cls(definiteness, step, decrement, deviations)
+        return cls(definiteness, step, decrement, deviations, **more)
 
     @property
     def settled(self) -> bool:
@@ -96,14 +108,13 @@ class Certificate:
         The gradient of a penalty that outweighs the data by 10⁸ is rounding, which the curvature divides again.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-        flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= LEVEL * cost_scale
+        flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
         known = self.definiteness is Definiteness.POSITIVE or flat
         return small and known and self.decrement**2 <= NOTHING * cost_scale
 
 
 def _deviations(hessian: Hessian, decrement: float) -> float:
-    data = hessian.at.data
-    curvature = hessian.curvature
+    data, curvature = hessian.at.data, hessian.curvature
     counting = curvature > 0
     if not (data.noise_known and counting.any()):
         return float("inf")
@@ -114,11 +125,10 @@ def certificate(hessian: Hessian, kept: Preconditioner | None = None) -> Certifi
     """Of a point, from its second derivatives; kept : for conjugate gradients on large panels."""
     if (exact := _of_reproduced(hessian)) is not None:
         return exact
-    gradient = hessian.gradient
-    free = free_cells(hessian.at, gradient)
+    free = free_cells(hessian.at, hessian.gradient)
     chosen = np.flatnonzero(free)
     if not len(chosen):
-        return Certificate(Definiteness.POSITIVE, np.zeros(len(gradient)), 0.0, 0.0)
+        return Certificate(Definiteness.POSITIVE, np.zeros(len(free)), 0.0, 0.0)
     if isinstance(hessian.smoothing, Unsmoothed) and len(hessian.smoothing.dual):
         return at_kinks(hessian, chosen, Kinks.of(hessian, at_kink(hessian.at, hessian.smoothing.dual), chosen))
     if not hessian.dense:
@@ -143,19 +153,18 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= REPRODUCED
     if len(reading) > (DENSE_CELLS if known else REPRODUCED_CELLS) or (known and not close):
         return None
-    sensitivity = hessian.at.networks[0].sensitivity() / reading[:, None]
+    sensitivity, every = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        blank = np.zeros(len(reading))
-        return Certificate.at(hessian, Definiteness.UNDETERMINED, blank, np.inf) if close else None
-    inside = within_bounds(hessian.at, np.arange(len(step)), step)
+        return Certificate.of(hessian, Definiteness.UNDETERMINED, every, 0 * missed, np.inf) if close else None
+    inside = within_bounds(hessian.at, every, step)
     if not close and (float(np.abs(step).max()) > SOLVED or not np.array_equal(inside, step)):
         return None
     decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
-    return Certificate.at(hessian, Definiteness.POSITIVE, inside, decrement)
+    return Certificate.of(hessian, Definiteness.POSITIVE, every, step, decrement)
 
 
-def at_kinks(hessian: Hessian, free: NDArray[np.intp], kinks: Kinks) -> Certificate:
+def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
     """Where rows of absolute losses stand at their kink: over moves that keep them there, after one that brings them.
 
     Along all others the cost has a corner, where the duals balance the gradient; where they do not, the decrement is
@@ -165,24 +174,31 @@ def at_kinks(hessian: Hessian, free: NDArray[np.intp], kinks: Kinks) -> Certific
     whole = hessian.matrix[np.ix_(free, free)]
     matrix, slope = kinks.reduced(whole, hessian.gradient[free])
     usual = np.einsum("ij,i,ij->j", along, _usual_curvature(hessian)[free], along)
-    definiteness, part, left = newton_step(matrix, slope, ROUNDING * usual)
-    towards = None
-    if definiteness is Definiteness.INDEFINITE:
-        towards = np.zeros(len(hessian.gradient))
-        towards[free] = along @ np.linalg.eigh(matrix)[1][:, 0]
-        if downhill(hessian.at, towards) is None:
-            definiteness, towards = Definiteness.UNDETERMINED, None
+    definiteness, part, left, lowest = newton_step(matrix, slope, ROUNDING * usual)
+    definiteness, descent = _confirmed(hessian, definiteness, free, along @ lowest)
     decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
     move = kinks.back + along @ part
     across = np.abs(kinks.across.T @ (hessian.gradient[free] + whole @ move)).max(initial=0.0)
     rows = float((hessian.at.cost.slope[kinks.rows] * kinks.length).max(initial=0.0))
-    if across > max(LEVEL * hessian.at.cost_scale, DUAL_ROUNDING * rows):
+    if across > max(MILLIONTH * hessian.at.cost_scale, DUAL_ROUNDING * rows):
         decrement = float("inf")
-    step = within_bounds(hessian.at, free, move)
-    return replace(Certificate.at(hessian, definiteness, step, decrement), left=left, descent=towards)
+    return Certificate.of(hessian, definiteness, free, move, decrement, left=left, descent=descent)
 
 
-def _by_factorisation(hessian: Hessian, free: NDArray[np.intp]) -> Certificate:
+def _confirmed(
+    hessian: Hessian, definiteness: Definiteness, free: Numbers, along: Array
+) -> tuple[Definiteness, Array | None]:
+    """Indefinite only where the cost is seen to fall along a direction of the free cells, which it returns."""
+    if definiteness is not Definiteness.INDEFINITE:
+        return definiteness, None
+    descent = np.zeros(len(hessian.gradient))
+    descent[free] = along
+    if downhill(hessian.at, descent) is None:
+        return Definiteness.UNDETERMINED, None
+    return definiteness, descent
+
+
+def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """By Cholesky; where that fails, by eigenvectors."""
     matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
@@ -190,47 +206,38 @@ def _by_factorisation(hessian: Hessian, free: NDArray[np.intp]) -> Certificate:
     if np.all(matrix.diagonal() > least):
         factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
-        definiteness, part, left, descent = Definiteness.POSITIVE, factor.solve(-slope), 0.0, None
-    else:
-        definiteness, part, left = newton_step(matrix, slope, least)
-        descent = None
-        if definiteness is Definiteness.INDEFINITE:
-            descent = np.zeros(len(hessian.gradient))
-            size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
-            descent[free] = np.linalg.eigh(matrix / size[:, None] / size)[1][:, 0] / size
-            if downhill(hessian.at, descent) is None:
-                definiteness, descent = Definiteness.UNDETERMINED, None
-    decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
-    found = Certificate.at(hessian, definiteness, within_bounds(hessian.at, free, part), decrement)
-    return replace(found, left=left, factor=factor, descent=descent)
+        part = factor.solve(-slope)
+        return Certificate.of(hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor)
+    definiteness, part, left, lowest = newton_step(matrix, slope, least)
+    definiteness, descent = _confirmed(hessian, definiteness, free, lowest)
+    return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor, descent=descent)
 
 
-def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness, Array, float]:
-    """(definiteness, Newton's step, what it leaves of the gradient); the step leaves out undetermined directions."""
+def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness, Array, float, Array]:
+    """(definiteness, Newton's step without undetermined directions, what it leaves of the gradient, softest mode)."""
     if not len(slope):
-        return Definiteness.POSITIVE, slope, 0.0
+        return Definiteness.POSITIVE, slope, 0.0, slope
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
     unit = matrix / size[:, None] / size
     if not np.all(np.isfinite(unit)):
-        return Definiteness.UNDETERMINED, np.full(len(slope), np.inf), np.inf
+        return Definiteness.UNDETERMINED, np.full(len(slope), np.inf), np.inf, slope
     values, vectors = np.linalg.eigh(unit)
     solid = values > ROUNDING
     part = vectors.T @ (slope / size)
     step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
     left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
-    if values[0] < -ROUNDING:
-        return Definiteness.INDEFINITE, step, left
-    return Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED, step, left
+    flat = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
+    return Definiteness.INDEFINITE if values[0] < -ROUNDING else flat, step, left, vectors[:, 0] / size
 
 
-def _by_squares(hessian: Hessian, free: NDArray[np.intp]) -> Certificate | None:
+def _by_squares(hessian: Hessian, free: Numbers) -> Certificate | None:
     """From residuals' first derivatives, which have twice the digits; None where those do not suffice or φ falls."""
-    if len(free) > ORTHOGONAL_UNKNOWNS:
+    if len(free) > DENSE_STIFF_CELLS:
         return None
     found = Squares.of(hessian, free).newton(hessian.matrix[np.ix_(free, free)])
     if found is None or not found[0] > max(found[1], SURE):
         return None
-    return Certificate.at(hessian, Definiteness.POSITIVE, within_bounds(hessian.at, free, found[2]), found[3])
+    return Certificate.of(hessian, Definiteness.POSITIVE, free, *found[2:])
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:
@@ -264,6 +271,4 @@ def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Pre
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
         descent = np.zeros(free.size)
         descent[chosen] = along
-    decrement = float(np.sqrt(max(-float(slope @ found.step), 0.0)))
-    step = within_bounds(hessian.at, chosen, found.step)
-    return replace(Certificate.at(hessian, definiteness, step, decrement), descent=descent)
+    return Certificate.of(hessian, definiteness, chosen, found.step, None, descent=descent)

@@ -47,8 +47,14 @@ def _certain_cost(at: Evaluation) -> float:
 def _beside(at: Evaluation, along: Array) -> Iterator[Evaluation]:
     size = float(np.abs(along).max(initial=0.0)) or 1.0
     for share in (sign * length / size for length in LENGTHS for sign in (1.0, -1.0)):
-        cells = np.exp(at.position + (share * along).reshape(at.position.shape))
-        try:
-            yield at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
-        except np.linalg.LinAlgError:
-            continue
+        if (found := moved_by(at, share * along)) is not None:
+            yield found
+
+
+def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
+    """The cost after a step of u (flat), within the bounds; None where its network cannot be solved."""
+    cells = np.exp(at.position + step.reshape(at.position.shape))
+    try:
+        return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
+    except np.linalg.LinAlgError:
+        return None

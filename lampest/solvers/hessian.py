@@ -11,17 +11,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from lampest.cost.cost import Entries
-from lampest.cost.problem import Evaluation
-from lampest.cost.residuals import Part, residuals
+from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS
 from lampest.solvers.smoothing import Smoothing
 
-DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose valleys conjugate gradients follow slowly
+DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs; beyond, a QR takes more than a second
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +68,11 @@ class Hessian:
 
     def adjoint(self, weights: Array) -> Array:
         """Jᵀ·w, flat, for w (frames, rows, columns)."""
-        pulled = np.empty_like(weights)
-        for frame, network in enumerate(self.at.networks):
-            pulled[frame] = network.adjoint(weights[frame])
-        return pulled.ravel()
+        pairs = zip(self.at.networks, weights, strict=True)
+        return np.concatenate([network.adjoint(frame).ravel() for network, frame in pairs])
 
     @cached_property
     def _second_orders(self) -> list[SecondOrder]:
-        """N of every frame."""
         pairs = zip(self.at.networks, self.by_reading, strict=True)
         return [network.second_order(slope) for network, slope in pairs]
 
@@ -108,14 +104,13 @@ class Hessian:
     def product(self, step: Array) -> Array:
         """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells²."""
         cells = self.at.cell_resistance
-        change, second = np.empty_like(cells), np.empty_like(cells)
-        for frame, part in enumerate(step.reshape(cells.shape)):
-            change[frame], second[frame] = self._second_orders[frame].products(part)
-        move = np.concatenate([cells.ravel() * step, change.ravel()])
+        pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
+        changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
+        move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
         force = self.diagonal_of_terms * move if self._entries[0].alone else self.terms @ move
         through = self.adjoint(force[step.size :].reshape(cells.shape))
-        whole: Array = cells.ravel() * force[: step.size] + through
-        return whole + second.ravel() + (self.direct - self.through) * step
+        whole = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
+        return np.asarray(whole + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
         """(JᵀWJ + PᵀKP)·p."""
@@ -175,7 +170,6 @@ class Hessian:
         return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
-        """matrix += (diag r; J)ᵀ T (diag r; J), J by frames."""
         cells = self.at.cell_resistance.ravel()
         count = len(cells)
         entries, values = self._entries
@@ -196,7 +190,6 @@ class Hessian:
 
     @cached_property
     def _entries(self) -> tuple[Entries, Array]:
-        """Where the nonzeros of T stand, and their values."""
         functions = self.at.cost.functions
         if not len(self.at.cost.slope):
             return functions.entries, self._smooth_terms
@@ -228,15 +221,8 @@ def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Square blocks of equal size along the diagonal; one alone as it is."""
-    if len(blocks) == 1:
-        return blocks[0]
-    size = len(blocks[0])
-    matrix = np.zeros((len(blocks) * size, len(blocks) * size))
-    for number, block in enumerate(blocks):
-        span = slice(number * size, (number + 1) * size)
-        matrix[span, span] = block
-    return matrix
+    """Blocks along the diagonal; one alone as it is."""
+    return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
 
 
 def weighted_square(matrix: Array, weight: Array) -> Array:

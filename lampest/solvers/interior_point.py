@@ -1,10 +1,8 @@
 """Log-barrier interior-point method for plain least squares of a large panel, where many cells end at a bound.
 
 argmin φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) in the conductances g for ever smaller μ, by Newton's method with
-the multipliers of the bounds as unknowns of their own. The number of steps hardly depends on how many cells end at a
-bound, where an active-set method lets cells stop a few at a time.
-Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3; Dembo, Eisenstat & Steihaug, SIAM J.
-Numer. Anal. 19, 1982 (forcing).
+the multipliers of the bounds as unknowns. Without it such frames take ten times the products.
+Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
 from contextlib import suppress
@@ -17,49 +15,38 @@ from numpy.typing import NDArray
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted, steihaug
+from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 ROOM = 0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
-CENTRED, ASIDE = 0.2, 0.4  # of the mean force times room: μ of the next step, and where the last one was cut short
-FREELY = 0.9  # of a step: not cut short. 0.2 alone took 69 steps where both take 53, 0.4 alone 30 where both take 20
+FORCING = 0.25  # power of the bounds' share of the cost with which steps grow exact (Dembo, Eisenstat & Steihaug, 1982)
+CENTRED = 0.2  # of the mean force times room: μ of the next step
 BOUNDARY = 0.99  # of the way to the next bound
-ACCURACY = 0.1  # of a step by conjugate gradients, where bounds add as much as the cost itself
-FORCING = 0.25  # power of that share with which steps grow exact: residuals of cells at bounds hide those of others
-DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 MOST_STEPS = 90
+DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 # Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
 NEAR = 1e-3
 NOTHING = 1e-8  # of the cost: what the bounds still add to it where the last steps are left to Newton's method
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
-    """The cost where the bounds' part in it has become nothing, with cells that press put at them; and the steps.
-
-    `start` itself and none where that would not help: see `crowds_bounds`; or where it led no lower.
-    """
+    """The cost where the bounds' part in it has become nothing, and the steps; `start` and none where it is no help."""
     if not crowds_bounds(start):
         return start, 0
-    here = _Barrier.of(start)
-    steps = 0
-    while steps < MOST_STEPS and not start.data.overdue:
+    here, steps = _Barrier.of(start), 0
+    while steps < MOST_STEPS and here.added > NOTHING * here.at.objective and not start.data.overdue:
         moved = here.moved()
         if moved is None:
             break
         here, steps = moved, steps + 1
-        if here.added <= NOTHING * here.at.objective:
-            break
     found = here.put_at_bounds()
     return (found if found.objective < start.objective else start), steps
 
 
 def crowds_bounds(start: Evaluation) -> bool:
-    """Whether squares of a large frame's readings are all there is, far from their least, and more cells than lines
-    stand at a bound.
-
-    Without bounds Newton's method takes five steps.
-    """
+    """Whether squares of a large frame's readings are all there is, and more cells than lines stand at a bound."""
     hessian, data = Hessian(start, Smoothing.start(start)), start.data
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
@@ -72,14 +59,11 @@ def crowds_bounds(start: Evaluation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Barrier:
-    """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
-    length : of the last step, in which it was cut short.
-    """
+    """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens."""
 
     at: Evaluation
     below: Array
     above: Array
-    length: float = 1.0
 
     @classmethod
     def of(cls, start: Evaluation) -> "_Barrier":
@@ -112,7 +96,7 @@ class _Barrier:
 
     @cached_property
     def hessian(self) -> Hessian:
-        """Second derivatives."""
+        """Of the cost."""
         return Hessian(self.at, Smoothing.start(self.at))
 
     @cached_property
@@ -132,8 +116,7 @@ class _Barrier:
 
     def moved(self) -> "_Barrier | None":
         """After one step; None where no step leads lower."""
-        share = CENTRED if self.length > FREELY else ASIDE
-        mean = share * self.added / (2 * max(int(np.sum(self.moving)), 1))
+        mean = CENTRED * self.added / (2 * max(int(np.sum(self.moving)), 1))
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
         length = min(_reach(self.rooms[0], step), _reach(self.rooms[1], -step))
@@ -143,15 +126,12 @@ class _Barrier:
             with suppress(np.linalg.LinAlgError):
                 found = self.at.elsewhere(cells[None])
                 if self._merit(found, mean) <= before - DECREASE * length * along:
-                    return self._forced(found, step, mean, length)
+                    return self._forced(found, step, mean)
             length /= 2
         return None
 
     def _step(self, push: Array) -> Array:
-        """(∂²φ/∂g² + stiffness)⁻¹·push, by relative steps δg/g, in which ∂²φ/∂g² is ∇²φ + diag(∇φ) of u = −log g.
-
-        Where that is indefinite, JᵀWJ in its place.
-        """
+        """(∂²φ/∂g² + stiffness)⁻¹·push, by relative steps δg/g; with JᵀWJ where that is indefinite."""
         hessian, free = self.hessian, self.moving.ravel()
         chosen, whole = np.flatnonzero(free), np.zeros(push.size)
         stiff = (self.stiffness * self.conductance**2).ravel()
@@ -172,12 +152,12 @@ class _Barrier:
         rooms = np.concatenate([inside - low[self.moving], high[self.moving] - inside])
         return at.objective - mean * float(np.log(rooms).sum()) if np.all(rooms > 0) else float("inf")
 
-    def _forced(self, found: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
-        """At the point found, with forces that follow as far as they stay positive; ahead : how far the cells went."""
+    def _forced(self, found: Evaluation, step: Array, mean: float) -> "_Barrier":
+        """At the point found, with forces that follow as far as they stay positive."""
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(_reach(self.below, below), _reach(self.above, above))
-        return _Barrier(found, self.below + length * below, self.above + length * above, min(length, ahead))
+        return _Barrier(found, self.below + length * below, self.above + length * above)
 
     def put_at_bounds(self) -> Evaluation:
         """The cost with cells at the bound whose barrier curves more than the readings do."""

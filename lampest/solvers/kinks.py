@@ -1,8 +1,7 @@
-"""Absolute losses exactly, their kinks not rounded: Σ w|x| where some residuals stay 0 and all others keep their sign.
+"""Absolute losses exactly: Σ w|x| where some residuals stay 0 and all others keep their sign.
 
-With the rows K at their kink as equations, A s = −x over A = ∂x_K/∂u, and the slopes z of all others ±1, the cost is
-smooth: a Newton step is s = Y p + N v, A Y p = −x, A N = 0, (NᵀHN) v = −Nᵀ(g + H Y p), and the duals z of K follow from
-what is left of the gradient. Its second derivatives hold no weight of a row at its kink: none costs them digits.
+With the rows K at their kink as equations, A = ∂x_K/∂u, and the slopes z of all others ±1, a Newton step is
+s = Y p + N v, A Y p = −x, A N = 0, (NᵀHN) v = −Nᵀ(g + H Y p), z of K follows from what is left of the gradient.
 Source: Nocedal & Wright, Numerical Optimization, 2006, section 18.1 (null-space step).
 """
 
@@ -18,8 +17,7 @@ from lampest.solvers.hessian import Hessian, block_diagonal
 from lampest.solvers.smoothing import Smoothing
 
 INSIDE = 1e-3  # of 1, by which the dual of a row at its kink is less
-AT_ZERO = 1e-9  # of log r, by which cells would have to move for a row to be at its kink
-INDEPENDENT = 1e-9  # of a row's length, what others leave of it
+AT_ZERO = 1e-9  # of log r, by which cells would have to move for a row to be at its kink; of a row, what others leave
 PROJECTIONS = 50  # between |z| ≤ 1 and duals that balance the gradient, where rows depend on each other
 
 
@@ -44,8 +42,8 @@ class Unsmoothed(Smoothing):
 class Kinks:
     """The rows at their kink, as equations over the free cells.
 
-    rows : their numbers. length : |∂x/∂u| over the free cells. across : Y (free cells, p) and along : N (free cells,
-    rest), orthonormal. trapezoid : T (p, rows) with (A/length)ᵀ = Y T. back : Y p.
+    rows : their numbers. length : |∂x/∂u|. across : Y (free cells, p), along : N (free cells, rest), orthonormal.
+    trapezoid : T (p, rows) with (A/length)ᵀ = Y T. back : Y p.
     """
 
     rows: NDArray[np.intp]
@@ -61,7 +59,7 @@ class Kinks:
         rows = np.flatnonzero(standing)
         slopes = derivatives(hessian, rows)
         whole, slopes = _lengths(slopes), slopes[:, free]
-        movable = _lengths(slopes) > INDEPENDENT * whole
+        movable = _lengths(slopes) > AT_ZERO * whole
         rows, slopes = rows[movable], slopes[movable]
         length = _lengths(slopes)
         if not len(rows):
@@ -110,7 +108,7 @@ def _independent(unit: Array, weight: Array) -> NDArray[np.intp]:
             basis = linalg.qr(unit[chosen].T, mode="economic", check_finite=False)[0]
             rest = rest - (rest @ basis) @ basis.T
         upper, order = linalg.qr(rest.T, mode="r", pivoting=True, check_finite=False)
-        chosen = np.append(chosen, own[order[: int(np.sum(np.abs(np.diag(upper)) > INDEPENDENT))]])
+        chosen = np.append(chosen, own[order[: int(np.sum(np.abs(np.diag(upper)) > AT_ZERO))]])
     return chosen
 
 

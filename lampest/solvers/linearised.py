@@ -15,7 +15,7 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solution, Status, approximation
 
 ACCURACY = 1e-5  # single cells are small beside whole lines in what is minimised: 1e-2 leaves a change of one unseen
-FARTHEST = 3.0
+FARTHEST = 3.0  # of log r: a factor of 20
 
 
 @dataclass(frozen=True, eq=False)

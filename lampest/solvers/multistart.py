@@ -8,7 +8,7 @@ begins at three places: the frame before it (the baseline), equal cells, and the
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain, count, islice
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+from lampest.solvers.solution import MOST_STARTS, VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 FIRST_STARTS = 3
@@ -33,10 +33,9 @@ FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Preconditioner | None = None) -> Solution:
     """The lowest minimum from as many starts as the settings or, by default, the frame asks for.
 
-    previous : (frames, rows, columns) ohm, the estimate of the frame before, or None. kept : what that frame's solution
-    kept. A start that fails is followed by the next one. Any other solver than ours goes on from the minimum that ours
-    found where the cost may have several, so that all formulations stand in the same one. Arithmetic that breaks down
-    costs its start; where it does at every start, the status says so.
+    previous : (frames, rows, columns) ohm, the estimate of the frame before, or None. kept : its preconditioner. Other
+    solvers go on from the minimum that ours found where the cost may have several. Arithmetic that breaks down costs
+    its start; where it does at every start, the status says so.
     """
     with np.errstate(all="ignore"), delayed_interrupt():
         if isinstance(solver, ProjectedNewton):
@@ -51,33 +50,19 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Prec
 
 
 def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    wanted = _wanted(solver, data, previous)
-    best, count = None, 0
-    places = chain(starts(solver.cost, data, previous), scattered(data) if solver.settings.starts else ())
+    wanted, best, tried = solver.settings.starts, None, 0
+    first = previous is None or data.first
+    most = wanted or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
+    places = chain(starts(solver.cost, data, previous), scattered(data) if wanted else ())
     for start in evaluable(solver.cost, data, places):
-        if count >= wanted and best is not None and best.solved:
+        if tried and (data.overdue or (tried >= most and best is not None and best.solved)):
             break
-        if count and data.overdue:
+        found, tried = solved_from(solver, start), tried + 1
+        lower = best is None or not best.solved or found.objective < best.objective * (1 - SAME)
+        best = found if best is None or (found.solved and lower) else best
+        if wanted is None and found.strict and found.convex:
             break
-        found = solved_from(solver, start)
-        count += 1
-        if best is None or _lower(found, best):
-            best = found
-        if solver.settings.starts is None and found.strict and found.convex:
-            break
-    return _broken(solver.cost, data) if best is None else replace(best, starts=count)
-
-
-def _wanted(solver: Solver, data: Data, previous: Array | None) -> int:
-    if solver.settings.starts is not None:
-        return solver.settings.starts
-    return FIRST_STARTS if (previous is None or data.first) and several_minima(solver.cost, data) else 1
-
-
-def _lower(found: Solution, best: Solution) -> bool:
-    if not found.solved:
-        return False
-    return not best.solved or found.objective < best.objective * (1 - SAME)
+    return _broken(solver.cost, data) if best is None else replace(best, starts=tried)
 
 
 def several_minima(cost: Cost, data: Data) -> bool:
@@ -104,14 +89,13 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
 
 
 def scattered(data: Data) -> Iterator[Array]:
-    """Apparent resistances times 1 to SPREAD, in as many draws as anyone asks for, the same for everybody.
+    """Apparent resistances times 1 to SPREAD, without end and the same for everybody.
 
-    The exponents are fractions of √2·n², which lie evenly, without correlation (Rudnick, Sarnak & Zaharescu, Invent.
-    Math. 145, 2001).
+    The exponents are fractions of √2·n², which lie evenly (Rudnick, Sarnak & Zaharescu, Invent. Math. 145, 2001).
     """
     size = data.measured.size
-    for number in range(FIRST_STARTS, 1000):
-        places = np.arange(1, size + 1, dtype=float) + size * (number - FIRST_STARTS)
+    for drawn in count():
+        places = np.arange(1, size + 1, dtype=float) + size * drawn
         share = (np.sqrt(2.0) * places**2 % 1.0).reshape(data.measured.shape)
         yield data.apparent_resistance * SPREAD**share
 
@@ -134,7 +118,7 @@ def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
 
 def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
     """The cost at those starts where it is a number."""
-    for start in islice(places, 1000):
+    for start in islice(places, MOST_STARTS):
         with suppress(*BROKEN):
             point = evaluated(cost, data, start)
             if np.isfinite(point.objective):
@@ -142,9 +126,7 @@ def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evalu
 
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:
-    """Solve from one start, and, where an interior-point method stopped short of an optimum or its bounds, take the
-    last steps from there; where these do not reach one either, from the start.
-    """
+    """Solve from one start; what an interior-point method left short of an optimum is polished by Newton's steps."""
     with suppress(*BROKEN):
         return _solved(solver, start)
     return _broken(solver.cost, start.data)

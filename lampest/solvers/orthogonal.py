@@ -1,8 +1,7 @@
 """Least squares by orthogonal factorisation (QR): φ ≈ ½|b + A s|² near a point, with twice the digits of ∇²φ.
 
-Row i of A is √κ_i·∂x_i/∂u and b_i = ρ'(x_i)/√κ_i, so that Aᵀb is the gradient; κ = ρ'(x)/x. AᵀA is never indefinite,
-which gives a step where ∇²φ is. With rows and columns sorted, a penalty may outweigh the data by the square of what ∇²φ
-allows.
+Row i of A is √κ_i·∂x_i/∂u and b_i = ρ'(x_i)/√κ_i, κ = ρ'(x)/x, so that Aᵀb is the gradient. A penalty may outweigh the
+data by the square of what ∇²φ allows.
 Source: Björck, Numerical Methods for Least Squares Problems, 1996, sections 4.4 (heavy rows) and 9.2 (Gauss, Newton).
 """
 
@@ -14,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from lampest.cost.problem import Evaluation
-from lampest.cost.residuals import Part, residuals
+from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.panel import Array
-from lampest.solvers.hessian import Hessian, block_diagonal, slopes_of
+from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian, block_diagonal, slopes_of
 
-ORTHOGONAL_UNKNOWNS = 600  # beyond, an orthogonal factorisation takes more than a second
-FARTHEST = 2.5  # of log r: a step of least squares that is longer leads away by factors
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -86,10 +82,10 @@ class Squares:
 
 
 def runs_off(hessian: Hessian, free: NDArray[np.intp]) -> bool:
-    """Whether least squares, which bear more digits than second derivatives, would still move cells by factors."""
-    if not 0 < len(free) <= ORTHOGONAL_UNKNOWNS:
+    """Whether least squares, which bear more digits than second derivatives, would still move a cell tenfold."""
+    if not 0 < len(free) <= DENSE_STIFF_CELLS:
         return False
-    return bool(np.abs(Squares.of(hessian, free).step(0.0)).max() > FARTHEST)
+    return bool(np.abs(Squares.of(hessian, free).step(0.0)).max() > np.log(10))
 
 
 def _factored(matrix: Array, right: Array) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -1,9 +1,8 @@
 """Preconditioners M ≈ ∇²φ of conjugate gradients, kept from frame to frame while they serve.
 
-Small problems: the Cholesky factor of ∇²φ, or of Gauss–Newton's matrix where ∇²φ is not positive definite. Large ones:
-A = T + diag(c) + V S Vᵀ, in ohm: T of the penalties, c of each cell's own reading, V two columns for every line. T +
-diag(c) is factored, sparse; along V, A is inverted exactly before and after (a coarse space in two levels): with
-Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
+Small problems: the Cholesky factor of ∇²φ, or of Gauss–Newton's matrix. Large ones: A = T + diag(c) + V S Vᵀ, in ohm, T
+of the penalties, c of each cell's own reading, V two columns for every line; with the coarse space Q = V (VᵀAV)⁻¹ Vᵀ,
+M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
 Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 """
 
@@ -20,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from lampest.panel.kirchhoff import line_sums
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear
+from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
 LEAST = 1e-12  # of the largest entry of a diagonal: double precision tells no smaller one from zero
@@ -114,36 +113,29 @@ class TwoLevel(Preconditioner):
         """At a point, Woodbury's where T is diagonal; stiffness : (frames · cells) added to ∇²φ's diagonal, or None."""
         cells = hessian.at.cell_resistance
         inverse = sparse.diags_array(1 / cells.ravel())
-        added = np.zeros(cells.size) if stiffness is None else stiffness
-        penalties = inverse @ (hessian.penalty_matrix + sparse.diags_array(added)) @ inverse
-        own, lines = hessian.own, None
+
+        def local(own: Array) -> sparse.csr_array:
+            added = sparse.diags_array(own if stiffness is None else own + stiffness)
+            return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
+
         if len(cells) == 1:
             weight = np.maximum(hessian.reading_weight[0], WEAK * (hessian.reading_weight.max(initial=0.0) or 1.0))
             parts = hessian.at.networks[0].normal_by_lines(weight)
-            own = parts.own.ravel()
-            local = sparse.csr_array(penalties + sparse.diags_array(own / cells.ravel() ** 2))
-            found = (local, parts.along / cells, parts.mixed)
+            level = local(parts.own.ravel())
+            found = (level, parts.along / cells, parts.mixed)
             lone = hessian.only_data and parts.along.size > 0
             lines = CoarseLines(*found, np.zeros((0, 0))) if lone else CoarseLines.of(*found)
-            if lines is not None and local.nnz <= local.shape[0]:
-                return Woodbury(cells, floored(local.diagonal()).reshape(cells.shape[1:]), lines)
-        if lines is None:
-            local = sparse.csr_array(penalties + sparse.diags_array(hessian.own / cells.ravel() ** 2))
-        return cls(cells, sparse_inverse(local), lines)
+            if lines is not None and level.nnz <= level.shape[0]:
+                return Woodbury(cells, floored(level.diagonal()).reshape(cells.shape[1:]), lines)
+            if lines is not None:
+                return cls(cells, sparse_inverse(level), lines)
+        return cls(cells, sparse_inverse(local(hessian.own)))
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
         """The part between the free cells."""
-        cells, whole = cell_resistance.ravel(), np.zeros(free.size)
-        every, chosen = bool(free.all()), np.flatnonzero(free)
-        size = cells[chosen]
-
-        def solve(values: Array) -> Array:
-            if every:
-                return np.asarray(self._solved(values / cells) / cells)
-            whole[chosen] = values / size
-            return np.asarray(self._solved(whole)[chosen] / size)
-
-        return solve
+        chosen = np.flatnonzero(free)
+        size, part = cell_resistance.ravel()[chosen], restricted(self._solved, chosen, free.size)
+        return lambda values: np.asarray(part(values / size) / size)
 
     def _solved(self, values: Array) -> Array:
         if self.lines is None:
@@ -168,15 +160,13 @@ class Woodbury(Preconditioner):
         with catch_warnings(), suppress(np.linalg.LinAlgError):
             simplefilter("ignore", linalg.LinAlgWarning)
             inner = linalg.inv(linalg.inv(self.lines.mixed) + self.lines.between(inverse))
-        chosen, whole, flat = np.flatnonzero(free), np.zeros(free.size), inverse.ravel()
-        size = cell_resistance.ravel()[chosen]
+        chosen, flat = np.flatnonzero(free), inverse.ravel()
 
         def solve(values: Array) -> Array:
-            whole[chosen] = values / size
-            first = flat * whole
-            return np.asarray((first - flat * self.lines.back(inner @ self.lines.sums(first)))[chosen] / size)
+            return flat * (values - self.lines.back(inner @ self.lines.sums(flat * values)))
 
-        return solve
+        size, part = cell_resistance.ravel()[chosen], restricted(solve, chosen, free.size)
+        return lambda values: np.asarray(part(values / size) / size)
 
 
 @dataclass(frozen=True, eq=False)

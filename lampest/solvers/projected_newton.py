@@ -1,10 +1,8 @@
 """Projected trust-region Newton method with potentials eliminated: the solver of the reduced formulation.
 
-The unknowns are relative changes s of the conductances, g ← g·(1 − s), in which readings are closest to quadratic.
-An iteration: the active set (cells that the gradient presses against a bound are held), a direction (Steihaug and
-Toint's conjugate gradients with the exact ∇²φ, preconditioned by what the frame before left), its projection on the
-bounds, acceptance by the ratio of actual to predicted decrease, with a smaller radius until a step is accepted.
-Absolute losses are smoothed less and less.
+An iteration: active set, direction by Steihaug and Toint's conjugate gradients with the exact ∇²φ, projection on the
+bounds, acceptance, radius. The unknowns are relative changes s of the conductances, g ← g·(1 − s), in which readings
+are closest to quadratic. Absolute losses are smoothed less and less.
 Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (smoothing).
 """
 
@@ -21,28 +19,24 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted, steihaug
 from lampest.solvers.active_kinks import unsmoothed_minimum
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.descent import downhill, free_cells
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.descent import STILL, free_cells, moved_by
+from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.interior_point import by_interior_point
-from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, Squares
+from lampest.solvers.orthogonal import Squares
 from lampest.solvers.preconditioners import Preconditioner, preconditioner
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
 ACCEPTED = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
 SHORTER = 0.25  # of a rejected step: the radius for the next try
-ROUNDING = 1e-12  # of the cost: a smaller decrease is invisible, and the gradient must fall to HALF instead
-HALF = 0.5
-FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell says nothing
-MOST_STOPS = 15  # solves of one direction, in which cells stop at their bounds one after the other
-MOST_REJECTIONS = 15  # each with a quarter of the radius: 4⁻¹⁵ is rounding
+FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
+MOST_TRIES = 15  # solves of one direction, in which cells stop at their bounds; tries of a step: 4⁻¹⁵ is rounding
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
 WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
 MOVED = 0.7  # of log r: the same
 MOST_UNSETTLED = 8  # steps of an estimate that satisfies first-order conditions: they converge quadratically
 NEAR = 0.01  # of log r: second derivatives change by as much, and a predicted step with them
 SOON = 1e-4  # of log r: before a step that short ∇²φ is factored; nearby its change is a ten-thousandth as well
-LEFT = 1e-9  # of log r: a step that is not worth another evaluation
 DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
 
 
@@ -61,29 +55,28 @@ class ProjectedNewton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         start, iteration = by_interior_point(start)
-        point = Iterate.of(start, Smoothing.start(start), kept=self.kept)
-        unsettled = 0
+        point, unsettled, tolerance = Iterate.of(start, Smoothing.start(start), self.kept), 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return point.outcome(Status.TIME, iteration)
-            if point.residual <= max(self.settings.tolerance, HALF * point.gap):
-                if not point.sharp(self.settings.tolerance):
+            near = point.residual <= tolerance
+            if near or point.residual <= point.gap / 2:
+                if not point.sharp(tolerance):
                     point, iteration = point.sharpened(), iteration + 1
                     continue
                 if point.certificate.settled or unsettled == MOST_UNSETTLED:
                     return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
-                unsettled += point.certificate.definiteness is not Definiteness.INDEFINITE
-            near = point.residual <= self.settings.tolerance
-            moved = (escaped(point) if near else None) or advanced(point)
+                unsettled += 1
+            moved = advanced(point)
             if moved is None or not moved.gauss_newton:
-                moved = lower_of(moved, least_squares_step(point)) or escaped(point)
+                found = [one for one in (moved, least_squares_step(point)) if one is not None]
+                moved = min(found, key=lambda one: one.objective, default=None)
             if moved is None:
                 if (ended := point.unsmoothed(iteration)) is not None:
                     return ended
-                if not point.sharp(self.settings.tolerance):
-                    point, iteration = point.sharpened(), iteration + 1
-                    continue
-                return point.outcome(Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
+                if point.sharp(tolerance):
+                    return point.outcome(Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
+                moved = point.sharpened()
             point, iteration = moved, iteration + 1
         return point.outcome(Status.ITERATIONS, iteration)
 
@@ -110,7 +103,7 @@ class Iterate:
         cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None, convex: bool = True
     ) -> "Iterate":
         """Where a solve begins."""
-        return cls(Hessian(at, smoothing), smoothing.objective(at), kept=kept, convex=convex)
+        return cls(Hessian(at, smoothing), smoothing.objective(at), kept, convex=convex)
 
     @property
     def at(self) -> Evaluation:
@@ -165,7 +158,7 @@ class Iterate:
         found, cells = self.__dict__.get("certificate"), self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.rough)
         factored = found is not None and found.factor is not None and found.settled and not len(dual)
-        if found is not None and factored and LEFT < float(np.abs(found.step).max()) <= NEAR:
+        if found is not None and factored and 0 < float(np.abs(found.step).max()) <= NEAR:
             cells = np.exp(self.at.position + found.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, found, self.newest, self.convex, self.at)
 
@@ -179,14 +172,8 @@ class Iterate:
 
     def at_step(self, step: Array) -> "Iterate | None":
         """The point after a step of u (flat), within the bounds; None where its network cannot be solved."""
-        data, smoothing = self.at.data, self.hessian.smoothing
-        cells = np.exp(self.at.position.ravel() + step).reshape(data.measured.shape)
-        try:
-            at = self.at.elsewhere(np.clip(cells, data.lower, data.upper))
-        except np.linalg.LinAlgError:
-            return None
-        hessian = Hessian(at, smoothing.moved(self.at, at))
-        return Iterate(hessian, smoothing.objective(at), kept=self.kept, convex=self.convex)
+        at = moved_by(self.at, step)
+        return None if at is None else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.kept, self.convex)
 
     def expects(self, trial: "Iterate") -> float:
         """How long the step after one to `trial` will be, of log r; infinite where losses are smoothed."""
@@ -198,10 +185,10 @@ class Iterate:
         if trial is None or not np.isfinite(trial.objective):
             return -1.0
         gain = self.objective - trial.objective
-        invisible = ROUNDING * abs(self.objective)
+        invisible = STILL * abs(self.objective)
         if predicted > invisible:
             return gain / predicted
-        return 1.0 if abs(gain) <= invisible and trial.residual <= HALF * self.residual else -1.0
+        return 1.0 if abs(gain) <= invisible and trial.residual <= self.residual / 2 else -1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +208,7 @@ class Direction:
 def advanced(point: Iterate) -> Iterate | None:
     """The next point by a trust-region step; None where no radius makes one that is accepted.
 
-    Every iteration begins with the whole step: a radius that is carried on holds readings at a rail back, which curve
-    the cost on one side alone.
+    Every iteration begins with the whole step: readings at a rail curve the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
     if point.expected <= SOON and not len(point.at.rough):
@@ -234,7 +220,7 @@ def advanced(point: Iterate) -> Iterate | None:
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
     exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
     product = exact
-    for _ in range(MOST_REJECTIONS):
+    for _ in range(MOST_TRIES):
         found = direction(point, kept, free, product, radius)
         convex = convex and not found.negative
         if found.negative and patience and product is exact:
@@ -276,7 +262,7 @@ def direction(
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
     most, negative, length, predicted = 0, False, 0.0, -inf
-    for _ in range(MOST_STOPS):
+    for _ in range(MOST_TRIES):
         chosen = np.flatnonzero(moving)
         among, precondition = restricted(product, chosen, free.size), kept.over(moving, at.cell_resistance)
         found = steihaug(among, precondition, slope[chosen], accuracy, radius)
@@ -298,33 +284,17 @@ def direction(
     return Direction(step if logarithmic else -np.log1p(-step), predicted, length, most, negative)
 
 
-def lower_of(one: Iterate | None, other: Iterate | None) -> Iterate | None:
-    """The one with the lower cost, of those that there are."""
-    return min((point for point in (one, other) if point is not None), key=lambda point: point.objective, default=None)
-
-
-def escaped(point: Iterate) -> Iterate | None:
-    """From a saddle, along a direction of negative curvature, where the cost falls there."""
-    found = point.certificate
-    if found.definiteness is not Definiteness.INDEFINITE or found.descent is None:
-        return None
-    lower = downhill(point.at, found.descent)
-    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
-
-
 def least_squares_step(point: Iterate) -> Iterate | None:
     """By QR, which has twice the digits: for shorts and weights that leave ∇²φ none; None where it leads no lower."""
     free = np.flatnonzero(free_cells(point.at, point.hessian.gradient))
-    if not 0 < len(free) <= ORTHOGONAL_UNKNOWNS or not point.hessian.dense:
+    if not 0 < len(free) <= DENSE_STIFF_CELLS or not point.hessian.dense:
         return None
-    lower, upper = (bound.ravel() - point.at.position.ravel() for bound in point.at.data.log_bounds)
     squares = Squares.of(point.hessian, free)
     for damping in DAMPINGS:
         whole = np.zeros(point.at.cell_resistance.size)
         whole[free] = np.clip(squares.step(damping), -FARTHEST, FARTHEST)
         for share in (1.0, 0.3, 0.1):
-            step = np.clip(share * whole, lower, upper)
-            trial = point.at_step(step)
+            trial = point.at_step(share * whole)
             if trial is not None and trial.objective < point.objective:
                 return replace(trial, kept=None)
     return None

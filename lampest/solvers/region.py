@@ -4,17 +4,18 @@ A cell of an M × N panel that changes moves the other readings of its row and c
 it moves its own. An error of the converter moves no other reading, and may be larger than any cell can cause.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array
+from lampest.solvers.hessian import DENSE_STIFF_CELLS
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Outcome, Settings, Solution, Status, approximation
@@ -22,10 +23,8 @@ from lampest.solvers.solution import Outcome, Settings, Solution, Status, approx
 DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
 MOST_GROWTHS, SWEEPS = 6, 2
-LARGEST_SHARE, MOST_CELLS = 0.5, 600
-MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-HALF = 0.5  # of what a load would do: nearer to all of it than to nothing
-UNSURE = 0.2  # of the same, a median's standard deviation: beyond, noise hides which of both it is
+MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
+UNSURE = 0.2  # of what a load would do, a median's standard deviation: beyond, noise hides whether there is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +38,8 @@ class RegionSolver:
     def solve(self, cost: Cost, data: Data, previous: Array) -> Solution:
         """The estimate of a frame after the last one, (rows, columns) ohm; the whole panel where most of it changed.
 
-        Blocks are the rectangles round readings whose change stands out from that of their row and column. They grow
-        until the change that cells fitted to the readings leave unexplained does not stand out. The cost is then
-        minimised over their cells.
+        Blocks are rectangles round readings whose change stands out. They grow until what fitted cells leave
+        unexplained does not; the cost is then minimised over their cells.
         """
         network, before = self._exact, self.baseline.data
         change = np.log(data.measured[0] / before.measured[0])
@@ -56,7 +54,7 @@ class RegionSolver:
             outliers = self._outliers(network, data, kept, noise, plain & ~covered)
             outstanding = self._outstanding(np.where(outliers, np.nan, left), noise) & plain
             found = grown(outstanding, blocks)
-            large = covered_by(found, plain.shape).sum() > min(LARGEST_SHARE * change.size, MOST_CELLS)
+            large = covered_by(found, plain.shape).sum() > min(change.size / 2, DENSE_STIFF_CELLS)
             if large or (found == blocks and self._drifted(left, noise)):
                 return best_solution(ProjectedNewton(cost, self.settings), data, previous[None])
             if found == blocks:
@@ -102,10 +100,7 @@ class RegionSolver:
         return outliers
 
     def _drifted(self, change: Array, noise: Array) -> bool:
-        """Whether cells outside have changed by more than a drift that may be ignored: where all do none stands out.
-
-        Cells that change at random by x change their readings by about 2x/(M + N − 1); by the same x, by x.
-        """
+        # Cells that change at random by x change their readings by about 2x/(M + N − 1); by the same x, by x.
         common = np.nanmedian(change)
         spread = MAD * np.nanmedian(np.abs(change - common))
         least = self.significance * float(np.median(noise))
@@ -119,7 +114,6 @@ class RegionSolver:
         return np.asarray(excess > SHARE * excess.max())
 
     def _minimised(self, cost: Cost, data: Data, used: Data, start: Array, inside: NDArray[np.bool_]) -> Solution:
-        """The minimum over the cells `inside`, all others fixed at the start. used : the data without outliers."""
         fixed = replace(used, lower=np.where(inside, data.lower, start), upper=np.where(inside, data.upper, start))
         found = solved_from(ProjectedNewton(cost, self.settings), Evaluation.at(cost, fixed, start))
         cells = found.cell_resistance if found.solved else start
@@ -135,28 +129,14 @@ def _apart(change: Array) -> Array:
 
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
     """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
-    covered = covered_by(blocks, cells.shape)
-    for row, column in np.argwhere(cells):
-        covered[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
+    touching = np.ones((3, 3))
+    covered = covered_by(blocks, cells.shape) | ndimage.binary_dilation(cells, touching)
     while True:
-        found = tuple(_rectangles(covered))
+        found = tuple(ndimage.find_objects(ndimage.label(covered, touching)[0]))
         filled = covered_by(found, cells.shape)
         if np.array_equal(filled, covered):
             return found
         covered = filled
-
-
-def _rectangles(cells: NDArray[np.bool_]) -> Iterator[Block]:
-    """The rectangle round each group of cells that touch, corners included."""
-    left = {(int(row), int(column)) for row, column in np.argwhere(cells)}
-    while left:
-        group = [left.pop()]
-        for row, column in group:  # grows while it is walked through
-            near = {(row + down, column + right) for down in (-1, 0, 1) for right in (-1, 0, 1)} & left
-            left -= near
-            group += near
-        (top, first), (bottom, last) = np.min(group, axis=0).tolist(), np.max(group, axis=0).tolist()
-        yield slice(top, bottom + 1), slice(first, last + 1)
 
 
 def covered_by(blocks: tuple[Block, ...], shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -183,7 +163,7 @@ def has_footprint(network: Network, data: Data, change: Array, noise: Array, pla
     block = (slice(row, row + 1), slice(column, column + 1))
     given = (data.measured[0][block], 1 / data.upper[0][block], np.ones((1, 1), dtype=bool))
     predicted = np.log(data.readout.fitted_block(network, block, *given).reading() / network.reading())
-    if abs(predicted[place]) < HALF * abs(change[place]):
+    if abs(predicted[place]) < abs(change[place]) / 2:  # nearer to nothing than to all of what a load would do
         return False
     common = np.nanmedian(change)
     for line, own in ((np.s_[row, :], column), (np.s_[:, column], row)):
@@ -193,6 +173,6 @@ def has_footprint(network: Network, data: Data, change: Array, noise: Array, pla
             continue
         error = float(np.median(noise)) * np.sqrt(np.pi / 2 / others.size) / abs(expected)
         observed = (float(np.nanmedian(others)) - common) / expected
-        if error <= UNSURE and observed < HALF:
+        if error <= UNSURE and observed < 0.5:
             return False
     return True

@@ -15,9 +15,9 @@ from lampest.panel.panel import Array
 from lampest.solvers.bound_multipliers import bounds_matter
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.descent import free_cells
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import Unsmoothed
-from lampest.solvers.orthogonal import ORTHOGONAL_UNKNOWNS, runs_off
+from lampest.solvers.orthogonal import runs_off
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
 
@@ -57,11 +57,7 @@ class Status(Enum):
     UNAVAILABLE = "the solver or its linear solver is not available"
 
 
-UNSETTLED = {
-    Definiteness.POSITIVE: Status.FAINT,
-    Definiteness.UNDETERMINED: Status.FLAT,
-    Definiteness.INDEFINITE: Status.SADDLE,
-}
+UNSETTLED = {Definiteness.POSITIVE: Status.FAINT, Definiteness.UNDETERMINED: Status.FLAT}
 ADVICE = {
     Status.OPTIMUM: "Nothing to do.",
     Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too narrow.",
@@ -121,10 +117,9 @@ class Settings(Validated):
 class Outcome:
     """What a solver hands back before anybody checked it.
 
-    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of
-    these cells, where the solver asked for one. kept : a preconditioner that serves a frame like this one, or None.
-    convex : whether the cost curved upwards along every direction from the start to here, as far as anybody looked.
-    at : the cost at these cells or near them, where that is known.
+    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of these cells,
+    or None. kept : a preconditioner for a frame like this one, or None. convex : whether no direction of negative
+    curvature was met. at : the cost at these cells or near them, or None.
 
     >>> cells, dual = found.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
@@ -143,13 +138,11 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A checked estimate; cell_resistance is NaN unless the status is OPTIMUM, or what else was asked for.
+    """A checked estimate; NaN unless it is an optimum, or what else was asked for.
 
-    cell_resistance : (frames, rows, columns) ohm. reading : the same shape, the model's readings.
-    costs : of each term. kkt_residual : of `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached.
-    at, dual : the cost at the estimate, and the dual variables of its absolute losses; None where there is none.
-    kept, convex : of the outcome. starts : from how many points it was sought; it is the lowest minimum that they
-    reached.
+    cell_resistance, reading : (frames, rows, columns) ohm, and the model's readings. costs : of each term.
+    kkt_residual : see `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached. at, dual,
+    kept, convex : see `Outcome`; None where nothing was solved. starts : how many were tried.
 
     >>> found.steps[0].solution.solved
     True
@@ -210,64 +203,54 @@ class Solver(Protocol):
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:
     """Recompute cost and KKT residual outside the solver; keep only a residual ≤ 1e-6 no worse than the start."""
-    cost, data = start.cost, start.data
+    cost, data, dual = start.cost, start.data, outcome.dual
     cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
     if not np.all(np.isfinite(cells)):
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
     known = outcome.at is not None and np.array_equal(outcome.at.cell_resistance, cells)
-    evaluation = outcome.at if outcome.at is not None and known else start.elsewhere(cells)
-    gradient = evaluation.log_gradient(outcome.dual)
-    residual = evaluation.kkt_residual(outcome.dual, gradient)
-    worse = evaluation.objective - start.objective > VERIFIED * start.cost_scale + evaluation.rounding
-    late = outcome.status is Status.TIME
-    if not worse and (residual <= VERIFIED or (not late and _rounded(evaluation, gradient, outcome))):
-        certified = _certified(evaluation, gradient, outcome)
-        if certified is Status.SADDLE:
-            return failure(cost, data, certified, residual, outcome)
-        if certified is Status.OPTIMUM and bounds_matter(evaluation, gradient, outcome.dual):
-            certified = Status.HELD
-        return _solution(evaluation, residual, outcome, certified)
-    fault = Status.WORSE if residual <= VERIFIED else Status.UNVERIFIED
-    fault = fault if outcome.status is Status.OPTIMUM else outcome.status
-    return failure(cost, data, _limit(evaluation, gradient, outcome, fault), residual, outcome)
+    at = outcome.at if outcome.at is not None and known else start.elsewhere(cells)
+    gradient = at.log_gradient(dual)
+    residual = at.kkt_residual(dual, gradient)
+    worse = at.objective - start.objective > VERIFIED * start.cost_scale + at.rounding
+    level = residual <= VERIFIED
+    ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
+    if not worse and not level and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
+        outcome = replace(outcome, certificate=_certificate(at, outcome))
+        level = outcome.certificate is not None and outcome.certificate.converged(at.cost_scale)
+    if worse or not level:
+        fault = Status.WORSE if level else Status.UNVERIFIED
+        fault = fault if outcome.status is Status.OPTIMUM else outcome.status
+        return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
+    found = _certificate(at, outcome)
+    if found.settled:
+        held = bounds_matter(at, gradient, dual)
+        return _solution(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
+    if found.definiteness is Definiteness.INDEFINITE:
+        return failure(cost, data, Status.SADDLE, residual, outcome)
+    return _solution(at, residual, outcome, UNSETTLED[found.definiteness])
 
 
-def _rounded(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> bool:
-    """Whether what is left of the gradient is rounding: see `Certificate.converged`. Duals are held to their own."""
-    if not np.all(np.isfinite(gradient)) or evaluation.dual_gap(outcome.dual) > VERIFIED * evaluation.cost_scale:
-        return False
-    return _certificate(evaluation, gradient, outcome).converged(evaluation.cost_scale)
+def _certificate(at: Evaluation, outcome: Outcome) -> Certificate:
+    return outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
 
 
-def _certificate(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Certificate:
-    return outcome.certificate or certificate(Hessian(evaluation, _sharp(evaluation, outcome)), outcome.kept)
+def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
+    """With kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
+    if at.cell_resistance.size <= DENSE_STIFF_CELLS:
+        return Hessian(at, Unsmoothed(0.0, within_one(outcome.dual)))
+    return Hessian(at, Smoothing(SHARP * (float(np.abs(at.rough).max(initial=0.0)) or 1.0), outcome.dual))
 
 
-def _limit(evaluation: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
-    """The fault, or that digits were lost: where the solver got no further and second derivatives are rounding."""
+def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
+    """The fault; or that digits were lost, where second derivatives are rounding."""
     if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
         return fault
-    hessian = Hessian(evaluation, _sharp(evaluation, outcome))
+    hessian = _sharp(at, outcome)
     if certificate(hessian).definiteness is not Definiteness.UNDETERMINED:
         return fault
-    free = np.flatnonzero(free_cells(evaluation, gradient.ravel()))
+    free = np.flatnonzero(free_cells(at, gradient.ravel()))
     return Status.DRIFT if runs_off(hessian, free) else Status.ROUNDED
-
-
-def _sharp(evaluation: Evaluation, outcome: Outcome) -> Smoothing:
-    """Kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
-    if evaluation.cell_resistance.size <= ORTHOGONAL_UNKNOWNS:
-        return Unsmoothed(0.0, within_one(outcome.dual))
-    return Smoothing(SHARP * (float(np.abs(evaluation.rough).max(initial=0.0)) or 1.0), outcome.dual)
-
-
-def _certified(evaluation: Evaluation, gradient: Array, outcome: Outcome) -> Status:
-    """What second derivatives make of a point where the first-order conditions hold."""
-    found = _certificate(evaluation, gradient, outcome)
-    if found.settled:
-        return Status.OPTIMUM
-    return UNSETTLED[found.definiteness]
 
 
 @typed
@@ -280,34 +263,21 @@ def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
     """
     if not np.all(np.isfinite(outcome.cell_resistance)):
         return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
-    evaluation = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))
-    return _solution(evaluation, evaluation.kkt_residual(outcome.dual), outcome, Status.APPROXIMATE)
+    at = Evaluation.at(cost, data, np.clip(outcome.cell_resistance, data.lower, data.upper))
+    return _solution(at, at.kkt_residual(outcome.dual), outcome, Status.APPROXIMATE)
 
 
-def _solution(evaluation: Evaluation, residual: float, outcome: Outcome, status: Status = Status.OPTIMUM) -> Solution:
-    cells, data = evaluation.cell_resistance, evaluation.data
-    return Solution(
-        cells,
-        evaluation.reading,
-        evaluation.costs,
-        evaluation.objective,
-        residual,
-        cells <= data.lower / OPEN_FRACTION,
-        cells >= data.upper * OPEN_FRACTION,
-        status,
-        outcome.iterations,
-        evaluation,
-        outcome.dual,
-        outcome.kept,
-        outcome.convex,
-    )
+def _solution(at: Evaluation, residual: float, outcome: Outcome, status: Status) -> Solution:
+    cells, data = at.cell_resistance, at.data
+    ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+    found = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
+    return Solution(*found, at=at, dual=outcome.dual, kept=outcome.kept, convex=outcome.convex)
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
     """A solution that holds NaN and a status."""
-    return replace(
-        blank(data.measured.shape, len(cost.terms), status), kkt_residual=residual, iterations=outcome.iterations
-    )
+    nothing = blank(data.measured.shape, len(cost.terms), status)
+    return replace(nothing, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import casadi
 
-from lampest.cost.cost import Cost, Symbols
-from lampest.cost.summands import lowered, program_groups, summands
+from lampest.cost.cost import Cost, Symbols, lowered, program_groups, summands
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
 
