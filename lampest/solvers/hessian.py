@@ -30,12 +30,14 @@ class Hessian:
     at: Evaluation
     smoothing: Smoothing
 
-    @property
+    @cached_property
     def dense(self) -> bool:
-        """Whether the problem is small enough for a matrix."""
-        cells = self.at.cell_resistance
-        stiff = len(self.at.cost.slope) > 0 or len(cells) > 1
-        return bool(cells.size <= (DENSE_STIFF_CELLS if stiff else DENSE_CELLS))
+        """Whether the cells that can move are few enough for a matrix."""
+        data, size = self.at.data, self.at.cell_resistance.size
+        if size <= DENSE_CELLS or size > DENSE_STIFF_CELLS:
+            return size <= DENSE_CELLS
+        stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
+        return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS
 
     @cached_property
     def gradient(self) -> Array:

@@ -22,7 +22,7 @@ from lampest.solvers.smoothing import Smoothing
 
 ROOM = 0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
 FORCING = 0.25  # power of the bounds' share of the cost with which steps grow exact (Dembo, Eisenstat & Steihaug, 1982)
-CENTRED = 0.2  # of the mean force times room: μ of the next step
+CENTRED = 0.2  # of the mean force times room: μ of the next step; twice that after a step cut short by a tenth
 BOUNDARY = 0.99  # of the way to the next bound
 MOST_STEPS = 90
 DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
@@ -59,11 +59,15 @@ def crowds_bounds(start: Evaluation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Barrier:
-    """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens."""
+    """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
+
+    length : of the last step, as far as bounds let it.
+    """
 
     at: Evaluation
     below: Array
     above: Array
+    length: float = 1.0
 
     @classmethod
     def of(cls, start: Evaluation) -> "_Barrier":
@@ -116,7 +120,7 @@ class _Barrier:
 
     def moved(self) -> "_Barrier | None":
         """After one step; None where no step leads lower."""
-        mean = CENTRED * self.added / (2 * max(int(np.sum(self.moving)), 1))
+        mean = CENTRED * (1 if self.length > 0.9 else 2) * self.added / (2 * max(int(np.sum(self.moving)), 1))
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
         length = min(_reach(self.rooms[0], step), _reach(self.rooms[1], -step))
@@ -126,7 +130,7 @@ class _Barrier:
             with suppress(np.linalg.LinAlgError):
                 found = self.at.elsewhere(cells[None])
                 if self._merit(found, mean) <= before - DECREASE * length * along:
-                    return self._forced(found, step, mean)
+                    return self._forced(found, step, mean, length)
             length /= 2
         return None
 
@@ -152,12 +156,12 @@ class _Barrier:
         rooms = np.concatenate([inside - low[self.moving], high[self.moving] - inside])
         return at.objective - mean * float(np.log(rooms).sum()) if np.all(rooms > 0) else float("inf")
 
-    def _forced(self, found: Evaluation, step: Array, mean: float) -> "_Barrier":
+    def _forced(self, found: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
         """At the point found, with forces that follow as far as they stay positive."""
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(_reach(self.below, below), _reach(self.above, above))
-        return _Barrier(found, self.below + length * below, self.above + length * above)
+        return _Barrier(found, self.below + length * below, self.above + length * above, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
         """The cost with cells at the bound whose barrier curves more than the readings do."""

@@ -40,7 +40,7 @@ DOORS = {
         "panel.readouts",
         "panel.response",
         "loads",
-        "cost.residuals",
+        "cost.problem",
         "recording.calibration",
         "solvers",
         "posterior",
