@@ -350,11 +350,7 @@ def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.b
 
 
 def _selected(slope: Array, precision: Array) -> NDArray[np.bool_]:
-    """Cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
-
-    The better of two: all, or those that are released one after the other, of which some are then tied again. Among
-    changes that readings hardly tell apart the first to be released is often one between those that moved.
-    """
+    """Cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d."""
     found = []
     for begun in (_swept(slope, precision, 1)[1], np.ones(len(slope), dtype=bool)):
         free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)
@@ -367,10 +363,7 @@ def _selected(slope: Array, precision: Array) -> NDArray[np.bool_]:
 
 
 def _swept(vector: Array, matrix: Array, sign: int) -> tuple[float, NDArray[np.bool_]]:
-    """(Σ v²/M, which) of cells taken one after the other: the largest down to PRICE (sign 1), or the least up to it.
-
-    After each, v and M are those of the others given it (sweep operator).
-    """
+    """(Σ v²/M, which) of cells taken one after the other: the largest down to PRICE (sign 1), or the least up to it."""
     total, taken = 0.0, np.zeros(len(vector), dtype=bool)
     while not taken.all():
         size = vector**2 / np.maximum(np.diag(matrix), 1e-300)

@@ -5,10 +5,9 @@ the cells are solved as ever; a Gauss-Newton step in c then knows that they woul
 
     S = Eᵀ Ω (E − J K E) + s²/sd²,   step = −S⁻¹ (½ ∂φ/∂c + s² (c − mean)/sd²),   cov c = s² S⁻¹,
 
-written as the squares of what is left of E, of what the penalties then charge, and of the prior, none of which cancels:
-∂φ/∂u = 0 where the cells are solved (envelope theorem), S is the Schur complement of the cells. Frames that follow take
-c as known but for cov c, an error that all readings share (`lampest.panel.systematic`). Plain least squares fits any
-contacts, so they stay at their prior there. Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
+with S, the Schur complement of the cells, as a sum of squares that do not cancel. Frames that follow take c as known
+but for cov c, an error that all readings share. Plain least squares fits any contacts: they stay at their prior there.
+Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
 """
 
 from collections.abc import Callable

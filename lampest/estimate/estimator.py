@@ -67,7 +67,7 @@ class Estimator(Objective):
 
     @property
     def joint_start(self) -> bool:
-        """As `Method.joint_start`."""
+        """Whether the baseline is solved together with the first frame."""
         return self.method.joint_start(self)
 
     def barred(self, readings: Readings) -> bool:

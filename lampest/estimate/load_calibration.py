@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,13 +123,16 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
 
 def _check_apart(loads: Sequence[tuple[int, tuple[int, int], Array]]) -> None:
     """Raise InputError where two loads of one recording, (number, frames, pressure), lie on the same cell at once."""
-    for at, (number, frames, pressure) in enumerate(loads):
-        for other, others, pressed in loads[:at]:
-            together = max(frames[0], others[0]) <= min(frames[1], others[1])
-            if together and np.any((pressure != 0) & (pressed != 0)):
-                raise InputError(
-                    f"loads {other + 1} and {number + 1} lie on the same cells in the same frames: give one line"
-                )
+    for (other, others, pressed), (number, frames, pressure) in combinations(loads, 2):
+        if _together(others, frames) and np.any((pressure != 0) & (pressed != 0)):
+            raise InputError(
+                f"loads {other + 1} and {number + 1} lie on the same cells in the same frames: give one line"
+            )
+
+
+def _together(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether the first and last frames of two loads overlap."""
+    return max(one[0], other[0]) <= min(one[1], other[1])
 
 
 def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
@@ -162,11 +166,7 @@ def _beside(change: Array, pressure: Array, pressure_sd: Array, loads: Sequence[
     """(loads) the largest answer of cells beside a foot over the median one under it; 0 where nothing is beside."""
     found = np.zeros(len(loads))
     for number, load in enumerate(loads):
-        same = [
-            other.recording == load.recording
-            and max(other.frames[0], load.frames[0]) <= min(other.frames[1], load.frames[1])
-            for other in loads
-        ]
+        same = [other.recording == load.recording and _together(other.frames, load.frames) for other in loads]
         beside = ((pressure[same] == 0) & (pressure_sd[same] == 0)).all(axis=0)
         under = np.nanmedian(np.abs(change[number][pressure[number] != 0]))
         if beside.any() and under > 0:
@@ -199,10 +199,7 @@ def _by_recording(recordings: Sequence[Recording], known: KnownLoads) -> list[tu
 
 
 def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, Array, Array]:
-    """ln(r/r0) (loads, rows, columns), mean over each load's frames, its standard deviation, and (loads) its change.
-
-    Change within the frames is that of the cell that answers most, over its answer.
-    """
+    """ln(r/r0) (loads, rows, columns), mean over each load's frames, its standard deviation, and (loads) its change."""
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(

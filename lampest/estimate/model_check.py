@@ -311,10 +311,7 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
 
 
 def _others(as_told: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
-    """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves.
-
-    Each as it is and with more in series, rivals begun with nothing and with some in series.
-    """
+    """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves."""
     plain = (explanation_of(rival, question) for rival in rivals)
     better = (one for one in plain if one is not None and one.score < specified.score)
     likely = sorted(better, key=lambda one: one.score)[:MOST_ASKED]

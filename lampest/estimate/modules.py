@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.batch import pushed_together, rested_together
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.noise import MOST_NAMED, NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array, Modules
@@ -21,7 +21,7 @@ from lampest.solvers.batch import Kept
 from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE, Status.FITTED)  # of what counts as an estimate, the last is the weakest
-MOST_NAMED = 3  # modules that a status names for one reason
+C = TypeVar("C", Certainty, Change)
 
 
 def begin_stream(
@@ -31,26 +31,11 @@ def begin_stream(
     layout = scene.panel.modules
     if layout is None:
         return Stream.begin(estimator, scene, period, resting, noise)
-    noises = (None,) * layout.count if noise is None else noise.of_modules
-    unrested = [
-        None
-        if number in scene.dead_modules
-        else Stream.unrested(estimator, own, period, resting.of_module(layout, number), told)
-        for number, (own, told) in enumerate(zip(scene.of_modules, noises, strict=True))
-    ]
-    return ModulesStream.of(scene, rested_together(unrested))
 
+    def unrested(number: int, told: NoiseSeen | None) -> Stream:
+        return Stream.unrested(estimator, scene.of_modules[number], period, resting.of_module(layout, number), told)
 
-@dataclass(frozen=True, eq=False)
-class ImageStep(Step):
-    """One frame of a panel of modules. sentence : how the solves ended, and which modules have no estimate."""
-
-    sentence: str = ""
-
-    @property
-    def status(self) -> str:
-        """See above."""
-        return self.sentence
+    return ModulesStream.begun(scene, noise, unrested)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +45,20 @@ class ModulesStream(Stream):
     modules: tuple[Stream | None, ...] = ()
 
     @classmethod
-    def of(cls, scene: Scene, modules: Sequence[Stream | None]) -> "ModulesStream":
-        """Before the first frame, from the streams of the modules."""
-        layout, first = scene.panel.modules, next(stream for stream in modules if stream is not None)
+    def begun(
+        cls, scene: Scene, noise: NoiseSeen | None, unrested: Callable[[int, NoiseSeen | None], Stream]
+    ) -> "ModulesStream":
+        """Before the first frame. unrested : number and noise of a living module → its stream before its baseline."""
+        layout = scene.panel.modules
         assert layout is not None
-        begun = cls(first.estimator, scene, first.period, _resting(layout, modules), modules=tuple(modules))
-        return begun._rested()
+        noises = (None,) * layout.count if noise is None else noise.of_modules
+        modules = rested_together(
+            [None if n in scene.dead_modules else unrested(n, told) for n, told in enumerate(noises)]
+        )
+        first = next(stream for stream in modules if stream is not None)
+        blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
+        resting = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
+        return cls(first.estimator, scene, first.period, resting, modules=tuple(modules))._rested()
 
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
@@ -147,18 +140,10 @@ class ModulesStream(Stream):
         steps = [None if stream is None else stream.baseline for stream in self.modules]
         if all(step is None for step in steps):
             return self
-        tracks = [None if stream is None else stream.track for stream in self.modules]
-        known = [None if track is None else track.baseline for track in tracks]
+        known = [None if one is None or one.track is None else one.track.baseline for one in self.modules]
         barred = any(one is not None for one in known)
-        track = Track(baseline=joined_certainty(self._layout, known)) if barred else None
+        track = Track(baseline=_joined(self._layout, Certainty, known)) if barred else None
         return replace(self, baseline=image_step(self._layout, steps), track=track)
-
-
-def _resting(layout: Modules, modules: Sequence[Stream | None]) -> Readings:
-    """The unloaded readings of the image; a dead module says nothing."""
-    first = next(stream.resting for stream in modules if stream is not None)
-    blank = replace(first, side=np.zeros_like(first.side), seen=np.zeros_like(first.seen))
-    return Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
 
 
 def joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any]:
@@ -168,16 +153,17 @@ def joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: 
     return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
 
 
-def joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty:
-    """What is known of all modules' cells: nothing of those without error bars."""
-    return Certainty(
+def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C:
+    """Certainty, or that of changes, of all modules' cells: nothing is known of those without error bars."""
+    unknown = ("deviation", "below", "above")
+    return kind(
         *(
             joined_maps(
                 layout,
                 [None if part is None else getattr(part, each.name) for part in parts],
-                np.inf if each.name in ("deviation", "below", "above") else 0.0,
+                np.inf if each.name in unknown else 0.0,
             )
-            for each in fields(Certainty)
+            for each in fields(kind)
         )
     )
 
@@ -187,17 +173,11 @@ def _joined_bars(layout: Modules, parts: Sequence[Bars | None]) -> Bars | None:
     if all(part is None for part in parts):
         return None
     changes = [None if part is None else part.change for part in parts]
-    change = None
-    if any(one is not None for one in changes):
-        maps = (
-            joined_maps(layout, [None if one is None else getattr(one, each.name) for one in changes], np.inf)
-            for each in fields(Change)
-        )
-        change = Change(*maps)
-    return Bars(joined_certainty(layout, [None if part is None else part.frame for part in parts]), change)
+    change = None if all(one is None for one in changes) else _joined(layout, Change, changes)
+    return Bars(_joined(layout, Certainty, [None if part is None else part.frame for part in parts]), change)
 
 
-def image_step(layout: Modules, steps: Sequence[Step | None]) -> ImageStep:
+def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     """The modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
     there = [step for step in steps if step is not None]
     solved = [step for step in there if step.solution.solved]
@@ -226,7 +206,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> ImageStep:
         dual=None,
         kept=None,
     )
-    return ImageStep(
+    return Step(
         solution,
         sum(step.seconds for step in there),
         tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, fitted
-from lampest.estimate.outliers import FAR, LEAST_FRAMES, without_outliers
+from lampest.estimate.outliers import FAR, LEAST_FRAMES, SHARE, without_outliers
 from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
@@ -25,8 +25,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
-MOST_NAMED = 3  # modules of which a sentence says what their frames show
-CROWDED = 0.05  # of the unloaded readings: where more are outliers, neighbours in time are, too, and replace them badly
+MOST_NAMED = 3  # modules in one sentence
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
 MOST_MOVING = 3  # frames, those that move most, in which it is sought
@@ -188,10 +187,7 @@ def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording
 
 
 def _shown_factor(readout: Readout, factor: float) -> float:
-    """σ of the noise that so large a scatter shows, over the assumed one: what all codes have in common is in it.
-
-    Where noise is smaller than a step of the converter, repeats agree, and the mean is off all the same.
-    """
+    """σ of the noise that so large a scatter shows, over the assumed one: what all codes have in common is in it."""
     assumed = np.mean(readout.sigma_code())
     lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
     shown = noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
@@ -329,7 +325,7 @@ def _outliers_in_words(outliers: NDArray[np.bool_], rate: float) -> str:
     if count == 0:
         return ""
     text = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
-    if rate <= CROWDED:
+    if rate <= SHARE:  # else neighbours in time are outliers, too, and replace them badly
         return text
     return f"{text}; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
 

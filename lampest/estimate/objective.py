@@ -160,10 +160,7 @@ class Objective:
         return not all(term.reads_measurement for term in self.terms)
 
     def _stood_in(self, frames: int) -> NDArray[np.bool_]:
-        """(frames) whether missing readings are stood in for: where no penalty says what is expected of their cells.
-
-        Of the first of two frames penalties that compare say nothing.
-        """
+        """(frames) whether missing readings are stood in for: where no penalty says what is expected of their cells."""
         untold = np.full(frames, not self.penalised)
         untold[: frames - 1] = all(term.reads_measurement for term in self.absolute_terms)
         return untold

@@ -171,10 +171,7 @@ def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
 
 
 def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
-    """The line through the neighbours, `offset` frames away: of a load that moves, or breathes.
-
-    Twice what it leaves may be off: two degrees of freedom show little, and a load does not move along a line.
-    """
+    """The line through the neighbours, `offset` frames away: of a load that moves, or breathes."""
     centre = offset.mean(axis=0)[:, None, None]
     apart = offset[..., None, None] - centre
     size = np.sum(apart**2, axis=0)

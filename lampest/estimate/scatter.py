@@ -1,10 +1,8 @@
-"""Unloaded repeats → variance components: what a frame shares, what a scanned line shares, and each reading's own.
+"""Variance components of unloaded repeats: what a frame shares, what a scanned line shares, and each reading's own.
 
-Deviations are in units of the told σ, channel by channel, so that an offset of volts is a constant of them. A frame's
-gain is a multiple of the voltages themselves. What is left is split, in this order, into a pattern along the scanned
-lines that all lines of a frame share (a ripple in step with the scan), patterns that each line has anew (a ripple
-out of step), and noise. Each part is kept where χ² of it, against the noise, has a tail below LEVEL; its variance is
-then that of its deviations, less the noise's, times what few repeats leave open (ν/(ν − 2), as of Student's t).
+Deviations are in units of the specified σ, channel by channel, so that an offset of volts is a constant of them, and a
+frame's gain a multiple of the voltages. Each part is kept where χ² of it, against the noise, has a tail below LEVEL;
+its variance is that of its deviations, less the noise's, times ν/(ν − 2), as of Student's t.
 """
 
 from dataclasses import dataclass
@@ -21,17 +19,15 @@ LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and fi
 FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
 ENOUGH = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
 UNSURE = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
-FEW = 3.0  # ν/(ν − 2) at the least ν for which it is a number: fewer repeats are not believed to say less
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """In units of the told σ.
+    """In units of the specified σ.
 
     own : standard deviation of each reading alone; own_freedom : degrees behind it. gain : of the factor of a frame, as
-    a fraction, 0 where none is seen.
-    together : (channels of a line, n) a root of the covariance of what all lines of a frame share. apart : the same of
-    what each line has anew.
+    a fraction, or 0. together, apart : (channels of a line, n) roots of the covariances of what all lines of a frame
+    share (a ripple in step with the scan), and of what each line has anew.
     """
 
     own: float
@@ -50,11 +46,10 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     circuit, scene = recording.scene.circuit, recording.scene
     value = resting.plain_values
     count = np.sum(~np.isnan(value), axis=0)
-    value = np.where(count > 1, value, np.nan)
-    if np.isnan(value).all():
+    if not (count > 1).any():
         return None
-    total = np.nan_to_num(value).sum(axis=0)
-    middle = np.where(count > 1, total / np.maximum(count, 1), resting.value[0])
+    value = np.where(count > 1, value, np.nan)
+    middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
     deviation = (value - middle) / resting.sigma
     if scene.readout is None:
         loud = middle / np.exp(np.log(resting.sigma).mean(axis=0))
@@ -127,10 +122,7 @@ def noise_edge(freedom: float, channels: int) -> float:
 
 
 def _common_patterns(rows: Array, variance: float, freedom: int) -> Array:
-    """A root (channels, n) of the covariance of frames' patterns (frames, channels) beyond noise.
-
-    There are fewer frames than channels: all that they have is kept, where χ² of it says that there is something.
-    """
+    """A root (channels, n) of the covariance of frames' patterns (frames, channels) beyond noise."""
     channels = rows.shape[1]
     squares = (rows**2).sum() / max(variance, 1e-300)
     if freedom < 1 or chi_square_tail(squares, freedom * channels) >= LEVEL:
@@ -150,5 +142,5 @@ def _excess(values: Array, variance: Array, freedom: int) -> float:
 
 
 def few(freedom: int) -> float:
-    """ν/(ν − 2): how much larger than it seems a variance from so few repeats must be taken."""
-    return min(freedom / (freedom - 2), FEW) if freedom > 2 else FEW
+    """ν/(ν − 2), ν at least 3: how much larger than it seems a variance from so few repeats must be taken."""
+    return max(freedom, 3) / (max(freedom, 3) - 2)

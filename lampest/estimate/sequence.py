@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.batch import rested_together
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import ModulesStream
 from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
+from lampest.estimate.outliers import NEAREST
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
@@ -23,9 +23,7 @@ from lampest.recording.readings import Readings, changes, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 
-LEAD = 500  # unloaded frames, and no more than a part has: more tell no more of the noise than a scene does
-AROUND = 250  # measured frames before, and after, the one that differs most; no more than a part has
-BESIDE = 4  # frames in time that show whether a reading is an outlier
+LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
 MOST_BESIDE = 4  # frames that decide on weights beside the strongest one
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
@@ -84,16 +82,13 @@ def first_stream(
     period : s between frames; None: the recording's.
     """
     layout = recording.scene.panel.modules
-    if layout is not None:
-        noises = (None,) * layout.count if noise is None else noise.of_modules
-        streams = [
-            _unrested_stream(module, readings.of_module(layout, number), estimator, told, period)
-            if number not in recording.scene.dead_modules
-            else None
-            for number, (module, told) in enumerate(zip(recording.modules, noises, strict=True))
-        ]
-        return ModulesStream.of(recording.scene, rested_together(streams))
-    return _unrested_stream(recording, readings, estimator, noise, period).with_rest()
+    if layout is None:
+        return _unrested_stream(recording, readings, estimator, noise, period).with_rest()
+
+    def unrested(number: int, told: NoiseSeen | None) -> Stream:
+        return _unrested_stream(recording.modules[number], readings.of_module(layout, number), estimator, told, period)
+
+    return ModulesStream.begun(recording.scene, noise, unrested)
 
 
 def _unrested_stream(
@@ -167,11 +162,10 @@ def frame_period(recording: Recording) -> float:
 class Parts:
     """A recording too long for memory, ready for its first frame: part by part, each like a recording of its own.
 
-    What needs many frames is taken from a sample that is bounded: the first LEAD unloaded frames, and the measured ones
-    AROUND that which differs most from them. From these come the baseline, the noise, the weights that data choose, the
-    share of its period that a scan takes, and the check of the circuit. Outliers are found in every part, with the
-    frames BESIDE it. A stream goes on from part to part by what `CarriedOver` holds, so that one that is resumed from
-    the disk finds the same numbers; what a solver kept for speed alone begins anew.
+    What needs many frames (baseline, noise, weights, the check of the circuit) is taken from a bounded sample: the
+    first unloaded frames, and the measured ones around the strongest. Outliers are found in every part. A stream goes
+    on from part to part by what `CarriedOver` holds, so that one that is resumed from the disk finds the same numbers;
+    what a solver kept for speed alone begins anew.
 
     lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
     noise : what they tell. stream : before the first frame.
@@ -189,8 +183,7 @@ class Parts:
         check_by_parts(estimator, stored)
         lead, whole = asked
         noise = noise_seen(whole)
-        first = stored.part(stored.blocks()[0]).time
-        period = float(np.median(np.diff(first))) if len(first) > 1 else float("inf")
+        period = frame_period(stored.part(stored.blocks()[0]))
         return cls(stored, lead, whole, noise, first_stream(whole, noise.readings, estimator, noise, period))
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[tuple[int, Estimates, CarriedOver]]:
@@ -205,7 +198,7 @@ class Parts:
                 begun = self._with_baseline(begun, frames)
                 stream = kept.onto(begun)
                 continue
-            part = measured_part(self.stored, frames, BESIDE)
+            part = measured_part(self.stored, frames, NEAREST)
             if part is None:
                 continue
             recording, readings, inside = self._taken(frames, part)
@@ -217,17 +210,14 @@ class Parts:
     def _taken(self, frames: range, part: Recording) -> tuple[Recording, Readings, NDArray[np.intp]]:
         """The part with the lead, the readings of its own measured frames, and which these are."""
         recording = of_parts((self.lead, part))
-        number = recording.number
-        assert number is not None
-        own = (number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED)
-        inside = np.flatnonzero(own)
+        inside = _own_frames(recording, frames)
         return recording, noise_seen_in_part(recording, self.noise)[inside], inside
 
     def _with_baseline(self, begun: Stream, frames: range) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""
         if not begun.estimator.joint_start or begun.rested:
             return begun
-        part = measured_part(self.stored, frames, BESIDE)
+        part = measured_part(self.stored, frames, NEAREST)
         assert part is not None
         _, readings, _ = self._taken(frames, part)
         for frame in range(len(readings.value)):
@@ -265,18 +255,23 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
     resting = resting_readings(lead, readings)
     best: tuple[float, int] = (-1.0, -1)
     for frames in stored.blocks():
-        part = measured_part(stored, frames, BESIDE)
+        part = measured_part(stored, frames, NEAREST)
         if part is None:
             continue
         recording = of_parts((lead, part))
-        number = recording.number
-        assert number is not None
-        taken = noise_seen_in_part(recording, None)
-        own = np.flatnonzero((number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED))
+        taken, own = noise_seen_in_part(recording, None), _own_frames(recording, frames)
         size: Array = np.where(taken.enough(stored.scene)[own], changes(taken.plain_values[own], resting.value), -1.0)
         at = int(np.argmax(size))
-        best = max(best, (float(size[at]), int(number[own[at]])))
+        assert recording.number is not None
+        best = max(best, (float(size[at]), int(recording.number[own[at]])))
     if best[1] < 0:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
-    around = stored.part(range(best[1], best[1] + 1), min(AROUND, stored.length))
+    around = stored.part(range(best[1], best[1] + 1), min(LEAD // 2, stored.length))
     return lead, of_parts((lead, only_frames(around, around.role == MEASURED)))
+
+
+def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
+    """The indices of a part's own measured frames."""
+    number = recording.number
+    assert number is not None
+    return np.flatnonzero((number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED))

@@ -20,6 +20,8 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
 NO_DUAL = np.zeros(0)  # of a cost without absolute losses
+ANSWERS, BEYOND = ("answer", "answer_of_baseline"), ("bend_below", "bend_above")
+MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
@@ -28,7 +30,7 @@ class Step:
     """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
 
     weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
-    disc : what the cells follow from, where that is a disc.
+    disc : what the cells follow from, where that is a disc. sentence : the status of an image of modules; else ''.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -41,6 +43,7 @@ class Step:
     bars: Bars | None = None
     bars_seconds: float = 0.0
     disc: OralDiscFit | None = None
+    sentence: str = ""
 
     @property
     def cell_resistance(self) -> Array:
@@ -51,7 +54,7 @@ class Step:
     @property
     def status(self) -> str:
         """How the solve ended, a sentence."""
-        return self.solution.status.value
+        return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
         """The cells (rows, columns) ohm of one of its frames; None where the solve failed."""
@@ -75,17 +78,13 @@ class SequenceState:
 
     Parameters
     ----------
-    estimator, scene : what is minimised, and what is measured how. period : s between frames.
-    resting : the unloaded readings (rows, columns).
-    baseline : how the baseline was solved; None for a relative method until a frame was.
+    estimator, scene : what is minimised, and what is measured how. period : s between frames. resting : the unloaded
+    readings (rows, columns). baseline : how the baseline was solved; None for a relative method until a frame was.
     previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
-    has no error bars.
-    prepared : what the method keeps between frames, or None.
-    track : what error bars need of earlier frames; None where there are to be none.
-    hasty : whether frames take the weights that there are, though others would be chosen.
-    first : whether no frame but the baseline was solved yet.
-    reading_error : of the logarithm of each reading, the same in all frames, as the frames or else the scene have it.
-    frame_noise : what readings of a frame share by chance, as the frames have it, or None.
+    has no error bars. prepared : what the method keeps between frames, or None. track : what error bars need of earlier
+    frames; None where there are to be none. hasty : whether frames take the weights that there are, though others would
+    be chosen. first : whether no frame but the baseline was solved yet. reading_error : of the logarithm of each
+    reading, the same in all frames. frame_noise : what readings of a frame share by chance, or None.
     """
 
     estimator: Objective
@@ -165,19 +164,19 @@ class CarriedOver:
     @classmethod
     def of(cls, state: SequenceState) -> "CarriedOver":
         """The last estimate, its deviation, and what error bars look back at; of each module of a panel of modules."""
-        if state.parts:
-            carried = {
-                _prefix(number): cls.of(part).arrays for number, part in enumerate(state.parts) if part is not None
-            }
-            return cls({before + name: values for before, arrays in carried.items() for name, values in arrays.items()})
-        found: dict[str, Any] = {"previous": state.previous, "previous_deviation": state.previous_deviation}
-        if (track := state.track) is not None:
-            found |= {"deviation": track.deviation}
-            found |= dict(zip(("answer", "answer_of_baseline"), track.answers or (), strict=False))
-            found |= dict(zip(("bend_below", "bend_above"), track.beyond or (), strict=False))
-            if track.memory is not None:
-                kind = "dense" if isinstance(track.memory, DenseMemory) else "sampled"
-                found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
+        found: dict[str, Any] = {}
+        for number, part in enumerate(state.parts):
+            carried = {} if part is None else cls.of(part).arrays
+            found |= {_of_module(number) + name: values for name, values in carried.items()}
+        if not state.parts:
+            found = {"previous": state.previous, "previous_deviation": state.previous_deviation}
+        if not state.parts and (track := state.track) is not None:
+            found["deviation"] = track.deviation
+            for pair, names in ((track.answers, ANSWERS), (track.beyond, BEYOND)):
+                found |= dict(zip(names, pair or (), strict=False))
+            for kind, memory in MEMORIES.items():
+                if isinstance(track.memory, memory):
+                    found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
         known = {name: value for name, value in found.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
@@ -185,38 +184,32 @@ class CarriedOver:
         """The state after those frames; begun : with its baseline, and with what its method prepares at first."""
         if begun.parts:
             return begun.with_parts(
-                tuple(part and self._of_module(number).onto(part) for number, part in enumerate(begun.parts))
+                tuple(part and self._under(_of_module(number)).onto(part) for number, part in enumerate(begun.parts))
             )
-        track = begun.track
-        if track is not None:
-            track = replace(
-                track,
-                deviation=self.arrays.get("deviation"),
-                memory=self._memory(),
-                answers=self._pair("answer", "answer_of_baseline"),
-                beyond=self._pair("bend_below", "bend_above"),
-            )
+        track = begun.track and replace(
+            begun.track,
+            deviation=self.arrays.get("deviation"),
+            memory=self._memory(),
+            answers=self._pair(ANSWERS),
+            beyond=self._pair(BEYOND),
+        )
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
         return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
 
-    def _of_module(self, number: int) -> "CarriedOver":
-        before = _prefix(number)
-        return CarriedOver(
-            {name.removeprefix(before): values for name, values in self.arrays.items() if name.startswith(before)}
-        )
+    def _under(self, prefix: str) -> "CarriedOver":
+        found = {name: values for name, values in self.arrays.items() if name.startswith(prefix)}
+        return CarriedOver({name.removeprefix(prefix): values for name, values in found.items()})
 
-    def _pair(self, first: str, second: str) -> tuple[Array, Array] | None:
-        return (self.arrays[first], self.arrays[second]) if first in self.arrays else None
+    def _pair(self, names: tuple[str, str]) -> tuple[Array, Array] | None:
+        return (self.arrays[names[0]], self.arrays[names[1]]) if names[0] in self.arrays else None
 
     def _memory(self) -> DenseMemory | SampledMemory | None:
-        if "dense_last" in self.arrays:
-            return DenseMemory(*(self.arrays[f"dense_{name}"] for name in ("last", "with_baseline", "baseline")))
-        if "sampled_last" in self.arrays:
-            last, baseline, drawn = (self.arrays[f"sampled_{name}"] for name in ("last", "baseline", "drawn"))
-            return SampledMemory(last, baseline, int(drawn[0]))
-        return None
+        dense, sampled = (self._under(f"{kind}_").arrays for kind in MEMORIES)
+        if dense:
+            return DenseMemory(**dense)
+        return SampledMemory(sampled["last"], sampled["baseline"], int(sampled["drawn"][0])) if sampled else None
 
 
-def _prefix(number: int) -> str:
+def _of_module(number: int) -> str:
     """Before the names of a module's arrays."""
     return f"module_{number:04d}_"

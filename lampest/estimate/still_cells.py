@@ -153,11 +153,7 @@ class Moves:
 
 
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
-    """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with those of the last.
-
-    Chosen anew, a large error alone would explain cells that moved; one beyond the straight line is asked for by the
-    largest on it.
-    """
+    """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     coarse = ERRORS[2::2]
     costs = {
         size: still_cells(moves.change, moves.covariance(size))
@@ -192,10 +188,7 @@ def _mean_square(costs: Array) -> float:
 
 
 def _possible(moves: Moves, size: float, still: Chosen) -> Array:
-    """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
-
-    Estimates are not moved by what z seems to be; their bars reach as far.
-    """
+    """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be."""
     columns = np.hstack([moves.a, size * moves.own]) if size else moves.a
     part = columns[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
@@ -243,11 +236,7 @@ def _apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
-    """The fit with cells that did not clearly move where they were, and the readings that these would give.
-
-    What errors do to a cell's change is a small difference of two large numbers; noise of the cells at which they are
-    taken would hide most of it (regression dilution). error : covariance of log r.
-    """
+    """The fit with cells that did not clearly move where they were, and the readings that these would give."""
     change = np.log(fit.cells / near)
     middle = np.median(change)
     moved = np.abs(change - middle) > CLEARLY * np.sqrt(2 * np.diag(error)).reshape(change.shape)

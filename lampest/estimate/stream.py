@@ -72,17 +72,11 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        track = None
-        if estimator.barred(resting):
-            track = (
-                Track(Shared.of(scene))
-                if noise is None
-                else Track(Shared.of(scene, None, noise.hidden), noise=noise.frame)
-            )
-        sizes = scene.told_systematic if noise is None or noise.hidden is None else noise.hidden.sizes
+        hidden, frame = (None, None) if noise is None else (noise.hidden, noise.frame)
+        track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.barred(resting) else None
+        sizes = scene.told_systematic if hidden is None else hidden.sizes
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
-        shared = None if noise is None else noise.frame
-        return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=shared)
+        return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
 
     def tared(self, resting: Readings) -> "Stream":
         """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
@@ -118,10 +112,7 @@ class Stream(SequenceState):
         return self._pushed_with_weights(readings) if self._chooses else self.estimator.method.push(self, readings)
 
     def _pushed_with_weights(self, readings: Readings) -> tuple["Stream", Step]:
-        """As `push`, weights chosen anew by frames that differ from rest by a tenth more than any before them.
-
-        A recording's weight comes from its strongest frame; of a stream nobody knows yet which that will be.
-        """
+        """As `push`, weights chosen anew by frames that differ from rest by a tenth more than any before them."""
         if self.weights is not None and (self.hasty or not self.due(readings)):
             stream = replace(self, estimator=self.estimator.with_weights(self.weights))
             stream, step = self.estimator.method.push(stream, readings)

@@ -1,8 +1,6 @@
-"""Weights that the user leaves to the data: `weight: auto`.
+"""`weight: auto`: of one penalty with a squared loss by a rule (`lampest.posterior.spectrum`), else the evidence's.
 
-One penalty with a squared loss: the cost is linearised at an estimate, and the weight taken that minimises a rule's
-function (`lampest.posterior.spectrum`); the estimate for that weight is where it is linearised next. Several penalties,
-other losses, and panels where a matrix over the cells would be too large: the fixed point of the evidence.
+The cost is linearised at an estimate; the estimate for the weight that this gives is where it is linearised next.
 """
 
 from collections.abc import Sequence
@@ -85,8 +83,8 @@ class WeightSearch:
     others: tuple[Data, ...] = ()
 
     @property
-    def _given(self) -> list[float | None]:
-        return [None if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
+    def _begun(self) -> list[float]:
+        return [1.0 if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
 
     def weighted(self, weights: Sequence[float]) -> Cost:
         """The cost with numbers for all weights."""
@@ -95,7 +93,7 @@ class WeightSearch:
 
     def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
         """The weights with that of the only penalty that a rule calls the best."""
-        weights = [1.0 if given is None else given for given in self._given]
+        weights = self._begun
         weights[penalty] = self.tried(penalty, rule, first)[-1]
         return weights
 
@@ -108,25 +106,23 @@ class WeightSearch:
         """
         with suppress(*BROKEN):
             if self.data.bounded:
-                alone = (replace(self, data=data, others=()) for data in (self.data, *self.others))
-                models = [model for search in alone if (model := search._where_bounds_suggest(penalty)) is not None]
+                models = []
+                for data in (self.data, *self.others):
+                    weights = replace(self, data=data)._suggested((penalty,), data.uniform_start)
+                    model = self._solved(weights, data.uniform_start, data)
+                    models += [] if model is None else [model]
                 found, solved = self._followed(penalty, rule, models)
                 if found and solved:
                     return found
         found = []
         with suppress(*BROKEN):
-            weights = [1.0 if given is None else given for given in self._given]
-            at = evaluated(self.weighted(weights), self.data, first)
+            at = evaluated(self.weighted(self._begun), self.data, first)
             found, _ = self._followed(penalty, rule, [LinearModel(at, NO_DUAL)])
         return found or [self._suggested((penalty,), first)[penalty]]
 
     def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:
-        """(best weights from model to model, whether the last one that was tried has an estimate).
-
-        With bounds half a step is taken from weight to weight, which else may alternate.
-        """
-        weights = [1.0 if given is None else given for given in self._given]
-        found: list[float] = []
+        """(best weights from model to model, whether the last one that was tried has an estimate)."""
+        weights, found = self._begun, list[float]()
         while models and len(found) < MOST_SOLVES:
             best = best_weight([Spectrum.of(model) for model in models], rule)
             weights[penalty] = float(np.sqrt(best * found[-1])) if found and self.data.bounded else best
@@ -137,15 +133,9 @@ class WeightSearch:
             models = [model for model in again if model is not None]
         return found, bool(models)
 
-    def _where_bounds_suggest(self, penalty: int) -> LinearModel | None:
-        """What surrounds the estimate for the weight that the residuals of even cells suggest."""
-        start = self.data.uniform_start
-        return self._solved(self._suggested((penalty,), start), start, self.data)
-
     def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
-        weights = [1.0 if given is None else given for given in self._given]
-        at = evaluated(self.weighted(weights), self.data, first)
-        return first_weights(LinearModel(at, NO_DUAL), weights, penalties)
+        at = evaluated(self.weighted(self._begun), self.data, first)
+        return first_weights(LinearModel(at, NO_DUAL), self._begun, penalties)
 
     def _solved(self, weights: Sequence[float], start: Array, data: Data) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
@@ -154,7 +144,7 @@ class WeightSearch:
 
     def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
         """The weights that are open where the evidence has its fixed point."""
-        sought = tuple(number for number in penalties if self._given[number] is None)
+        sought = tuple(number for number in penalties if self.cost.terms[number].weight == "auto")
         weights, near = self._suggested(sought, first), first
         with suppress(*BROKEN):
             for _ in range(MOST_SOLVES):

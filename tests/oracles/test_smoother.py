@@ -240,7 +240,7 @@ def test_frames_as_they_come_are_estimated_with_those_before() -> None:
         stream, step = stream.push(readings[frame])
         steps.append(step)
     assert all(step.solution.optimum and step.bars is not None for step in steps)
-    assert len(stream.prepared.readings) == 5
+    assert len(stream.prepared[0]) == 5
     assert made.truth_cell_resistance is not None
     live = np.log(np.stack([step.cell_resistance for step in steps]) / made.truth_cell_resistance[RESTING:])
     assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(errors(found_of(made, (Misfit(),)))))

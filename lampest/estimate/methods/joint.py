@@ -52,10 +52,7 @@ class JointData:
 
     def sharing(self, at: Sequence[Evaluation]) -> "JointData":
         """With U at modelled readings: at measured ones a reference that shrinks the noise would seem to fit."""
-        if self.errors is None:
-            return self
-        columns = [self.errors.columns(one.cell_resistance, one.reading, one.networks) for one in at]
-        return replace(self, shared=np.stack(columns))
+        return replace(self, shared=_shared(at, self.errors))
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -111,6 +108,12 @@ class Joint:
         """1/variance of z and c before anything is read."""
         return np.concatenate([np.ones(self._sharing), np.full(len(self.stiffness), COMMON**-2)])
 
+    @property
+    def ties(self) -> Array:
+        """Σ λ of each cell in each frame, (frames, cells)."""
+        tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
+        return np.asarray(tied[1:] + tied[:-1])
+
     @cached_property
     def gradient(self) -> Array:
         """½ ∂Φ/∂u, (frames, cells)."""
@@ -164,12 +167,11 @@ class Joint:
     def chain(self) -> Chain:
         """Half of Φ's second derivatives, without those of the readings; cells at a bound stay."""
         free = ~self.pressed
-        tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
         border, corner = self._border()
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
         own *= free[:, :, None] & free[:, None, :]
         across = np.arange(own.shape[1])
-        own[:, across, across] = np.where(free, own[:, across, across] + tied[1:] + tied[:-1] + IGNORANCE, 1.0)
+        own[:, across, across] = np.where(free, own[:, across, across] + self.ties + IGNORANCE, 1.0)
         return Chain(own, self.stiffness * (free[1:] & free[:-1]), border * free[:, :, None], corner)
 
     def _border(self) -> tuple[Array, Array]:
@@ -292,7 +294,7 @@ def error_bars(
     beyond, noise : what all readings share, and those of a frame, of which Φ knows nothing; or None.
     """
     frames, chain = range(resting - 1, len(joint.position)), joint.chain.doubting(BELIEVED, joint.certainty)
-    answer = joint.answer(np.concatenate([_of_frames(joint, resting, noise), _of_all(joint, beyond)], axis=2))
+    answer = joint.answer(np.concatenate([_of_frames(joint, resting, noise), _shared(joint.at, beyond)], axis=2))
     own = 0 if beyond is None else beyond.own(joint.position.shape[1])
     found = (Certainty.of(_errors(joint, chain, frame)).widened(answer[frame], own).of_frame(0) for frame in frames)
     baseline, *certainty = (one.by_conductance() for one in found)
@@ -304,11 +306,11 @@ def error_bars(
     return baseline, tuple(Bars(*pair) for pair in zip(certainty, changes, strict=True))
 
 
-def _of_all(joint: Joint, errors: Shared | None) -> Array:
+def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
     """(frames, readings, n) of what all readings share; without a column where there is no such error."""
     if errors is None:
-        return np.zeros((len(joint.at), joint.position.shape[1], 0))
-    return np.stack([errors.columns(at.cell_resistance, at.reading, at.networks) for at in joint.at])
+        return np.zeros((len(at), at[0].reading.size, 0))
+    return np.stack([errors.columns(one.cell_resistance, one.reading, one.networks) for one in at])
 
 
 def _of_frames(joint: Joint, resting: int, noise: FrameNoise | None) -> Array:
@@ -322,12 +324,5 @@ def _of_frames(joint: Joint, resting: int, noise: FrameNoise | None) -> Array:
 
 
 def _errors(joint: Joint, chain: Chain, frame: int) -> TiedErrors:
-    tied = np.pad(joint.stiffness, ((1, 1), (0, 0)))
-    model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame])
-    return TiedErrors(
-        model,
-        chain.covariance(frame),
-        chain.shared_variance(frame),
-        joint.sensitivities[frame],
-        tied[frame] + tied[frame + 1],
-    )
+    model, tie = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame]), joint.ties[frame]
+    return TiedErrors(model, chain.covariance(frame), chain.shared_variance(frame), joint.sensitivities[frame], tie)

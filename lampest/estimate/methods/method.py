@@ -41,9 +41,8 @@ class Method(Validated):
     """How an estimate is computed; what `formulation:` names, by the bare word or with options.
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
-    that compares frames solves its baseline together with the first frame. delays : whether it keeps
-    Ctrl-C itself where that would be taken for a failed evaluation, and not where only machine code runs. together :
-    whether it needs all frames of a recording at once.
+    that compares frames solves its baseline together with the first frame. delays : whether it keeps Ctrl-C itself.
+    together : whether it needs all frames of a recording at once.
 
     >>> issubclass(lampest.RegionMethod, lampest.Method)
     True

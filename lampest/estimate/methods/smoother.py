@@ -53,25 +53,16 @@ TIED = 0.5  # of q²: the median of squared steps of still cells from where on t
 FOLLOWED = 1.5  # the same, where ties have followed the walk
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
-    """The last frames of a sequence. readings : of each, (rows, columns). cells : as they were estimated, ohm."""
-
-    readings: tuple[Readings, ...] = ()
-    cells: tuple[Array, ...] = ()
-
-
 @dataclass(frozen=True)
 class SmootherMethod(Method):
     """Φ = misfits + changes of cells between frames + errors common to all readings, over all frames and the baseline.
 
-    Most cells stand still, some never do, and any may jump; a step that all cells
-    have in common is free. Frames as they come are estimated together with those before, back to `lag`.
+    Most cells stand still, some never do, and any may jump; a step that all cells have in common is free. Frames as
+    they come are estimated together with those before, back to `lag`.
 
     walk : the least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated
-    alone, in the median; frames may tell that it is more.
-    jump : so many walks a jump costs at most. lag : of how many frames before.
-    Raises ValueError where a number is out of range.
+    alone, in the median; frames may show that it is more. jump : so many walks a jump costs at most. lag : of how many
+    frames before. Raises ValueError where a number is out of range.
 
     >>> lampest.SmootherMethod().kind
     'smoother'
@@ -122,12 +113,12 @@ class SmootherMethod(Method):
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """One frame, together with those before it."""
-        window = state.prepared or Window()
-        read, cells = (*window.readings, readings)[-1 - self.lag :], window.cells[-self.lag :]
+        before, found = state.prepared or ((), ())  # readings of the last frames, and their cells
+        read, cells = (*before, readings)[-1 - self.lag :], found[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
         if not steps[-1].solution.solved:
             return state, steps[-1]
-        return replace(after, prepared=Window(tuple(read), tuple(step.cell_resistance for step in steps))), steps[-1]
+        return replace(after, prepared=(read, tuple(step.cell_resistance for step in steps))), steps[-1]
 
     def _together(
         self,
@@ -174,10 +165,7 @@ def _begun(
     cells: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[list[Data], Array]:
-    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone, by least squares.
-
-    A loss that forgives wrong readings may forgive those of a cell that jumped, which begins where it was.
-    """
+    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone, by least squares."""
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
     alone, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
@@ -297,11 +285,7 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
 
 
 def lasting(alone: Array) -> Array:
-    """The median of each frame's cells and of those before and after, but for the first and the last frame.
-
-    A wrong reading so begins as one, not as a jump there and back; what truly lasts a single frame is found all the
-    same, because many readings tell it.
-    """
+    """The median of each frame's cells and of those before and after, so that a wrong reading begins as no jump."""
     around = np.stack([alone[:-2], alone[1:-1], alone[2:]])
     return np.concatenate([alone[:1], np.median(around, axis=0), alone[-1:]])
 
