@@ -58,7 +58,7 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
-    from lampest.report.strongest import counted
+    from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.strongest import counted
+from lampest.report.words import counted, digits
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
 Steps = Literal["all", "initial", "following"]
-Chosen = NDArray[np.bool_]
 T = TypeVar("T")
-SOUND = ("", "yes")  # marks of a circuit that explains the readings, or that an older file leaves open
 LEAST = 1e-3  # percent or ms: less is rounding
 MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
 STEPS = {"all": "", "initial": " first", "following": " later"}
@@ -40,6 +38,19 @@ PUBLISHED_NOTE = (
 
 
 @dataclass(frozen=True)
+class Table:
+    """Headers with units and rows of text, ready to be drawn.
+
+    title : the line above it. best : (row, column) of the cells that a page sets off.
+    """
+
+    headers: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+    title: str = ""
+    best: frozenset[tuple[int, int]] = frozenset()
+
+
+@dataclass(frozen=True)
 class Spread:
     """Mean, standard deviation (n − 1; None for one value), median and 95th percentile of some values."""
 
@@ -49,13 +60,13 @@ class Spread:
     percentile_95: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One case over some of its steps; a failed frame counts in `frames` and nowhere else.
 
     Parameters
     ----------
-    source, recording, estimator : results file, recording's stem, estimator's name. label : as tables show the name.
+    source, label : results file, and the estimator's name as tables show it. case : the case itself.
     steps : 'all'; or 'initial' and 'following' where the first frame was solved together with the baseline.
     frames, solved : number of frames, and how many of them were solved.
     solve_time : of the solved frames, in s.
@@ -65,13 +76,11 @@ class Row:
     worst_kkt_residual : the largest violation of the optimality conditions.
     missing_readings, bound_readings : of all frames, solved or not: missing; at a rail, zero or below.
     published : what a publication says of the same steps.
-    model_mark, model_sentence : whether the scene's circuit explains the recording, as `CaseResult` has them.
-    noise_sentence : what contradicts the noise that the scene specifies, likewise.
     """
 
     source: str
-    recording: str
-    estimator: str
+    label: str
+    case: CaseResult
     steps: Steps
     frames: int
     solved: int
@@ -82,11 +91,17 @@ class Row:
     worst_kkt_residual: float | None
     missing_readings: int
     bound_readings: int
-    published: StepFigures | None
-    model_mark: str = ""
-    model_sentence: str = ""
-    noise_sentence: str = ""
-    label: str = ""
+    published: StepFigures
+
+    @property
+    def recording(self) -> str:
+        """The recording's stem."""
+        return self.case.recording
+
+    @property
+    def estimator(self) -> str:
+        """The estimator's name."""
+        return self.case.estimator
 
 
 def spread(values: Array) -> Spread | None:
@@ -120,28 +135,30 @@ def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> l
 
 def compare(results: Results, source: str = "") -> list[Row]:
     """The rows of one results file: one for each case, two where its first frame was solved with the baseline."""
-    return [
-        replace(row, label=results.label(case).replace("lambda", "λ"))
-        for case in results.cases
-        for row in _rows(case, results.published.get(case.estimator), source)
-    ]
+    rows = []
+    for case in results.cases:
+        label, published = results.label(case).replace("lambda", "λ"), results.published.get(case.estimator)
+        first = np.arange(len(case.time)) == 0
+        parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
+        if not case.joint_start:
+            parts = {"all": first | ~first}
+        rows += [
+            _row(source, label, case, steps, chosen, _figures(published, steps))
+            for steps, chosen in parts.items()
+            if np.any(chosen) or steps == "all"
+        ]
+    return rows
 
 
-def _rows(case: CaseResult, published: PublishedFigures | None, source: str) -> list[Row]:
-    first: Chosen = np.arange(len(case.time)) == 0
-    if not case.joint_start:
-        return [_row(case, "all", first | ~first, published, source)]
-    parts: list[tuple[Steps, Chosen]] = [("initial", first), ("following", ~first)]
-    return [_row(case, steps, chosen, published, source) for steps, chosen in parts if np.any(chosen)]
-
-
-def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFigures | None, source: str) -> Row:
+def _row(
+    source: str, label: str, case: CaseResult, steps: Steps, chosen: NDArray[np.bool_], published: StepFigures
+) -> Row:
     good = chosen & case.solved
-    residual = spread(case.kkt_residual[good])
+    residual = case.kkt_residual[good]
     return Row(
         source,
-        case.recording,
-        case.estimator,
+        label,
+        case,
         steps,
         frames=int(np.sum(chosen)),
         solved=int(np.sum(good)),
@@ -149,42 +166,24 @@ def _row(case: CaseResult, steps: Steps, chosen: Chosen, published: PublishedFig
         data_error=spread(data_error(case)[good]),
         cell_error=None if case.truth is None else spread(relative_error(case.cell_resistance[good], case.truth[good])),
         open_cells=int(np.sum(case.open_cell[good] != 0)),
-        worst_kkt_residual=None if residual is None else float(np.nanmax(case.kkt_residual[good])),
-        missing_readings=_total(case.missing_readings, chosen),
-        bound_readings=_total(case.bound_readings, chosen),
-        published=_figures(published, steps),
-        model_mark=case.model_mark,
-        model_sentence=case.model_sentence,
-        noise_sentence=case.noise_sentence,
+        worst_kkt_residual=float(np.nanmax(residual)) if np.isfinite(residual).any() else None,
+        missing_readings=0 if case.missing_readings is None else int(case.missing_readings[chosen].sum()),
+        bound_readings=0 if case.bound_readings is None else int(case.bound_readings[chosen].sum()),
+        published=published,
     )
 
 
-def _total(counts: NDArray[np.int64] | None, chosen: Chosen) -> int:
-    return 0 if counts is None else int(counts[chosen].sum())
-
-
-def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures | None:
+def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures:
     """The figures of these steps; those of all and of following steps replace each other where one is missing."""
-    if published is None:
-        return None
-    if steps == "initial":
-        return published.initial
-    return (published.all or published.following) if steps == "all" else (published.following or published.all)
-
-
-@dataclass(frozen=True)
-class Table:
-    """Headers with units and rows of text, ready to be drawn; title : the line above it."""
-
-    headers: tuple[str, ...]
-    cells: tuple[tuple[str, ...], ...]
-    title: str = ""
+    known = published or PublishedFigures()
+    later = (known.all, known.following) if steps == "all" else (known.following, known.all)
+    return next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
     """Sentences for every recording of which the circuit, or its noise, is in doubt; each once."""
-    notes = (f"{row.recording}: {row.model_sentence}" for row in rows if row.model_mark not in SOUND)
-    noise = (f"{row.recording}: {row.noise_sentence}" for row in rows if row.noise_sentence)
+    notes = (f"{row.recording}: {row.case.model_sentence}" for row in rows if row.case.model_mark not in ("", "yes"))
+    noise = (f"{row.recording}: {row.case.noise_sentence}" for row in rows if row.case.noise_sentence)
     return list(dict.fromkeys((*notes, *noise)))
 
 
@@ -207,14 +206,21 @@ def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = Fal
 
     published : with the figures that a run's file quotes.
     """
+    groups = _grouped(rows, lambda row: (row.source, row.recording))
+    if len(groups) > MOST_BLOCKS and not each:
+        more = "--each shows every one, --csv FILE and --report PAGE hold all"
+        title = f"{len(groups)} recordings, medians over them ({more})"
+        return [_table(title, _grouped(rows, lambda row: (row.estimator, row.steps)), OVER_ALL)]
+    several = len({row.source for row in rows}) > 1
+    columns = COLUMNS + PUBLISHED * published
+    return [_table(_title(group, several), group, columns) for group in groups]
+
+
+def _grouped(rows: Sequence[Row], key: Callable[[Row], tuple[str, str]]) -> list[list[Row]]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.source, row.recording), []).append(row)
-    if len(groups) > MOST_BLOCKS and not each:
-        return [_summary(rows, len(groups))]
-    several = len({source for source, _ in groups}) > 1
-    columns = COLUMNS + PUBLISHED * published
-    return [_table(_title(group, several), group, columns) for group in groups.values()]
+        groups.setdefault(key(row), []).append(row)
+    return list(groups.values())
 
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
@@ -229,14 +235,11 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
 def _title(group: Sequence[Row], several: bool) -> str:
     """'lamprey_35mm: 21 frames, 12 readings missing'."""
     own = [row for row in group if row.estimator == group[0].estimator]
-    counts = [
-        (sum(row.frames for row in own), "frame", ""),
-        (sum(row.missing_readings for row in own), "reading", " missing"),
-        (sum(row.bound_readings for row in own), "reading", " at a bound"),
-    ]
-    parts = [f"{counted(count, noun)}{more}" for count, noun, more in counts if count or not more]
-    words = ", ".join(parts)
-    return f"{own[0].source + ': ' if several else ''}{own[0].recording}: {words}"
+    missing, bounds = (sum(getattr(row, name) for row in own) for name in ("missing_readings", "bound_readings"))
+    parts = [counted(sum(row.frames for row in own), "frame")]
+    parts += [f"{counted(missing, 'reading')} missing"] if missing else []
+    parts += [f"{counted(bounds, 'reading')} at a bound"] if bounds else []
+    return f"{own[0].source + ': ' if several else ''}{own[0].recording}: {', '.join(parts)}"
 
 
 def _table(title: str, things: Sequence[T], columns: Sequence[tuple[str, Callable[[T], str]]]) -> Table:
@@ -246,78 +249,55 @@ def _table(title: str, things: Sequence[T], columns: Sequence[tuple[str, Callabl
     return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
 
 
-def _summary(rows: Sequence[Row], recordings: int) -> Table:
-    """One row for each estimator, over all recordings: medians, and the range of the cells' median error."""
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.estimator, row.steps), []).append(row)
-    title = (
-        f"{recordings} recordings, medians over them (--each shows every one, --csv FILE and --report PAGE hold all)"
-    )
-    return _table(title, list(groups.values()), OVER_ALL)
-
-
-def _format(value: float, digits: int) -> str:
-    """A format with so many significant digits of `value`, without an exponent wherever that is short."""
-    if not 1e-4 <= abs(value) < 1e5:
-        return f"{{:.{digits - 1}e}}" if value else "{:g}"
-    return f"{{:.{max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))}f}}"
-
-
 def _plus_minus(values: Spread | None, factor: float = 1.0) -> str:
     if values is None:
         return ""
-    if 0 < factor * values.mean < LEAST:
+    mean = factor * values.mean
+    if 0 < mean < LEAST:
         return f"< {LEAST:g}"
-    form = _format(factor * values.mean, 2)
-    sd = "" if values.sd is None else f" ± {form.format(factor * values.sd)}"
-    return form.format(factor * values.mean) + sd
-
-
-def _joined(values: Sequence[float], between: str = "") -> str:
-    return between.join(_format(value, 3).format(value) for value in values)
+    return digits(mean, 2) + ("" if values.sd is None else f" ± {digits(factor * values.sd, 2, like=mean)}")
 
 
 def _median_and_worst(values: Spread | None) -> str:
-    return "" if values is None else _joined((values.median, values.percentile_95), " / ")
+    return "" if values is None else f"{digits(values.median)} / {digits(values.percentile_95)}"
 
 
-def _published(figures: StepFigures | None, mean: str, sd: str) -> str:
-    if figures is None or getattr(figures, mean) is None:
-        return ""
-    deviation = getattr(figures, sd)
-    return f"{getattr(figures, mean):g}" + ("" if deviation is None else f" ± {deviation:g}")
+def _published(mean: float | None, sd: float | None) -> str:
+    return "" if mean is None else f"{mean:g}" + ("" if sd is None else f" ± {sd:g}")
 
 
-def _median(values: Sequence[float], factor: float = 1.0) -> str:
-    return _joined([factor * float(np.median(values))]) if values else ""
+def _solved(group: Sequence[Row]) -> str:
+    return f"{sum(row.solved for row in group)}/{sum(row.frames for row in group)}{STEPS[group[0].steps]}"
 
 
-def _range(values: Sequence[float]) -> str:
-    return _joined([min(values), max(values)], " … ") if values else ""
+def _median(spreads: Sequence[Spread | None], name: str, factor: float = 1.0) -> str:
+    values = [factor * getattr(one, name) for one in spreads if one]
+    return digits(float(np.median(values))) if values else ""
+
+
+def _range(spreads: Sequence[Spread | None]) -> str:
+    values = [one.median for one in spreads if one]
+    return f"{digits(min(values))} … {digits(max(values))}" if values else ""
 
 
 COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("estimator", lambda row: row.label),
-    ("solved", lambda row: f"{row.solved}/{row.frames}{STEPS[row.steps]}"),
+    ("solved", lambda row: _solved([row])),
     ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
     ("data error [%]", lambda row: _plus_minus(row.data_error)),
     ("cell error [%]", lambda row: _median_and_worst(row.cell_error)),
 )
 PUBLISHED: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("published time [s]", lambda row: _published(row.published, "time_s", "time_sd_s")),
-    ("published error [%]", lambda row: _published(row.published, "error_percent", "error_sd_percent")),
+    ("published time [s]", lambda row: _published(row.published.time_s, row.published.time_sd_s)),
+    ("published error [%]", lambda row: _published(row.published.error_percent, row.published.error_sd_percent)),
 )
 OVER_ALL: tuple[tuple[str, Callable[[Sequence[Row]], str]], ...] = (
     ("estimator", lambda group: group[0].label),
-    (
-        "solved",
-        lambda group: f"{sum(row.solved for row in group)}/{sum(row.frames for row in group)}{STEPS[group[0].steps]}",
-    ),
-    ("time [ms]", lambda group: _median([row.solve_time.mean for row in group if row.solve_time], 1000)),
-    ("data error [%], mean", lambda group: _median([row.data_error.mean for row in group if row.data_error])),
-    ("cell error [%], median", lambda group: _median([row.cell_error.median for row in group if row.cell_error])),
-    ("least … most of them", lambda group: _range([row.cell_error.median for row in group if row.cell_error])),
+    ("solved", _solved),
+    ("time [ms]", lambda group: _median([row.solve_time for row in group], "mean", 1000)),
+    ("data error [%], mean", lambda group: _median([row.data_error for row in group], "mean")),
+    ("cell error [%], median", lambda group: _median([row.cell_error for row in group], "median")),
+    ("least … most of them", lambda group: _range([row.cell_error for row in group])),
 )
 CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
     ("results", lambda row: row.source),
@@ -335,13 +315,13 @@ CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
     ("cell error 95th percentile [%]", lambda row: row.cell_error and row.cell_error.percentile_95),
     ("open cells", lambda row: row.open_cells),
     ("worst KKT residual", lambda row: row.worst_kkt_residual),
-    ("published time [s]", lambda row: row.published and row.published.time_s),
-    ("published time sd [s]", lambda row: row.published and row.published.time_sd_s),
-    ("published data error [%]", lambda row: row.published and row.published.error_percent),
-    ("published data error sd [%]", lambda row: row.published and row.published.error_sd_percent),
+    ("published time [s]", lambda row: row.published.time_s),
+    ("published time sd [s]", lambda row: row.published.time_sd_s),
+    ("published data error [%]", lambda row: row.published.error_percent),
+    ("published data error sd [%]", lambda row: row.published.error_sd_percent),
     ("missing readings", lambda row: row.missing_readings),
     ("bound readings", lambda row: row.bound_readings),
-    ("model", lambda row: row.model_mark),
-    ("model check", lambda row: row.model_sentence),
-    ("noise check", lambda row: row.noise_sentence),
+    ("model", lambda row: row.case.model_mark),
+    ("model check", lambda row: row.case.model_sentence),
+    ("noise check", lambda row: row.case.noise_sentence),
 )

@@ -52,42 +52,40 @@ def _stored_lines(path: Path) -> list[str]:
         return _results_lines(read_results(path))
     part = next(read_each(path, BLOCK))
     long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
-    ends = range(int(part.frame[0]), int(part.frame[-1]) + 1)
-    shown = read_results(path, frames=ends)
-    return [*long, f"too long to be held at once; of frames {ends[0]} to {ends[-1]}:", *_results_lines(shown)]
+    first, last = int(part.frame[0]), int(part.frame[-1])
+    shown = _results_lines(read_results(path, frames=range(first, last + 1)))
+    return [*long, f"too long to be held at once; of frames {first} to {last}:", *shown]
 
 
 def _long_lines(recording: StoredRecording) -> list[str]:
     """Of a recording that is too long to be held: all of its roles and times, and what the first frames say."""
-    counts, times = np.zeros(2, dtype=int), []
-    for frames in recording.blocks():
-        part = recording.part(frames)
-        counts += [int(np.sum(part.role == role)) for role in (UNLOADED, MEASURED)]
-        times += [part.time.min(), part.time.max()]
-    first = recording.blocks()[0]
-    return [
-        f"frames    {recording.frames}: {counts[0]} unloaded, {counts[1]} measured; {min(times):g} to {max(times):g} s",
-        f"too long to be held at once; of frames {first[0]} to {first[-1]}:",
-        *_recording_lines(recording.part(first)),
-    ]
+    blocks = recording.blocks()
+    parts = ((part.role, part.time) for part in map(recording.part, blocks))
+    role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
+    part = f"too long to be held at once; of frames {blocks[0][0]} to {blocks[0][-1]}:"
+    return [_frames_line(role, time), part, *_recording_lines(recording.part(blocks[0]))]
+
+
+def _frames_line(role: NDArray[np.uint8], time: Array) -> str:
+    unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
+    return f"frames    {len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
 
 
 def _recording_lines(recording: Recording) -> list[str]:
-    role, time, recorded, circuit = recording.role, recording.time, recording.recorded, recording.scene.circuit
-    unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
-    extras = [
-        ("σ", recording.sigma),
-        ("true cell resistance", recording.truth_cell_resistance),
-        ("true pressure", recording.truth_pressure),
-        ("sums of ADC codes", recording.raw_sums),
-    ]
-    held = ", ".join(name for name, values in extras if values is not None)
+    circuit = recording.scene.circuit
+    extras = {
+        "σ": recording.sigma,
+        "true cell resistance": recording.truth_cell_resistance,
+        "true pressure": recording.truth_pressure,
+        "sums of ADC codes": recording.raw_sums,
+    }
+    held = ", ".join(name for name, values in extras.items() if values is not None)
     return [
-        f"frames    {len(time)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s",
+        _frames_line(recording.role, recording.time),
         *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
         *_noise_lines(recording),
-        f"readings  {_range(recorded, circuit.unit)} ({circuit.signal_name})",
+        f"readings  {_range(recording.recorded, circuit.unit)} ({circuit.signal_name})",
         *(f"{'':9} {sentence}" for sentence in _holes(recording)),
         f"besides   {held or 'nothing'}",
         *_map_lines(recording),

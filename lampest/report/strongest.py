@@ -12,11 +12,6 @@ from lampest.runs.case import CaseResult
 STRONG = 0.9  # of the largest change: a load settles after it has set in
 
 
-def counted(number: int, noun: str) -> str:
-    """'1 recording', '30 recordings', '1,200 frames'."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
 def percent_change(resistance: Array, baseline: Array) -> Array:
     """100·(R/R₀ − 1), any shape, in percent."""
     return 100 * (resistance / baseline - 1)

@@ -223,13 +223,14 @@ def test_figures_of_a_case_are_what_they_are_called() -> None:
     sigma = 0.01 * case.measured
     found = measures(dataclasses.replace(case, sigma=sigma, **ends), np.random.default_rng(0))
     residual = ((case.reading_model - case.measured) / sigma)[good]
-    assert (found.frames, found.solved, found.cells) == (10, 8, 160)
-    assert found.failures == (("stopped: too many iterations", (8, 9)),)
-    assert found.misfit == pytest.approx(np.mean(residual**2)) and found.spread == pytest.approx(1.0, abs=0.2)
-    assert found.endless == 1 and found.coverage is not None and found.coverage.value == pytest.approx(93.75)
+    assert (found.solved, found.cells) == (8, 160)
+    assert found.failures == {"stopped: too many iterations": [8, 9]}
+    assert found.figures["misfit"] == pytest.approx(np.mean(residual**2))
+    assert found.figures["spread"] == pytest.approx(1.0, abs=0.2)
+    assert found.figures["endless"] == 1 and found.values("coverage") == pytest.approx([93.75])
     error = 100 * np.abs(case.cell_resistance / case.truth - 1)[good]
-    assert found.cell_error is not None and found.cell_error.value == pytest.approx(np.median(error))
-    assert found.time == pytest.approx(1e3 * np.median(case.solve_time[good]))
-    assert found.share is None and found.saturated is None
+    assert found.values("cell_error") == pytest.approx([np.median(error)])
+    assert found.figures["time"] == pytest.approx(1e3 * np.median(case.solve_time[good]))
+    assert "share" not in found.figures and "saturated" not in found.figures
     assert len(doubts("A", [found])) == 0
-    assert len(doubts("A", [dataclasses.replace(found, spread=3.0)])) == 1
+    assert len(doubts("A", [dataclasses.replace(found, figures={"spread": 3.0})])) == 1

@@ -41,11 +41,10 @@ from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
 from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
 from lampest.report.live.handover import Newest
-from lampest.report.live.load import read_load, verdict_of
 from lampest.report.live.message import POINTS, Message, Picture, View, view_text
 from lampest.report.live.run import METHODS, Replay, chosen, from_recording, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
-from lampest.report.live.state import ASKED
+from lampest.report.live.state import ASKED, read_load, verdict_of
 from lampest.solvers.solution import Settings
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"

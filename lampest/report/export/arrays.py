@@ -39,19 +39,16 @@ class MatlabExport(Export):
 def _struct(case: CaseResult) -> dict[str, Any]:
     held = series_of(case)
     x, y = case.scene.panel.centres_mm()
-    flags = {
-        one.name: {
-            "values": np.array([value for value, _ in one.flags]),
-            "meanings": _cells([word for _, word in one.flags]),
-        }
-        for one in held
-        if one.flags
-    }
+    flags = {}
+    for one in held:
+        if one.flags:
+            numbers, words = zip(*one.flags, strict=True)
+            flags[one.name] = {"values": np.array(numbers), "meanings": _cells(words)}
     values = {one.name: _cells(one.values) if one.is_text else one.values for one in held}
     units = {one.name: one.units for one in held} | {"x": "mm", "y": "mm"}
+    places = {"row": np.arange(len(y)), "column": np.arange(len(x)), "x": x, "y": y}
     names = {one.name: one.long_name for one in held}
-    lines = {axis: np.arange(size) for axis, size in zip(("row", "column"), case.scene.panel.shape, strict=True)}
-    return about(case) | values | lines | {"x": x, "y": y, "units": units, "long_name": names, "flags": flags}
+    return about(case) | values | places | {"units": units, "long_name": names, "flags": flags}
 
 
 def _cells(things: Sequence[Any]) -> NDArray[Any]:

@@ -2,16 +2,15 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from lampest.files.errors import extra
-from lampest.report.export.export import Export
+from lampest.report.export.export import Export, Series, series_of
 from lampest.runs.case import CaseResult, about
-from lampest.runs.columns import all_columns
+from lampest.runs.columns import CELLS, FRAMES, all_columns
 
 if TYPE_CHECKING:
     from lampest.runs.case import DataFrame
@@ -19,30 +18,14 @@ if TYPE_CHECKING:
 # numpy's whole numbers → those of pandas that may be missing.
 WHOLE = {"int8": "Int8", "uint8": "UInt8", "int64": "Int64", "bool": "boolean"}
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What a column of the table means; flags : what each of its values means, where they are no amounts."""
-
-    units: str
-    long_name: str
-    flags: tuple[tuple[int, str], ...] = ()
-
-    @property
-    def words(self) -> dict[str, str]:
-        """Value → word of a flag."""
-        return {str(value): word for value, word in self.flags}
-
-
-LINES = {
-    "recording": Meaning("1", "name of the recording"),
-    "estimator": Meaning("1", "name of the estimator"),
-    "row": Meaning("1", "row line"),
-    "column": Meaning("1", "column line"),
-    "y": Meaning("mm", "position of the row"),
-    "x": Meaning("mm", "position of the column"),
-}
+LINES = (
+    Series("recording", FRAMES, None, "1", "name of the recording"),
+    Series("estimator", FRAMES, None, "1", "name of the estimator"),
+    Series("row", CELLS[:1], None, "1", "row line"),
+    Series("column", CELLS[1:], None, "1", "column line"),
+    Series("y", CELLS[:1], None, "mm", "position of the row"),
+    Series("x", CELLS[1:], None, "mm", "position of the column"),
+)
 
 
 class CsvExport(Export):
@@ -61,16 +44,12 @@ class CsvExport(Export):
         assert beside is not None
         table, meanings = long_table(cases)
         table.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
-        columns: list[dict[str, Any]] = [
-            {
-                "name": name,
-                "datatype": CSV_KINDS.get(table[name].dtype.kind, "string"),
-                "dc:description": meanings[name].long_name,
-                "schema:unitText": meanings[name].units,
-            }
-            | ({"schema:valueReference": meanings[name].words} if meanings[name].flags else {})
-            for name in table.columns
-        ]
+        columns: list[dict[str, Any]] = []
+        for column, meaning in meanings.items():
+            kind = CSV_KINDS.get(table[column].dtype.kind, "string")
+            known = {"dc:description": meaning.long_name, "schema:unitText": meaning.units}
+            flags = {"schema:valueReference": _words(meaning)} if meaning.flags else {}
+            columns.append({"name": column, "datatype": kind} | known | flags)
         head = {"@context": "http://www.w3.org/ns/csvw", "url": name, "tableSchema": {"columns": columns}}
         content = head | {"notes": [about(case) for case in cases]}
         beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -95,13 +74,18 @@ class ParquetExport(Export):
         fields = []
         for field in table.schema:
             meaning = meanings[field.name]
-            flags = {"flags": json.dumps(meaning.words)} if meaning.flags else {}
+            flags = {"flags": json.dumps(_words(meaning))} if meaning.flags else {}
             fields.append(field.with_metadata({"units": meaning.units, "long_name": meaning.long_name} | flags))
         known = {**table.schema.metadata, b"lampest": json.dumps([about(case) for case in cases]).encode()}
         parquet.write_table(table.cast(pyarrow.schema(fields, known)), path, compression="zstd")
 
 
-def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, Meaning]]:
+def _words(meaning: Series) -> dict[str, str]:
+    """Value → word of a flag."""
+    return {str(value): word for value, word in meaning.flags}
+
+
+def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, Series]]:
     """One line for every cell of every frame of every case, with recording and estimator, and its columns' meanings.
 
     Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts have none. So readings
@@ -110,23 +94,18 @@ def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, M
     from pandas import concat
 
     tables: list[DataFrame] = []
-    meanings: dict[str, Meaning] = {}
+    meanings: dict[str, Series] = {}
     for case in cases:
-        columns = [column.of(case.scene.circuit) for column in all_columns()]
-        known = LINES | {one.label: Meaning(one.units, one.long_name, one.flags) for one in columns}
-        kinds = {one.label: np.dtype(one.dtype).name for one in columns}
+        known = {one.name: one for one in (*LINES, *series_of(case))}
+        kinds = {one.label: np.dtype(one.dtype).name for one in all_columns()}
         table = case.to_dataframe()
         table.attrs = {}
         table.insert(0, "recording", case.recording)
         table.insert(1, "estimator", case.estimator)
         kinds = {name: kinds.get(name, kind.name) for name, kind in table.dtypes.items()}
         whole = {name: WHOLE[kind] for name, kind in kinds.items() if kind in WHOLE}
-        names = {name: with_unit(name, known[name].units) for name in table.columns}
+        units = {name: known[name].units for name in table.columns}
+        names = {name: name if unit == "1" else f"{name}_{unit}" for name, unit in units.items()}
         meanings |= {names[name]: known[name] for name in table.columns}
         tables.append(table.astype(whole).rename(columns=names))
     return concat(tables, ignore_index=True), meanings
-
-
-def with_unit(name: str, unit: str) -> str:
-    """The name of a column with its unit behind it, none for pure numbers."""
-    return name if unit == "1" else f"{name}_{unit}"

@@ -62,9 +62,8 @@ class FrameSource:
 class Engine:
     """Takes frames from one thread, solves the newest in another, and keeps what is to be shown in `shown`.
 
-    One thread solves, because a CasADi solver must not be shared between threads. beside : whether what takes longer
-    than a frame, weights, searches for lower minima, error bars and the check of the circuit, is left to another
-    process; else every frame waits for its own.
+    One thread solves, because a CasADi solver must not be shared between threads. beside : whether weights, searches
+    for lower minima, error bars and the check of the circuit are left to another process; else every frame waits.
     """
 
     def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:
@@ -98,11 +97,14 @@ class Engine:
 
     def say(self, sentence: str) -> None:
         """Show a state of the port or the recording."""
-        self.shown.change(lambda view: replace(view, state=sentence))
+        self._show(state=sentence)
 
     def say_of_recording(self, sentence: str, on: bool) -> None:
         """Show the state of the recording that the page may begin and end, and whether it runs."""
-        self.shown.change(lambda view: replace(view, recording=(sentence, on)))
+        self._show(recording=(sentence, on))
+
+    def _show(self, **fields: Any) -> None:
+        self.shown.change(lambda view: replace(view, **fields))
 
     def tare(self) -> None:
         """Nothing is on the panel: the mean of the next frames, as many as the first baseline had, is the new one.
@@ -122,8 +124,7 @@ class Engine:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
         resting = without_outliers(every, np.ones(len(every.value), dtype=bool))[1].mean()
-        frames = len(unloaded)
-        self.shown.change(lambda view: replace(view, panel=source.scene.panel, state=source.state, frames=frames))
+        self._show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
     def take(self, source: FrameSource, scan: Scan) -> None:
@@ -169,7 +170,6 @@ class Engine:
 
     def _with_findings(self, state: PanelState) -> PanelState:
         """With what second looks have found meanwhile; without them from here on, should their process have died."""
-        assert self._solving is not None
         while not self._found.empty():
             found = self._found.get()
             if isinstance(found, Exception):
@@ -190,22 +190,15 @@ class Engine:
     def _take_findings(self, found: "Findings | Exception") -> None:
         self._found.put(found)
         if isinstance(found, Findings) and found.force is not None:
-            force, number = found.force, found.number
-            self.shown.change(lambda view: replace(view, deviation=force.deviation, deviation_of=number))
+            self._show(deviation=found.force.deviation, deviation_of=found.number)
 
     def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
         """Show whether the frames contradict the scene's circuit."""
-        scans, noises = (*unloaded, *loaded), [scan.sigma for scan in (*unloaded, *loaded)]
-        known = [noise for noise in noises if noise is not None]
-        frames = np.arange(len(scans))
-        check = partial(
-            model_check,
-            scene,
-            np.stack([scan.recorded for scan in scans]),
-            np.stack(known) if len(known) == len(scans) else None,
-            frames[: len(unloaded)],
-            frames[len(unloaded) :],
-        )
+        scans, count = (*unloaded, *loaded), len(unloaded)
+        known = [scan.sigma for scan in scans if scan.sigma is not None]
+        sigma = np.stack(known) if len(known) == len(scans) else None
+        recorded, frames = np.stack([scan.recorded for scan in scans]), np.arange(len(scans))
+        check = partial(model_check, scene, recorded, sigma, frames[:count], frames[count:])
         if self._beside is None or self._beside.gone:
             self._take_check(check())
         else:
@@ -214,9 +207,8 @@ class Engine:
     def _take_check(self, found: "ModelCheck | Exception") -> None:
         if isinstance(found, Exception):
             self._found.put(found)
-            return
-        said = "" if found.mark == "yes" else found.sentence
-        self.shown.change(lambda view: replace(view, model=said))
+        else:
+            self._show(model="" if found.mark == "yes" else found.sentence)
 
 
 def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:

@@ -71,7 +71,7 @@ class Errand(NamedTuple):
 
 
 class Beside:
-    """One process that runs one task after the other; of each kind the newest waits. What it holds is its only state.
+    """One process that runs one task after the other; of each kind the newest waits.
 
     A process that dies takes its tasks with it: nothing is answered any more, and `gone` says so.
     """

@@ -19,14 +19,10 @@ from lampest.panel.panel import Array, Panel
 FORMAT = "lampest stream 1"
 MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
 UNKNOWN = Force(float("nan"), float("nan"))
+COMPACT: dict[str, Any] = {"allow_nan": False, "separators": (",", ":")}
 POINTS = 1800  # frames of the page's history, one minute at 30 frames a second
-NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS = (
-    "nothing",
-    "pressing",
-    "sucking",
-    "pressing and sucking",
-    "unsolved",
-)
+VERDICTS = "nothing", "pressing", "sucking", "pressing and sucking", "unsolved"
+NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
 
 class Channel(NamedTuple):
@@ -51,12 +47,11 @@ class Picture:
 
     number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
     measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
-    open_cell : (rows, columns) where a cell cannot be told from an open one. force : total force, unknown
-    where the frame failed or the scene names no response; its deviation may come later.
-    status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for this one.
-    cell_resistance, pressure : (rows, columns) ohm and kPa; None where they are not known. saturated : (rows, columns)
-    where the response leaves the pressure open. verdict : one of VERDICTS. outliers : single-frame ones among the
-    readings, each replaced by what the frames before say.
+    open_cell, saturated : (rows, columns) where a cell cannot be told from an open one, where the response leaves the
+    pressure open. force : total force, unknown where the frame failed or the scene names no response; its deviation may
+    come later. status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for
+    this one. cell_resistance, pressure : (rows, columns) ohm and kPa; None where they are not known. verdict : one of
+    VERDICTS. outliers : single-frame ones among the readings, each replaced by what the frames before say.
     """
 
     number: int
@@ -81,11 +76,10 @@ class View:
     """All that the page shows.
 
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
-    model : what is wrong with the scene's circuit or its noise, a sentence; empty where nothing was noticed.
-    zero : when zero was taken anew last and why, a sentence; empty: it never was.
-    recording : state of one that the page may begin and end, a sentence, and whether it runs; None: without a port.
-    deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of which it is known.
     frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
+    model, zero : what is wrong with the scene's circuit or its noise; when zero was taken anew last and why. Sentences,
+    or empty. deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of which it
+    is known. recording : state of one that the page may begin and end, and whether it runs; None: without a port.
     """
 
     source: str
@@ -135,9 +129,7 @@ class Message:
     def row(self) -> Array:
         """The frame as one row of numbers, in the order of `channels`."""
         picture = self.picture
-        head = np.array(
-            [picture.number, picture.force.newton, VERDICTS.index(picture.verdict), self.solved], dtype=float
-        )
+        head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
         return np.concatenate([head, *(values.ravel() for values in self.maps.values()), [self.view.deviation]])
 
     def channels(self) -> list[Channel]:
@@ -185,7 +177,7 @@ class Message:
 
     def text(self) -> str:
         """One line of JSON."""
-        return _line(self.content(time.time()))
+        return json.dumps(self.content(time.time()), **COMPACT)
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
@@ -195,32 +187,22 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     skipped for this one) and `centre`. sent_at : s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
-    message = Message.of(view)
-    return _line(
-        {
-            "source": view.source,
-            "method": view.method,
-            "state": view.state,
-            "model": view.model,
-            "zero": view.zero,
-            "deviation": _number(view.deviation, 4),
-            "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
-            "sent": sent_at,
-            "panel": view.panel and _panel(view.panel),
-            "frames": view.frames,
-            "lost": view.lost,
-            "skipped": view.skipped,
-            "picture": _page_picture(message, sent_at) if message and message.picture.number > known else None,
-            "history": [[point.time, _number(point.total, 4)] for point in view.history[first:]],
-        }
-    )
-
-
-def _page_picture(message: Message, sent_at: float) -> dict[str, Any]:
-    picture = message.picture
-    content = {name: value for name, value in message.content(sent_at).items() if name not in ("cells", "pressure")}
-    own = {"measured": _numbers(picture.measured_change, 2), "passed": picture.skipped, "centre": _centre(message)}
-    return content | own
+    message, picture = Message.of(view), None
+    if message and message.picture.number > known:
+        picture = message.content(sent_at)
+        del picture["cells"], picture["pressure"]
+        picture |= {"measured": _numbers(message.picture.measured_change, 2), "passed": message.picture.skipped}
+        picture["centre"] = _centre(message)
+    as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped")
+    content = {name: getattr(view, name) for name in as_they_are} | {
+        "deviation": _number(view.deviation, 4),
+        "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
+        "sent": sent_at,
+        "panel": view.panel and _panel(view.panel),
+        "picture": picture,
+        "history": [[point.time, _number(point.total, 4)] for point in view.history[first:]],
+    }
+    return json.dumps(content, **COMPACT)
 
 
 def _centre(message: Message) -> list[float] | None:
@@ -239,10 +221,6 @@ def _panel(panel: Panel) -> dict[str, Any]:
     if panel.modules is not None:
         about |= {"modules": [panel.modules.each.rows, panel.modules.each.columns], "seam_mm": panel.modules.seam_mm}
     return about
-
-
-def _line(content: dict[str, Any]) -> str:
-    return json.dumps(content, allow_nan=False, separators=(",", ":"))
 
 
 def _numbers(values: Array, digits: int) -> list[float | None]:

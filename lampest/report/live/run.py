@@ -4,12 +4,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from threading import Event
 
 import numpy as np
 
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
@@ -27,16 +28,15 @@ from lampest.report.live.publish.publish import publishing
 from lampest.report.live.server import Asks, address, serving
 from lampest.runs.config import RunFile, resolve
 
-METHODS = {  # with weights that the data choose, under other names than the paper's
-    name: Estimator((Misfit(), *penalties), "reduced", tare=Tare())
-    for name, penalties in {
-        "smooth": (Gradient(),),
-        "LSM": (),
-        "changes": (GradientOfRelativeChange(),),
-        "cell_resistance": (CellResistance(),),
-        "relative_change": (RelativeChange(),),
-    }.items()
+PENALTIES: dict[str, tuple[Term, ...]] = {
+    "smooth": (Gradient(),),
+    "LSM": (),
+    "changes": (GradientOfRelativeChange(),),
+    "cell_resistance": (CellResistance(),),
+    "relative_change": (RelativeChange(),),
 }
+# With weights that the data choose, under other names than the paper's.
+METHODS = {name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()}
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,12 @@ def live(
             if isinstance(source, Replay):
                 assert recording is not None
                 from_recording(engine, recording, source.speed, frames)
-            elif source.out is None:
-                assert recorder is not None
+            elif recorder is not None:
                 from_board(engine, port, source.scene, source.period, frames, recorder.take)
             else:
-                done = recorded_from_board(
-                    engine, port, source.out, source.scene, source.baseline, source.period, frames
-                )
+                assert source.out is not None
+                known = source.out, source.scene, source.baseline, source.period
+                done = recorded_from_board(engine, port, *known, frames)
             engine.finish()
         except InputError as error:
             engine.say(f"stopped: {error}")
@@ -168,7 +167,7 @@ def from_board(
     scene: Scene | None,
     period: float | None,
     frames: int | None,
-    on_sample: Callable[[Sample], None] = lambda sample: None,
+    on_sample: Callable[[Sample], None],
 ) -> None:
     """Every frame of a board, until `frames` have come or for ever; on_sample : given each of them, too.
 
@@ -176,14 +175,9 @@ def from_board(
     """
     engine.say(f"waiting for the board at {url}")
     with closing(board_samples(url, scene, period, engine.say)) as samples:
-        came = 0
-        for batch in samples:
-            for sample in batch:
-                take_sample(engine, sample, scene)
-                on_sample(sample)
-                came += 1
-                if came == frames:
-                    return
+        for sample in islice((sample for batch in samples for sample in batch), frames):
+            take_sample(engine, sample, scene)
+            on_sample(sample)
 
 
 def recorded_from_board(
@@ -210,10 +204,8 @@ def recorded_from_board(
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
     """Hand a board's frame on, as a recording would hold it."""
     agreed, recorded = agreed_and_recorded(sample, scene)
-    engine.take(
-        FrameSource(agreed, sample.hello.period_us * 1e-6, "receiving"),
-        Scan(recorded, None, sample.time, sample.host_time, sample.lost),
-    )
+    source = FrameSource(agreed, sample.hello.period_us * 1e-6, "receiving")
+    engine.take(source, Scan(recorded, None, sample.time, sample.host_time, sample.lost))
 
 
 def from_recording(
@@ -233,11 +225,7 @@ def from_recording(
 
 def scan_of(recording: Recording, frame: int) -> Scan:
     """One frame of a recording, as if it arrived now."""
-    sigma, origin = recording.sigma, recording.acquisition
-    return Scan(
-        recording.recorded[frame],
-        None if sigma is None else np.broadcast_to(sigma, recording.recorded.shape)[frame],
-        float(recording.time[frame]),
-        time.time(),
-        0 if origin is None else int(origin.lost[frame]),
-    )
+    sigma, recorded, origin = recording.sigma, recording.recorded, recording.acquisition
+    of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
+    lost = 0 if origin is None else int(origin.lost[frame])
+    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost)

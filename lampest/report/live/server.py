@@ -22,8 +22,7 @@ from lampest.report.live.handover import Newest
 from lampest.report.live.message import View, view_text
 
 MOST_STREAMS = 16  # pages that look on at once, a thread each
-HEARTBEAT_SECONDS = 2.0  # between signs of life, by which a page that went away is noticed
-FAREWELL_SECONDS = 1.0  # for the last view to go out
+HEARTBEAT_SECONDS, FAREWELL_SECONDS = 2.0, 1.0  # between signs of life, for the last view to go out
 FEWEST_SIGNS = 16  # of a token: 10²⁸ of them
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
@@ -49,9 +48,8 @@ class Access:
 
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{FEWEST_SIGNS},}}", self.token):
-            raise InputError(
-                f"--token: give at least {FEWEST_SIGNS} letters, digits or any of - _ . ~ (or none: one is made up)"
-            )
+            signs = f"at least {FEWEST_SIGNS} letters, digits or any of - _ . ~"
+            raise InputError(f"--token: give {signs} (or none: one is made up)")
 
     @classmethod
     def of(cls, token: str | None, local: bool, port: int) -> "Access":
@@ -106,11 +104,9 @@ class Asks:
 class PageServer(ThreadingHTTPServer):
     """Shows the views of `shown`, and passes on what visitors ask for."""
 
-    daemon_threads = True
-    block_on_close = False
+    daemon_threads, block_on_close = True, False
     request_queue_size = 64
-    # On Windows it would share the port with another server.
-    allow_reuse_address = os.name == "posix"
+    allow_reuse_address = os.name == "posix"  # on Windows it would share the port with another server
 
     def __init__(
         self, host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
@@ -143,9 +139,7 @@ class PageHandler(BaseHTTPRequestHandler):
     """One request."""
 
     server: PageServer
-    introduced = False
-    timeout = 10.0
-    disable_nagle_algorithm = True
+    introduced, timeout, disable_nagle_algorithm = False, 10.0, True
     server_version, sys_version = "lampest", ""
 
     def parse_request(self) -> bool:
@@ -183,16 +177,15 @@ class PageHandler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """A new zero at /zero, a recording or its end at /record, for the page's own script alone."""
         asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
-        if wish not in ("zero", "record") or (wish == "record" and asks.record is None):
+        record, name = asks.record, dict(query(self.path)).get("name", "")
+        wishes = {"zero": asks.tare} | ({"record": lambda: record(name)} if record else {})
+        if wish not in wishes:
             self.send_error(HTTPStatus.NOT_FOUND)
         elif self.headers.get(WISH) != wish or self.headers.get("Content-Length", "0") != "0":
             self.send_error(HTTPStatus.FORBIDDEN)
         else:
             try:
-                if wish == "zero":
-                    asks.tare()
-                elif asks.record is not None:
-                    asks.record(dict(query(self.path)).get("name", ""))
+                wishes[wish]()
             except InputError:
                 self.send_error(HTTPStatus.BAD_REQUEST)
             else:
@@ -210,8 +203,10 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _start(self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str) -> None:
         headers = {"Content-Type": kind} | HEADERS | further
-        headers |= {} if length is None else {"Content-Length": str(length)}
-        headers |= {"Set-Cookie": self.server.access.cookie} if status is HTTPStatus.OK and self.introduced else {}
+        if length is not None:
+            headers["Content-Length"] = str(length)
+        if status is HTTPStatus.OK and self.introduced:
+            headers["Set-Cookie"] = self.server.access.cookie
         self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)
@@ -239,26 +234,25 @@ class PageHandler(BaseHTTPRequestHandler):
 def is_local_name(host: str) -> bool:
     """Whether a Host header names this computer itself: localhost or a loopback address, with or without a port."""
     name = host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host
-    name = name.removeprefix("[").removesuffix("]")
-    if name == "localhost":
-        return True
+    found = _ip(name)
+    return found is not None and found.is_loopback
+
+
+def _ip(name: str) -> "ipaddress.IPv4Address | ipaddress.IPv6Address | None":
+    """An address, in brackets or not, or localhost; None where it is another name."""
     try:
-        return ipaddress.ip_address(name).is_loopback
+        return ipaddress.ip_address("127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]"))
     except ValueError:
-        return False
+        return None
 
 
 def address(text: str) -> tuple[str, int]:
     """HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError where it is something else."""
     host, separator, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    try:
-        ipaddress.ip_address(host := "127.0.0.1" if host == "localhost" else host)
-        if separator and port.isascii() and port.isdigit() and int(port) < 65536:
-            return host, int(port)
-    except ValueError:
-        pass
-    raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
+    found = _ip(host)
+    if found is None or not separator or not (port.isascii() and port.isdigit() and int(port) < 65536):
+        raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
+    return str(found), int(port)
 
 
 @contextmanager
@@ -267,9 +261,8 @@ def serving(
 ) -> Iterator[PageServer]:
     """A server that runs beside; at the end everybody gets the last view.
 
-    asks : what they may ask for; None: nothing.
-    token : asked of visitors; None for one that is made up, or for none on the loopback address. Raises
-    InputError where it cannot listen, or the token is too short.
+    token : asked of visitors; None for one that is made up, or for none on the loopback address. asks : what they may
+    ask for; None: nothing. Raises InputError where it cannot listen, or the token is too short.
     """
     Access(token or "")
     try:

@@ -1,8 +1,9 @@
-"""State of a live panel between frames, one frame solved with it, and the second look at a frame solved in haste."""
+"""State of a live panel between frames, one frame solved with it, its load, and the second look at it."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
@@ -10,26 +11,29 @@ from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.force import Force
-from lampest.loads.pressure import PressureTrack
+from lampest.loads.force import Force, pressing_cells, total_force
+from lampest.loads.pressure import Pressure, PressureTrack
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.track import Track
+from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
-from lampest.report.live.load import read_load, verdict_of
-from lampest.report.live.message import Picture
+from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Picture
 from lampest.solvers.multistart import SAME
 
 ASKED = "it was asked for"
+# Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
+# 30 frames a second have 10⁷.
+NOTICED = 6.0
+NOTICED_PERCENT = 1.0  # where the noise is unknown: far above that of any readout here, and what a finger does
+SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """What a second look gives to later frames.
 
-    number : of the frame. weights, weighed_at : as `Stream` has them. lower : its cells (rows, columns) ohm where their
-    minimum is lower than the one found in haste, or belongs to other weights; None where it is not. force : with its
-    error, or None.
+    number : of the frame. weights, weighed_at : as `Stream` has them. lower : cells (rows, columns) ohm of a lower
+    minimum, or of other weights, or None. force : with its error, or None.
     """
 
     number: int
@@ -48,8 +52,8 @@ class Findings:
 class SecondLook:
     """A frame to be solved again: by weights of its own, from all starts, and with error bars.
 
-    number, time : of the frame. stream, load : before it, without what cannot travel to another process.
-    objective : of the minimum that was found in haste. due : whether weights or starts were left open.
+    stream, load : before it. objective : of the minimum that was found in haste. due : whether weights or starts were
+    left open.
     """
 
     number: int
@@ -76,10 +80,9 @@ class SecondLook:
 class PanelState:
     """What is carried from frame to frame.
 
-    stream, load : cells, and pressures from them. recent : the newest readings. missing : frames that still have to
-    come for a zero that was asked for; None where none was. zeroed : why the last frame led to a new zero, or ''.
-    track : what error bars of second looks need, where frames are solved in haste. look : what is still to be found out
-    of the last frame, or None. before : the frames before, as they came.
+    recent : the newest readings. missing : frames that still have to come for a zero that was asked for, or None.
+    zeroed : why the last frame led to a new zero, or ''. track : what error bars of second looks need, where frames are
+    solved in haste. look : what is still to be found out of the last frame. before : the frames before, as they came.
     """
 
     stream: Stream
@@ -146,9 +149,10 @@ class PanelState:
 
     def without_outliers(self, readings: Readings) -> tuple["PanelState", Readings, int]:
         """With a frame among those before the next; the frame without its outliers, and how many there are."""
-        if self.stream.parts:
+        stream = self.stream
+        if stream.parts:
             return self, readings, 0
-        stream, after = self.stream, replace(self, before=self.before.after(readings))
+        after = replace(self, before=self.before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
         return after, *self.before.without_outliers(readings, *known)
 
@@ -210,3 +214,45 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
     return here.after(readings, step, picture.time), picture
+
+
+def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
+    """Pressures of a frame's cells, and their total force; none where the scene names no response.
+
+    The estimate's own errors do not decide which cells are saturated. ratio : r/r_baseline (rows, columns).
+    bars : of the estimate, or None. time : s.
+    """
+    if load.scene.response is None:
+        return None, Force(np.nan, np.nan)
+    found, errors, deviation = load.pressure(ratio, ratio, ratio, time), None, None
+    if bars is not None and bars.change is not None:
+        with np.errstate(over="ignore"):
+            ends = ratio * np.exp(-bars.change.below), ratio * np.exp(bars.change.above)
+            errors, deviation = load.pressure(ratio, *ends, time).errors, ratio * bars.change.deviation
+    pressed = pressing_cells(load.scene, ratio, deviation, found.pressure)
+    return found, total_force(load.scene, found.pressure, pressed, found.saturated != 0, errors)
+
+
+def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
+    """One of `message.VERDICTS` of a frame that was solved.
+
+    Nothing where no reading differs from its unloaded value by more than six standard deviations of the difference,
+    the median of all differences left aside, which a drift of the supply moves; else pressing where the lowest
+    ln r/r₀, and sucking where the highest, is more than three tenths of the strongest. ratio : r/r₀ (rows, columns).
+    open_cell : (rows, columns) where a cell cannot be told from an open one, which do not count.
+    """
+    moved = np.log(readings.shown / resting.shown)
+    moved -= np.nanmedian(moved)
+    now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
+    if now is not None and before is not None:
+        least = NOTICED * np.hypot(now / readings.shown, before / resting.shown)
+    with np.errstate(invalid="ignore"):
+        noticed = np.abs(moved) > least
+    change = np.log(ratio[~open_cell & np.isfinite(ratio)])
+    if not np.any(noticed) or not change.size:
+        return NOTHING
+    strongest = float(np.max(np.abs(change)))
+    pressing, sucking = (float(np.max(sign * change)) > SHARE * strongest for sign in (-1, 1))
+    if pressing and sucking:
+        return BOTH
+    return SUCKING if sucking else PRESSING

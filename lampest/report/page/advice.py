@@ -1,6 +1,6 @@
 """Which estimator to take on these data, and why, in sentences."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,14 +8,13 @@ import numpy as np
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.compared import PREDICTION, Comparison, Standing
 from lampest.report.page.measures import Measures
-from lampest.report.page.template import between, digits, listed, signed, weights_text
-from lampest.report.strongest import counted
+from lampest.report.page.template import between, signed, weights_text
+from lampest.report.words import counted, digits, listed
 
-FEW, MOST_NAMED = 5, 4  # units whose intervals are rough, estimators that a sentence names
+FEW = 5  # units: intervals over fewer are uncertain themselves
+MOST_NAMED = 4  # estimators that a sentence names
 FASTER = 1.1  # times of two estimators are the same below this ratio
 PRACTICAL = 0.05  # of the smallest criterion: nobody sees a difference below a twentieth in a map or in a force
-LARGEST_SPREAD = 1.5  # of residuals in units of the noise, up to which they are taken for noise
-LEAST_COVERAGE = 90.0  # percent of true values in 95 % intervals, below which a warning is due
 
 
 @dataclass(frozen=True)
@@ -36,11 +35,14 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     one only means a weaker penalty.
     """
     if comparison is None:
-        return Advice(None, "There is nothing to choose from.", _alone(batch), _left_out(matched(batch.subjects)))
+        alone = "There are no frames that two estimators both solved in the recordings that can be compared."
+        if len(batch.estimators) == 1:
+            alone = f"{batch.estimators[0]} is the only estimator."
+        return Advice(None, "There is nothing to choose from.", (alone,), _left_out(matched(batch.subjects)))
     warnings = (*_few(comparison), *_left_out(comparison.match))
     if not comparison.criterion.decides:
         headline = "These results do not tell which estimator is nearest to the cells."
-        return Advice(None, headline, _untold(comparison), warnings)
+        return Advice(None, headline, _undecided(comparison), warnings)
     best = comparison.standings[0]
     alike = [row for row in comparison.standings if row.mean.value <= (1 + PRACTICAL) * best.mean.value]
     taken = min(alike, key=lambda row: comparison.milliseconds(row.estimator))
@@ -51,26 +53,28 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     headline = f"On these data take {named}."
     if len(alike) > 1:
         why = "the smallest error" if taken is best else "the fastest"
-        headline = f"No practical difference between {listed(_named(alike))}; {named} is {why} of them."
-    return Advice(taken.estimator, headline, _reasons(comparison, taken, alike), warnings)
+        names = _some([row.estimator for row in alike], "more")
+        headline = f"No practical difference between {names}; {named} is {why} of them."
+    return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, alike)), warnings)
 
 
-def _named(rows: Sequence[Standing]) -> list[str]:
-    names = [row.estimator for row in rows[:MOST_NAMED]]
-    return names + ([f"{len(rows) - MOST_NAMED} more"] if len(rows) > MOST_NAMED else [])
+def _some(texts: list[str], more: str) -> str:
+    """The first few in a list, and how many more there are."""
+    left = len(texts) - MOST_NAMED
+    return listed(texts[:MOST_NAMED] + ([f"{left} {more}"] if left > 0 else []))
 
 
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong."""
     sentences = []
-    spreads = [own.spread for own in found if own.spread is not None]
-    if spreads and (spread := float(np.median(spreads))) > LARGEST_SPREAD:
+    spread = float(np.median([value for own in found for value in own.values("spread")] or [0.0]))
+    if spread > 1.5:
         sentences.append(
             f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
             "larger than the scene says, the model lacks an effect, or the penalty is too strong."
         )
-    covered = [own.coverage.value for own in found if own.coverage is not None]
-    if covered and (coverage := float(np.mean(covered))) < LEAST_COVERAGE:
+    coverage = float(np.mean([value for own in found for value in own.values("coverage")] or [100.0]))
+    if coverage < 90:
         sentences.append(
             f"The 95 % intervals of {estimator} cover the truth for {digits(coverage, 2)} % of the cells: the readings "
             "contain more than the noise, the scene and the penalty account for."
@@ -78,30 +82,29 @@ def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> tuple[str, ...]:
+def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
     best, criterion = comparison.standings[0], comparison.criterion
-    unit, points = criterion.unit, criterion.difference_unit
-    found = [f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, unit)}, {_basis(comparison)}."]
+    points = criterion.difference_unit
+    smallest = between(best.mean, criterion.unit)
+    yield f"{best.estimator} has the smallest {criterion.name}: {smallest}, {_basis(comparison)}."
     others = [f"{row.estimator} ({signed(row.against_best.difference, points)})" for row in alike if row is not best]
     if others:
-        found.append(f"Within a twentieth of it: {listed(others)}.")
+        yield f"Within a twentieth of it: {listed(others)}."
     if taken is not best:
-        slow, fast = (comparison.milliseconds(row.estimator) for row in (best, taken))
-        found.append(f"{taken.estimator} takes {digits(fast, 2)} ms a frame, {best.estimator} {digits(slow, 2)} ms.")
+        slow, fast = (digits(comparison.milliseconds(row.estimator), 2) for row in (best, taken))
+        yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in alike]
-    unsure = [row.estimator for row in worse if not row.against_best.told_apart]
     if worse:
-        texts = [f"{row.estimator} by {signed(row.against_best.difference)}" for row in worse[:MOST_NAMED]]
-        texts += [f"{len(worse) - MOST_NAMED} more by more than that"] if len(worse) > MOST_NAMED else []
-        found.append(f"Larger than that of {best.estimator}, in {points}: {listed(texts)}.")
+        texts = [f"{row.estimator} by {signed(row.against_best.difference)}" for row in worse]
+        yield f"Larger than that of {best.estimator}, in {points}: {_some(texts, 'more by more than that')}."
+    unsure = [row.estimator for row in worse if not row.against_best.told_apart]
     if unsure:
-        found.append(f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger.")
+        yield f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger."
     if criterion is PREDICTION:
-        found.append(
+        yield (
             "The truth is unknown, so this rests on how well fresh readings would be predicted: the misfit, charged "
             "for every cell that follows its reading's noise. It is as right as the noise that the results name."
         )
-    return tuple(found)
 
 
 def _basis(comparison: Comparison) -> str:
@@ -113,21 +116,20 @@ def _basis(comparison: Comparison) -> str:
     return f"mean over {counted(units, 'recording')} with {frames} (95 % interval)"
 
 
-def _few(comparison: Comparison) -> tuple[str, ...]:
-    units, sentences = len(comparison.scores.values), []
-    if comparison.scores.over_frames:
-        sentences.append("One recording only: intervals are over its frames and say nothing of another animal or day.")
+def _few(comparison: Comparison) -> Iterator[str]:
+    units, over_frames = len(comparison.scores.values), comparison.scores.over_frames
+    if over_frames:
+        yield "One recording only: intervals are over its frames and say nothing of another animal or day."
     if units < FEW:
-        noun = "frame" if comparison.scores.over_frames else "recording"
-        sentences.append(f"{counted(units, noun)} only: intervals over fewer than {FEW} are rough, mostly too short.")
-    return tuple(sentences)
+        noun = counted(units, "frame" if over_frames else "recording")
+        yield f"{noun} only: intervals over fewer than {FEW} are rough, mostly too short."
 
 
 def _left_out(match: Matched) -> tuple[str, ...]:
     return tuple(f"Not compared: {sentence}." for sentence in match.left_out)
 
 
-def _untold(comparison: Comparison) -> tuple[str, ...]:
+def _undecided(comparison: Comparison) -> tuple[str, ...]:
     first, quickest = comparison.standings[0], comparison.times[0]
     return (
         "The truth is unknown, and so is what would stand in for it: the noise of the readings with the resolution.",
@@ -135,9 +137,3 @@ def _untold(comparison: Comparison) -> tuple[str, ...]:
         "error grows with every penalty, good or bad.",
         f"The fastest is {quickest.estimator}, {digits(comparison.milliseconds(quickest.estimator), 2)} ms a frame.",
     )
-
-
-def _alone(batch: Batch) -> tuple[str, ...]:
-    if len(batch.estimators) == 1:
-        return (f"{batch.estimators[0]} is the only estimator.",)
-    return ("There are no frames that two estimators both solved in the recordings that can be compared.",)

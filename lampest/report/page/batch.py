@@ -3,17 +3,15 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.report.page.template import listed
+from lampest.report.words import listed
 from lampest.runs.results import CaseResult, read_results
 
-GIVEN = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
 LEAST_SOLVED = 0.95  # of the frames, by an estimator that is compared
 
 
@@ -99,11 +97,12 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
 
 
 def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
-    pairs = ((getattr(one, name), getattr(other, name)) for name in GIVEN)
-    return all((a is None) == (b is None) and (a is None or np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
+    names = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
+    pairs = ((getattr(one, name), getattr(other, name)) for name in names)
+    return all(a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
 
 
-def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], tuple[str, ...]]:
+def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], list[str]]:
     """The recordings that are no copies, and a sentence on each of the others.
 
     One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
@@ -112,18 +111,14 @@ def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], tuple[st
     kept: list[tuple[Subject, set[bytes]]] = []
     copies: list[str] = []
     for subject in subjects:
-        own = _digests(subject.cases[0])
-        before = next((one.name for one, seen in kept if sum(digest in seen for digest in own) > len(own) / 2), None)
+        measured = subject.cases[0].measured
+        own = [np.float32(frame).tobytes() for frame in measured if np.isfinite(frame).any()]
+        before = next((one.name for one, seen in kept if sum(frame in seen for frame in own) > len(own) / 2), None)
         if before is None:
             kept.append((subject, set(own)))
         else:
             copies.append(f"{subject.name}, whose readings are those of {before}: a copy does not count again")
-    return [subject for subject, _ in kept], tuple(copies)
-
-
-def _digests(case: CaseResult) -> list[bytes]:
-    """Of the readings of every frame that has some."""
-    return [sha256(np.float32(frame).tobytes()).digest() for frame in case.measured if np.isfinite(frame).any()]
+    return [subject for subject, _ in kept], copies
 
 
 def matched(subjects: Sequence[Subject]) -> Matched:
@@ -132,11 +127,12 @@ def matched(subjects: Sequence[Subject]) -> Matched:
     One that failed in more than a twentieth of the frames is left out, so that it does not profit from having skipped
     what is hard; of the others, the frames count that all of them solved.
     """
-    subjects, copies = without_copies(subjects)
+    subjects, left_out = without_copies(subjects)
     names, common = _shared(subjects)
     every = dict.fromkeys(case.estimator for subject in subjects for case in subject.cases)
     fewer = [name for name in every if name not in names]
-    left_out = [*copies, *([f"{listed(fewer)}, for want of results of the same recordings"] if fewer else [])]
+    if fewer:
+        left_out.append(f"{listed(fewer)}, for want of results of the same recordings")
     if len(common) < len(subjects):
         left_out.append(f"{len(subjects) - len(common)} of {len(subjects)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():
@@ -144,14 +140,13 @@ def matched(subjects: Sequence[Subject]) -> Matched:
         if np.mean(solved) < LEAST_SOLVED:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
-    chosen = []
-    for subject in common:
-        cases = [case for case in subject.cases if case.estimator in names]
-        chosen.append(np.all([case.solved for case in cases], axis=0) if cases else np.zeros(subject.frames, bool))
-    kept = [index for index, frames in enumerate(chosen) if np.any(frames)]
-    return Matched(
-        tuple(names), tuple(common[index] for index in kept), tuple(chosen[index] for index in kept), tuple(left_out)
-    )
+    kept = []
+    for subject in common if names else ():
+        frames = np.all([case.solved for case in subject.cases if case.estimator in names], axis=0)
+        if np.any(frames):
+            kept.append((subject, frames))
+    chosen = tuple(frames for _, frames in kept)
+    return Matched(tuple(names), tuple(subject for subject, _ in kept), chosen, tuple(left_out))
 
 
 def _shared(subjects: Sequence[Subject]) -> tuple[list[str], list[Subject]]:

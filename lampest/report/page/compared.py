@@ -21,27 +21,6 @@ from lampest.report.page.measures import (
 )
 from lampest.runs.case import CaseResult
 
-OUTLIER = 5.0  # standard deviations: what larger residuals count as
-SHORTEST_MS = 1e-3  # what a clock shows as zero counts as
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """What is compared.
-
-    Parameters
-    ----------
-    estimators : names. values : (units, estimators), smaller is better.
-    units : their names; recordings, or the frames of one recording. block : so many neighbouring units are drawn
-    together, 1 for recordings.
-    """
-
-    estimators: tuple[str, ...]
-    values: Array
-    units: tuple[str, ...]
-    over_frames: bool
-    block: int
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -68,69 +47,77 @@ class Standing:
     wins: int
 
 
-def score(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Scores:
-    """Averages over the cells of the matched frames: one for each recording, or for each frame of a single recording.
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What is compared.
 
-    per_cell : (frames, ...) of a case, smaller is better. average : np.median or np.mean.
+    estimators : names. values : (units, estimators), smaller is better. units : names of recordings, or of the frames
+    of one recording. block : so many neighbouring units are drawn together, 1 for recordings.
     """
-    single = len(match.subjects) == 1
-    columns = []
-    for name in match.estimators:
-        pairs_of = zip(match.cases(name), match.chosen, strict=True)
-        chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
-        columns.append(average(chosen[0], axis=1) if single else np.array([average(part) for part in chosen]))
-    values = np.stack(columns, axis=1)
-    if not single:
-        return Scores(match.estimators, values, tuple(subject.name for subject in match.subjects), False, 1)
-    numbers = match.subjects[0].cases[0].frame[match.chosen[0]]
-    return Scores(match.estimators, values, tuple(f"frame {number}" for number in numbers), True, block_length(values))
 
+    estimators: tuple[str, ...]
+    values: Array
+    units: tuple[str, ...]
+    over_frames: bool
+    block: int
 
-def standings(scores: Scores, generator: np.random.Generator) -> tuple[Standing, ...]:
-    """Every estimator against the one with the smallest mean, that one first, then by their means.
+    @classmethod
+    def of(cls, match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> "Scores":
+        """Averages over the cells of the matched frames: for each recording, or each frame of a single recording.
 
-    All are drawn together, so differences are paired.
-    """
-    drawn = picks(len(scores.values), scores.block, generator)
-    order = [int(index) for index in np.argsort(scores.values.mean(axis=0), kind="stable")]
-    wins = np.sum(scores.values == scores.values.min(axis=1, keepdims=True), axis=0)
-    return tuple(
-        Standing(
-            scores.estimators[index],
-            mean_interval(scores.values[:, index], drawn),
-            _pair(scores, index, order[0], drawn),
-            int(wins[index]),
-        )
-        for index in order
-    )
+        per_cell : (frames, ...) of a case, smaller is better. average : np.median or np.mean.
+        """
+        single = len(match.subjects) == 1
+        columns = []
+        for name in match.estimators:
+            pairs_of = zip(match.cases(name), match.chosen, strict=True)
+            chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
+            columns.append(average(chosen[0], axis=1) if single else np.array([average(part) for part in chosen]))
+        values = np.stack(columns, axis=1)
+        units = tuple(subject.name for subject in match.subjects)
+        if single:
+            numbers = match.subjects[0].cases[0].frame[match.chosen[0]]
+            units = tuple(f"frame {number}" for number in numbers)
+        return cls(match.estimators, values, units, single, block_length(values) if single else 1)
 
+    def drawn(self, generator: np.random.Generator) -> Picks:
+        """Units for the bootstrap; all estimators are drawn together, so differences are paired."""
+        return picks(len(self.values), self.block, generator)
 
-def pairs(scores: Scores, generator: np.random.Generator) -> tuple[Pair, ...]:
-    """Every two estimators, each pair once in the order of their names' appearance."""
-    drawn = picks(len(scores.values), scores.block, generator)
-    return tuple(_pair(scores, *two, drawn) for two in combinations(range(len(scores.estimators)), 2))
+    def standings(self, generator: np.random.Generator) -> tuple[Standing, ...]:
+        """Every estimator against the one with the smallest mean, that one first, then by their means."""
+        drawn = self.drawn(generator)
+        order = np.argsort(self.values.mean(axis=0), kind="stable")
+        wins = np.sum(self.values == self.values.min(axis=1, keepdims=True), axis=0)
+        rows = [(mean_interval(self.values[:, one], drawn), self.pair(one, order[0], drawn)) for one in order]
+        return tuple(Standing(self.estimators[one], *row, int(wins[one])) for one, row in zip(order, rows, strict=True))
 
+    def pairs(self, generator: np.random.Generator) -> tuple[Pair, ...]:
+        """Every two estimators, each pair once in the order of their names' appearance."""
+        drawn = self.drawn(generator)
+        return tuple(self.pair(*two, drawn) for two in combinations(range(len(self.estimators)), 2))
 
-def _pair(scores: Scores, one: int, other: int, drawn: Picks) -> Pair:
-    difference = scores.values[:, one] - scores.values[:, other]
-    wins, losses = int(np.sum(difference < 0)), int(np.sum(difference > 0))
-    return Pair(scores.estimators[one], scores.estimators[other], mean_interval(difference, drawn), wins, losses)
+    def pair(self, one: int, other: int, drawn: Picks) -> Pair:
+        """Two estimators by their numbers."""
+        difference = self.values[:, one] - self.values[:, other]
+        wins, losses = int(np.sum(difference < 0)), int(np.sum(difference > 0))
+        return Pair(self.estimators[one], self.estimators[other], mean_interval(difference, drawn), wins, losses)
 
 
 @dataclass(frozen=True)
 class Criterion:
     """What estimators are ranked by; smaller is better.
 
-    name : fits 'the smallest …'. unit : of the figure. meaning : how it is defined. decides : whether a smaller figure
-    is evidence of a better estimate. per_cell : (frames, rows, columns) of a case. average : over cells and frames.
+    name : fits 'the smallest …'. unit : of the figure. meaning : how it is defined. per_cell : (frames, rows, columns)
+    of a case. average : over cells and frames. decides : whether a smaller figure is evidence of a better estimate.
     """
 
     name: str
     unit: str
     meaning: str
-    decides: bool
     per_cell: Callable[[CaseResult], Array]
     average: Callable[..., Any]
+    decides: bool = False
 
     @property
     def difference_unit(self) -> str:
@@ -163,8 +150,7 @@ def predicted(case: CaseResult) -> Array:
     Technometrics 15, 1973.
     """
     assert case.resolution is not None
-    deviation: Array = np.minimum(_residual(case) ** 2, OUTLIER**2) + 2 * case.resolution
-    return deviation
+    return np.asarray(np.minimum(_residual(case) ** 2, 25.0) + 2 * case.resolution)
 
 
 def _residual(case: CaseResult) -> Array:
@@ -178,34 +164,28 @@ CELL_ERROR = Criterion(
     "error of the cells",
     "%",
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
-    True,
     log_error,
     np.median,
+    decides=True,
 )
 PREDICTION = Criterion(
     "prediction error",
     "σ²",
     "what fresh readings are expected to deviate by from those of the estimated cells, squared and in units of their "
     "noise (Mallows' C); the truth is unknown",
-    True,
     predicted,
     np.nanmean,
+    decides=True,
 )
 WEIGHTED = Criterion(
     "data error",
     "σ",
     "|model − measured|/σ, its median over readings and frames",
-    False,
     lambda case: np.abs(_residual(case)),
     np.nanmedian,
 )
 DATA_ERROR = Criterion(
-    "data error",
-    "%",
-    "100·|model − measured|/measured, its median over readings and frames",
-    False,
-    data_error,
-    np.nanmedian,
+    "data error", "%", "100·|model − measured|/measured, its median over readings and frames", data_error, np.nanmedian
 )
 
 
@@ -219,28 +199,14 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     match = matched(known or batch.subjects)
     if len(match.estimators) < 2 or not match.subjects:
         return None
-    criterion = CELL_ERROR if known else _without_truth(match)
-    scores = score(match, criterion.per_cell, criterion.average)
-    speed = score(match, _log_milliseconds, np.median)
-    drawn = generator.spawn(3)
-    return Comparison(
-        criterion,
-        match,
-        scores,
-        standings(scores, drawn[0]),
-        pairs(scores, drawn[1]),
-        speed,
-        standings(speed, drawn[2]),
-    )
-
-
-def _without_truth(match: Matched) -> Criterion:
     cases = [case for name in match.estimators for case in match.cases(name)]
-    if any(case.sigma is None for case in cases):
-        return DATA_ERROR
-    return WEIGHTED if any(case.resolution is None for case in cases) else PREDICTION
-
-
-def _log_milliseconds(case: CaseResult) -> Array:
-    milliseconds: Array = np.log(np.fmax(1e3 * case.solve_time, SHORTEST_MS))
-    return milliseconds
+    criterion = CELL_ERROR if known else PREDICTION
+    if not known and any(case.sigma is None for case in cases):
+        criterion = DATA_ERROR
+    elif not known and any(case.resolution is None for case in cases):
+        criterion = WEIGHTED
+    scores = Scores.of(match, criterion.per_cell, criterion.average)
+    speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
+    first, second, third = generator.spawn(3)
+    standings, pairs = scores.standings(first), scores.pairs(second)
+    return Comparison(criterion, match, scores, standings, pairs, speed, speed.standings(third))

@@ -1,10 +1,9 @@
 """Figures of one case: errors, residuals, intervals, times; and where two cases differ significantly."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import ceil
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,7 @@ from lampest.report.compare import data_error, relative_error
 from lampest.runs.case import CaseResult
 
 MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
-SMALLEST = 1e-300  # ohm: the logarithm of none is none
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
-ENDS = (2.5, 97.5)  # percentiles
 BINS = 400  # of a median's distribution
 Picks = NDArray[np.intp]
 
@@ -28,6 +25,12 @@ class Interval:
     value: float
     lower: float
     upper: float
+
+    @classmethod
+    def of(cls, value: float, draws: Array) -> "Interval":
+        """From what the figure is for each of the draws."""
+        lower, upper = np.percentile(draws, (2.5, 97.5))
+        return cls(value, float(lower), float(upper))
 
     @property
     def covers_zero(self) -> bool:
@@ -63,7 +66,7 @@ def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
 
 def mean_interval(values: Array, drawn: Picks) -> Interval:
     """The mean of (units) values and its interval."""
-    return _interval(float(np.mean(values)), values[drawn].mean(axis=1))
+    return Interval.of(float(np.mean(values)), values[drawn].mean(axis=1))
 
 
 def median_interval(values: Array, drawn: Picks) -> Interval:
@@ -80,87 +83,54 @@ def median_interval(values: Array, drawn: Picks) -> Interval:
     row = np.arange(len(share))
     before = np.where(place > 0, share[row, place - 1], 0.0)
     within = (0.5 - before) / (share[row, place] - before)
-    return _interval(float(np.median(values)), edges[place] + within * (edges[place + 1] - edges[place]))
-
-
-def _interval(value: float, draws: Array) -> Interval:
-    lower, upper = np.percentile(draws, ENDS)
-    return Interval(value, float(lower), float(upper))
+    return Interval.of(float(np.median(values)), edges[place] + within * (edges[place + 1] - edges[place]))
 
 
 @dataclass(frozen=True)
 class Measures:
-    """One case over its solved frames; None where the results do not say.
+    """One case over its solved frames.
 
-    Parameters
-    ----------
-    frames, solved, cells : number of frames, of solved ones, and of the cells in these.
-    failures : (sentence, frame numbers) of the frames that failed.
-    cell_error : median of |r − r_true|/r_true, percent. log_error : median of |ln(r/r_true)|, percent.
-    data_error : mean of |model − measured|/measured over readings that are values, percent.
-    misfit : mean square of (model − measured)/σ. spread : robust standard deviation of the same.
-    width : mean of (upper − lower)/r of the 95 % intervals that have an end, percent. endless : how many have none.
-    coverage : share of true values within their intervals, percent. free_coverage : of cells away from bounds.
-    share : median share of an estimate that the data decide, percent.
-    time : median time per frame, ms. open, low, saturated : so many cells.
-    optima : how many frames end at a local optimum, and from how few and how many starts. missing, bounds : so many
-    readings; None where there is none. pressure : smallest and largest, kPa.
+    figures : by the names that `page.tables.LINES` explains, as far as the results say. cells : of the solved frames.
     """
 
-    frames: int
+    case: CaseResult
     solved: int
     cells: int
-    failures: tuple[tuple[str, tuple[int, ...]], ...]
-    weights: dict[str, Array]
-    open: int
-    low: int
-    saturated: int | None
-    missing: int | None
-    bounds: int | None
-    optima: tuple[int, int, int] | None
-    cell_error: Interval | None = None
-    data_error: float | None = None
-    misfit: float | None = None
-    spread: float | None = None
-    width: float | None = None
-    endless: int | None = None
-    coverage: Interval | None = None
-    free_coverage: Interval | None = None
-    share: float | None = None
-    time: float | None = None
-    pressure: tuple[float, float] | None = None
+    figures: Mapping[str, float | Interval]
+
+    def values(self, name: str) -> list[float]:
+        """The figure without its interval; none where the results do not say."""
+        known = self.figures.get(name)
+        return [] if known is None else [known.value if isinstance(known, Interval) else known]
+
+    @property
+    def failures(self) -> dict[str, list[int]]:
+        """Sentence → numbers of the frames that failed so."""
+        failed: dict[str, list[int]] = {}
+        for index in np.flatnonzero(~self.case.solved):
+            failed.setdefault(self.case.status[index], []).append(int(self.case.frame[index]))
+        return failed
 
 
 @np.errstate(over="ignore")
 def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
     """Everything of one case; intervals from frames drawn in blocks."""
     good = case.solved
-    known = _of_solved(case, generator) if np.any(good) else {}
-    failed = list(zip(case.status, case.frame, good, strict=True))
-    texts = dict.fromkeys(text for text, _, solved in failed if not solved)
-    return Measures(
-        frames=len(good),
-        solved=int(np.sum(good)),
-        cells=int(case.measured[good].size),
-        failures=tuple(
-            (text, tuple(int(frame) for status, frame, solved in failed if status == text and not solved))
-            for text in texts
-        ),
-        weights=case.weights,
-        open=int(np.sum(case.open_cell[good] != 0)),
-        low=int(np.sum(case.at_lower_bound[good] != 0)),
-        saturated=None if case.saturated is None else int(np.sum(case.saturated[good] != 0)),
-        missing=None if case.missing_readings is None else int(np.sum(case.missing_readings)) or None,
-        bounds=None if case.bound_readings is None else int(np.sum(case.bound_readings)) or None,
-        optima=case.local_optima,
-        **known,
-    )
+    flags = {"open": case.open_cell, "low": case.at_lower_bound, "saturated": case.saturated}
+    readings = {"missing": case.missing_readings, "bounds": case.bound_readings}
+    known: dict[str, float | Interval | None] = {
+        **{name: int(np.sum(values[good] != 0)) for name, values in flags.items() if values is not None},
+        **{name: int(np.sum(values)) or None for name, values in readings.items() if values is not None},
+        **(_of_solved(case, generator) if np.any(good) else {}),
+    }
+    figures = {name: value for name, value in known.items() if value is not None}
+    return Measures(case, int(np.sum(good)), int(case.measured[good].size), figures)
 
 
-def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, Any]:
+def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
     """Figures of the solved frames, of which there is one at least."""
-    good, cells = case.solved, case.measured[case.solved].size
-    known: dict[str, Any] = {
+    good = case.solved
+    known: dict[str, float | Interval | None] = {
         "data_error": _mean(data_error(case)[good]),
         "time": 1e3 * float(np.median(case.solve_time[good])),
     }
@@ -175,7 +145,7 @@ def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, An
     lower, upper = case.cell_resistance_lower, case.cell_resistance_upper
     if lower is not None and upper is not None:
         widths = (100 * (upper - lower) / case.cell_resistance)[good]
-        known["width"], known["endless"] = _mean(widths), int(cells - np.sum(np.isfinite(widths)))
+        known["width"], known["endless"] = _mean(widths), int(np.sum(~np.isfinite(widths)))
         if case.truth is not None:
             within = ((lower <= case.truth) & (case.truth <= upper))[good]
             free = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good]
@@ -184,23 +154,22 @@ def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, An
     if case.data_share is not None:
         known["share"] = 100 * float(np.median(case.data_share[good]))
     if case.pressure is not None:
-        known["pressure"] = float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))
+        known["suction"], known["contact"] = float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))
     return known
 
 
 def log_error(case: CaseResult) -> Array:
     """100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN where a frame failed. The case must know its truth."""
     assert case.truth is not None
-    error: Array = 100 * np.abs(np.log(np.maximum(case.cell_resistance, SMALLEST) / case.truth))
-    return error
+    positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
+    return np.asarray(100 * np.abs(np.log(positive / case.truth)))
 
 
 def weighted_residual(case: CaseResult) -> Array | None:
     """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
     if case.sigma is None:
         return None
-    residual: Array = (case.reading_model - case.measured) / case.sigma
-    return np.asarray(np.where(case.valued, residual, np.nan))
+    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
 
 
 def _share(within: NDArray[np.bool_], counted: NDArray[np.bool_], generator: np.random.Generator) -> Interval | None:
@@ -213,7 +182,6 @@ def _share(within: NDArray[np.bool_], counted: NDArray[np.bool_], generator: np.
 
 
 def _mean(values: Array) -> float | None:
-    """Of the numbers; None where there is none."""
     numbers = values[np.isfinite(values)]
     return float(numbers.mean()) if numbers.size else None
 
@@ -248,20 +216,17 @@ def _disagreement(one: CaseResult, other: CaseResult) -> Disagreement:
     That is exact for independent normal errors. Both estimates rest on the same readings, so that their errors agree in
     part, and fewer than one cell in twenty is marked by chance. Source: Zou and Donner, Stat. Med. 27, 2008.
     """
-    both = one.solved & other.solved
     difference = one.relative_change - other.relative_change
+    (below, above), (other_below, other_above) = _arms(one), _arms(other)
     with np.errstate(invalid="ignore"):
-        above = np.where(difference > 0, _arm(one, False), _arm(one, True))
-        below = np.where(difference > 0, _arm(other, True), _arm(other, False))
-        significant: NDArray[np.bool_] = np.abs(difference) > np.hypot(above, below)
-    return Disagreement(
-        one.estimator, other.estimator, difference, significant, 100 * float(np.mean(significant[both]))
-    )
+        arms = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
+        significant: NDArray[np.bool_] = np.abs(difference) > arms
+    share = 100 * float(np.mean(significant[one.solved & other.solved]))
+    return Disagreement(one.estimator, other.estimator, difference, significant, share)
 
 
-def _arm(case: CaseResult, upward: bool) -> Array:
-    """Distance from the estimate to the upper or lower end of its interval, percentage points, never negative."""
+def _arms(case: CaseResult) -> tuple[Array, Array]:
+    """Distances from the estimate to the lower and the upper end of its interval, percentage points, never negative."""
     assert case.relative_change_lower is not None and case.relative_change_upper is not None
-    end = case.relative_change_upper if upward else case.relative_change_lower
-    arm: Array = np.maximum((end - case.relative_change) * (1 if upward else -1), 0.0)
-    return arm
+    below, above = case.relative_change - case.relative_change_lower, case.relative_change_upper - case.relative_change
+    return np.maximum(below, 0.0), np.maximum(above, 0.0)

@@ -1,25 +1,28 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from lampest.files.whole import write_whole
+from lampest.report.compare import Table
+from lampest.report.page import pictures
 from lampest.report.page.advice import Advice, advise, doubts
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Comparison, compared
-from lampest.report.page.measures import DRAWS, Measures, measures
-from lampest.report.page.section import Section, section, standing_section
-from lampest.report.page.tables import batch_sheet
-from lampest.report.page.template import SHARED, filled, listed
+from lampest.report.page.measures import DRAWS, Measures, disagreements, measures
+from lampest.report.page.tables import batch_table, failures, pair_table, recording_table, standing_table, unit_table
+from lampest.report.page.template import SHARED, Illustration, filled
 from lampest.report.plots.style import verbatim
-from lampest.report.strongest import counted
+from lampest.report.strongest import strongest_index
+from lampest.report.words import counted, digits, listed
+from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
-SEED = 20190604  # of the bootstrap: the same files give the same page
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
+MOST_UNITS = 200  # whose figures are listed one by one
 WISHED = {
     "sigma": "the noise of the readings",
     "cell_resistance_lower": "error bars",
@@ -45,8 +48,7 @@ def write_report(
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """The page as HTML; on_recording as `write_report` has it."""
-    generator = np.random.default_rng(SEED)
-    over_all, each = generator.spawn(2)
+    over_all, each = np.random.default_rng(20190604).spawn(2)  # always the same draws
     own, _ = without_copies(batch.subjects)
     comparison = compared(batch, over_all)
     advice = advise(batch, comparison)
@@ -58,26 +60,80 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         advice = replace(advice, warnings=(*advice.warnings, *doubts(advice.estimator, taken)))
     whole, drawn = shown_whole(batch, comparison, advice), shown_estimators(batch, comparison)
     with verbatim():
-        standing = None if comparison is None else standing_section(comparison)
+        shown = [] if comparison is None else pictures.standings(comparison)
     tasks = [
         (subject, number, found[subject.name], drawn, subject.name in whole)
         for number, subject in enumerate(batch.subjects, 1)
     ]
     sections = each_of(_section, tasks, on_recording)
+    few = comparison is not None and len(comparison.scores.units) <= MOST_UNITS
     return filled(
         SHARED,
-        size=f"{counted(len(batch.subjects), 'recording')}, {counted(batch.frames, 'frame')}, "
-        f"{counted(len(batch.estimators), 'estimator')}",
-        sources=batch.sources,
+        batch=batch,
         advice=advice,
         missing=missing(batch),
-        standing=standing,
-        together=batch_sheet(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
+        comparison=comparison,
+        standings=comparison and standing_table(comparison),
+        pairs=comparison and pair_table(comparison),
+        units=comparison and few and unit_table(comparison),
+        pictures_of_comparison=shown,
+        together=batch_table(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
         whole=[part for part in sections if part.name in whole],
         others=[part for part in sections if part.name not in whole],
-        chosen=tuple(_why_shown(batch, comparison, advice)),
-        origins=origins(batch),
-        draws=f"{DRAWS:,}",
+        shown=_shown(comparison, advice),
+        most_whole=MOST_WHOLE,
+        most_drawn=MOST_DRAWN,
+        origins={case.estimator: case for subject in batch.subjects[::-1] for case in subject.cases[::-1]},
+        draws=DRAWS,
+        counted=counted,
+        digits=digits,
+    )
+
+
+@dataclass(frozen=True)
+class Section:
+    """A recording. brief : a few words on its estimators. place : of the frame that maps show, in `case`.
+
+    undecided : whether nobody knows where the estimators differ. failed : sentences.
+    """
+
+    name: str
+    anchor: str
+    brief: str
+    case: CaseResult
+    place: int
+    table: Table
+    pictures: tuple[Illustration, ...]
+    undecided: bool
+    failed: tuple[str, ...]
+
+
+def section(
+    subject: Subject, number: int, found: Mapping[str, Measures], drawn: Collection[str], whole: bool
+) -> Section:
+    """Table and contours of one recording; every other figure too where it is shown whole.
+
+    found : estimator → its figures. drawn : the estimators that pictures show, of those that the recording has.
+    """
+    cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
+    place = strongest_index(cases)
+    shown, pairs = [pictures.contours(cases)], disagreements(cases) if whole else ()
+    if whole:
+        shown += [
+            *pictures.certainty(cases, place),
+            *pictures.residuals(cases, place),
+            *pictures.differences(cases, place, pairs),
+        ]
+    return Section(
+        subject.name,
+        f"recording-{number}",
+        _brief(found),
+        cases[0],
+        place,
+        recording_table(found),
+        tuple(shown),
+        whole and len(cases) > 1 and not pairs,
+        failures(found),
     )
 
 
@@ -86,23 +142,36 @@ def _section(task: tuple[Subject, int, dict[str, Measures], tuple[str, ...], boo
         return section(*task)
 
 
+def _brief(found: Mapping[str, Measures]) -> str:
+    """The range of the cell errors, and failures."""
+    errors = sorted((value, name) for name, own in found.items() for value in own.values("cell_error"))
+    failed = sum(len(own.case.time) - own.solved for own in found.values())
+    parts = [f"{counted(failed, 'frame')} failed"] if failed else []
+    if errors:
+        low, high = (f"{digits(value)} % ({name})" for value, name in (errors[0], errors[-1]))
+        parts.insert(0, f"median cell error {low} to {high}")
+    return ", ".join(parts)
+
+
+def _shown(comparison: Comparison | None, advice: Advice) -> str | None:
+    """The estimator by which recordings are chosen; None where they are taken as they come."""
+    if comparison is None or comparison.scores.over_frames:
+        return None
+    return advice.estimator or comparison.standings[0].estimator
+
+
 def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> frozenset[str]:
     """The recordings that get all figures: everyone of a few; else the two best, middle and worst ones.
 
     By the criterion, for the estimator that is recommended or stands first.
     """
-    names = [subject.name for subject in batch.subjects]
-    if len(names) <= MOST_WHOLE or comparison is None or comparison.scores.over_frames:
+    names, estimator = [subject.name for subject in batch.subjects], _shown(comparison, advice)
+    if len(names) <= MOST_WHOLE or comparison is None or estimator is None:
         return frozenset(names[:MOST_WHOLE])
-    units = comparison.scores.units
-    column = comparison.scores.estimators.index(_shown(comparison, advice))
-    order = np.argsort(comparison.scores.values[:, column], kind="stable")
+    scores = comparison.scores
+    order = np.argsort(scores.values[:, scores.estimators.index(estimator)], kind="stable")
     middle = len(order) // 2
-    return frozenset(units[place] for place in (*order[:2], *order[middle - 1 : middle + 1], *order[-2:]))
-
-
-def _shown(comparison: Comparison, advice: Advice) -> str:
-    return advice.estimator or comparison.standings[0].estimator
+    return frozenset(scores.units[place] for place in (*order[:2], *order[middle - 1 : middle + 1], *order[-2:]))
 
 
 def shown_estimators(batch: Batch, comparison: Comparison | None) -> tuple[str, ...]:
@@ -111,25 +180,8 @@ def shown_estimators(batch: Batch, comparison: Comparison | None) -> tuple[str, 
     return tuple(dict.fromkeys((*standing, *batch.estimators)))[:MOST_DRAWN]
 
 
-def _why_shown(batch: Batch, comparison: Comparison | None, advice: Advice) -> Iterator[str]:
-    """Why these recordings are shown whole, and why these estimators in figures, where not all are."""
-    recordings, estimators = len(batch.subjects), len(batch.estimators)
-    if recordings > MOST_WHOLE:
-        if comparison is None or comparison.scores.over_frames:
-            yield f"All figures for the first {MOST_WHOLE} of {recordings} recordings."
-        else:
-            yield (
-                f"All figures for {MOST_WHOLE} of {recordings} recordings: those where {_shown(comparison, advice)} "
-                f"has the two smallest, the two middle and the two largest values of the {comparison.criterion.name}."
-            )
-    if estimators > MOST_DRAWN:
-        first = "first" if comparison is None else f"first by the {comparison.criterion.name}"
-        shown = f"The figures of recordings show the {MOST_DRAWN} estimators that stand {first}"
-        yield f"{shown}, the tables all {estimators}."
-
-
 def missing(batch: Batch) -> str:
-    """One sentence on what the results do not hold; empty where they hold all."""
+    """What the results do not hold; empty where they hold all."""
     cases = [case for subject in batch.subjects for case in subject.cases]
     parts = []
     for field, name in WISHED.items():
@@ -137,17 +189,4 @@ def missing(batch: Batch) -> str:
         lacking = sum(value is None or (isinstance(value, dict) and not value) for value in known)
         if lacking:
             parts.append(name + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
-    return f"These results lack {listed(parts)}; what follows from them is left out." if parts else ""
-
-
-def origins(batch: Batch) -> list[dict[str, str]]:
-    """The first case of every estimator: `estimator`, the resolved case as YAML `text`, `versions` that solved it."""
-    first = {case.estimator: case for subject in reversed(batch.subjects) for case in reversed(subject.cases)}
-    return [
-        {
-            "estimator": name,
-            "text": first[name].case_yaml,
-            "versions": ", ".join(f"{library} {number}" for library, number in sorted(first[name].versions.items())),
-        }
-        for name in batch.estimators
-    ]
+    return listed(parts) if parts else ""

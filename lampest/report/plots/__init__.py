@@ -6,6 +6,7 @@ A package adds plots by naming them in the entry point group `lampest.plots`, a 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from mimetypes import guess_type
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -14,12 +15,11 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
-from lampest.report.plots.contours import CertaintyPlot, ContourPlot
+from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResistancePlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
-from lampest.report.plots.resistance import ResistancePlot
-from lampest.report.plots.style import SUFFIXES, save, verbatim, write_all
+from lampest.report.plots.style import PICTURES, SUFFIXES, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
@@ -27,7 +27,6 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stor
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
 PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
 MOST_TOGETHER = 20  # estimators that one picture shows
-OTHER_SUFFIXES = (".jpg", ".jpeg", ".gif", ".bmp", ".tif", ".tiff", ".webp", ".eps", ".ps")
 
 
 def plot_of(kind: str) -> Plot:
@@ -56,13 +55,12 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
-    More than MOST_TOGETHER estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on.
-    What is drawn for every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or
-    .pdf file where there is one picture. columns : as `read_results` takes them.
-    on_picture : gets how many of how many pictures are drawn. frame : index into the recordings; its pictures are
-    called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; png where
-    neither it nor `out` says. frames : as `read_results` takes them; of a long recording that one alone which is to be
-    drawn. Returns the files that were written.
+    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on. What is drawn for
+    every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or .pdf file where
+    there is one picture. columns, frames : as `read_results` takes them. frame : index into the recordings; its
+    pictures are called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or
+    pdf; png where neither it nor `out` says. on_picture : gets how many of how many pictures are drawn. Returns the
+    files that were written.
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
@@ -81,20 +79,20 @@ def plot_results(
         results = results.named("recording", recordings).named("estimator", estimators)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    pictures = list(_pictures(results, plot))
+    pictures = dict(_pictures(results, plot))
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:
-        names = ", ".join(name for name, _ in pictures[:3]) + ", …" * (len(pictures) > 3)
+        names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
         raise InputError(
             f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
             "name a folder"
         )
     ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
-    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name, _ in pictures]
+    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name in pictures]
     drawn = [
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
-        for _, cases in pictures
+        for cases in pictures.values()
     ]
     return write_all(drawn, files, on_picture, here=not isinstance(show, str))
 
@@ -120,18 +118,6 @@ def plot_file(path: Path, picture: Path) -> Path:
     return picture
 
 
-def _check_form(target: Path | None, form: str | None) -> None:
-    """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
-    if form is not None and f".{form}" not in SUFFIXES:
-        raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
-    if target is None:
-        return
-    if target.suffix.lower() in OTHER_SUFFIXES:
-        raise InputError(f"{target}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    if form is not None and target.suffix in SUFFIXES and target.suffix != f".{form}":
-        raise InputError(f"{target}: is no name of a picture in {form}")
-
-
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
     """One picture of a recording's cases; of one of them where the plot draws them apart.
 
@@ -153,19 +139,30 @@ def _chosen(show: str | Plot, frame: int | None) -> Plot:
     return plot if frame is None else replace(plot, frame=frame)
 
 
+def _check_form(target: Path | None, form: str | None) -> None:
+    """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
+    if form is not None and f".{form}" not in SUFFIXES:
+        raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
+    if target is None or (target.suffix in SUFFIXES and form in (None, target.suffix[1:])):
+        return
+    if target.suffix in SUFFIXES:
+        raise InputError(f"{target}: is no name of a picture in {form}")
+    if (guess_type(target)[0] or "").startswith(("image/", "application/postscript")):
+        raise InputError(f"{target}: {PICTURES}")
+
+
 def _lacks(plot: Plot) -> str:
-    """Why there is nothing to draw."""
     return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
 
 
 def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseResult, ...]]]:
-    """(name, cases) of every picture; more estimators than one picture holds go on several, of that many each."""
+    """(name, cases) of every picture; more estimators than one picture holds go on several."""
     for recording in results.recordings():
         cases = plot.drawable(results.of(recording))
         if plot.apart:
             yield from ((f"{recording}_{case.estimator}", (case,)) for case in cases)
-        elif len(cases) <= MOST_TOGETHER:
-            yield from [(recording, cases)] if cases else ()
-        else:
+        elif len(cases) > MOST_TOGETHER:
             for page, first in enumerate(range(0, len(cases), MOST_TOGETHER), 1):
                 yield f"{recording}_{page}", cases[first : first + MOST_TOGETHER]
+        elif cases:
+            yield recording, cases

@@ -1,10 +1,10 @@
-"""Maps of one frame side by side: relative change by every estimator, and how certain each of them is."""
+"""Maps of one frame side by side: relative change, certainty, or resistance, by every estimator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from textwrap import fill
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +18,8 @@ from lampest.report.plots.maps import (
     Scale,
     Tile,
     banded_scale,
-    positive_scale,
+    percent_scale,
+    resistance_scale,
     resolution_scale,
     signed_scale,
 )
@@ -26,18 +27,17 @@ from lampest.report.plots.plot import Plot, frame_title, shown_index
 from lampest.report.plots.style import (
     SMALL_POINT,
     TALLEST_INCH,
-    TEXT_POINT,
     WIDTH_INCH,
     change_text,
+    labelled,
     new_figure,
-    shared_labels,
+    shared_legend,
     short_title,
 )
 from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
 MOST_ACROSS = 7  # maps side by side, an inch wide each
-LEAST_ERROR, MOST_ERROR = 3.0, 5.0  # standard deviations at the ends of the scale of errors
 
 
 @dataclass(frozen=True)
@@ -65,15 +65,9 @@ class ContourPlot(Plot):
         grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
         painter.draw_all(grid, [_lettered(number, tile, across) for number, tile in enumerate(tiles)])
         painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-        figure.supxlabel(f"{ACROSS_LABEL}; bands interpolate between the cells (dots)", fontsize=TEXT_POINT)
-        figure.supylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-        labelled = shared_labels(grid)
-        if len(labelled) > 1:
-            look: dict[str, Any] = {"ncols": 2, "fontsize": SMALL_POINT, "frameon": False}
-            figure.legend(labelled.values(), labelled.keys(), loc="outside lower right", **look)
+        shared_legend(figure, grid, "lower right", least=2, ncols=2)
         title = f"{cases[0].recording}: {frame_title(cases[0], index, self.frame)}"
-        figure.suptitle(title, fontsize=TEXT_POINT + 1)
-        return figure
+        return labelled(figure, f"{ACROSS_LABEL}; bands interpolate between the cells (dots)", DOWN_LABEL, title)
 
 
 def _tiles(cases: Sequence[CaseResult], index: int) -> list[Tile]:
@@ -115,17 +109,14 @@ def _maps_across(maps: int, panel: Panel) -> int:
 
 
 def _height(across: int, down: int, panel: Panel) -> float:
-    """Inches that `down` maps of the panel's proportions and their titles need."""
-    return down * (_width(across) * _extent(panel.rows) / _extent(panel.columns) + 0.4) + 0.8
+    """Inches that `down` maps of the panel's proportions, edge to edge of their centres, and their titles need."""
+    tall, wide = (max(lines - 1.0, 1.0) for lines in panel.shape)
+    return down * (_width(across) * tall / wide + 0.4) + 0.8
 
 
 def _width(across: int) -> float:
     """Inches of one map."""
     return (WIDTH_INCH - 1.0) / across - 0.2
-
-
-def _extent(lines: int) -> float:
-    return lines - 1.0 if lines > 1 else 1.0
 
 
 @dataclass(frozen=True)
@@ -156,13 +147,9 @@ class CertaintyPlot(Plot):
             for axes, case, values in zip(grid[number], cases, maps, strict=True):
                 painter.draw(axes, Tile("" if number else short_title(case.estimator), values))
             painter.bar(figure, grid[number], "right")
-        figure.supxlabel(f"{ACROSS_LABEL}; grey: no number (failed frame or open cell)", fontsize=TEXT_POINT)
-        figure.supylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-        title = (
-            f"{first.recording}: frame {first.frame[index]} at {first.time[index]:g} s, 95 % intervals reach 1.96 sd"
-        )
-        figure.suptitle(title, fontsize=TEXT_POINT + 1)
-        return figure
+        at = f"frame {first.frame[index]} at {first.time[index]:g} s"
+        title = f"{first.recording}: {at}, 95 % intervals reach 1.96 sd"
+        return labelled(figure, f"{ACROSS_LABEL}; grey: no number (failed frame or open cell)", DOWN_LABEL, title)
 
 
 def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Array]]]:
@@ -171,16 +158,48 @@ def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Arr
     deviations = [_finite(100 * errors[index] / cells) for cells, errors, _ in known if errors is not None]
     resolutions = [resolution[index] for *_, resolution in known if resolution is not None]
     rows = [
-        (positive_scale(deviations, "standard deviation [%]"), deviations),
+        (percent_scale(deviations, "standard deviation [%]"), deviations),
         (resolution_scale(), resolutions),
     ]
     if cases[0].truth is not None:
         truth, pairs = cases[0].truth[index], zip(known, deviations, strict=True)
         with np.errstate(divide="ignore", invalid="ignore"):
             errors = [_finite(np.log(cells / truth) / (deviation / 100)) for (cells, *_), deviation in pairs]
-        rows.append((signed_scale(errors, "error / standard deviation", LEAST_ERROR, MOST_ERROR), errors))
+        rows.append((signed_scale(errors, "error / standard deviation", least=3.0, most=5.0), errors))
     return rows
 
 
 def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
+
+
+@dataclass(frozen=True)
+class ResistancePlot(Plot):
+    """Maps of one frame: what was measured, the first six estimators' cells, the truth; r in ohm, dark where low.
+
+    For recordings without unloaded frames. `frame` is an index into the recording; without it `strongest_index`
+    chooses.
+    """
+
+    kind: ClassVar[str] = "resistance"
+
+    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+        """One picture. Raises InputError where the frame has no results."""
+        index, first = shown_index(cases, self.frame), cases[0]
+        panel = first.scene.panel
+        tiles = [Tile("measured", first.measured[index])]
+        for case in cases[:6]:
+            cells = case.cell_resistance[index] if case.solved[index] else None
+            tiles.append(Tile(short_title(case.estimator), cells))
+        if first.truth is not None:
+            tiles.append(Tile("truth", first.truth[index]))
+        scale = resistance_scale([tile.values for tile in tiles if tile.values is not None], "resistance [ohm]")
+        painter = MapPainter(panel, scale)
+        wide, tall = (float(np.nanmax(one) - np.nanmin(one)) + panel.pitch_mm for one in panel.places_mm)
+        width = min((WIDTH_INCH - 1.2) / len(tiles), (TALLEST_INCH - 1.2) * wide / tall)
+        figure = new_figure(width * tall / wide + 1.2)
+        grid = figure.subplots(1, len(tiles), squeeze=False, sharex=True, sharey=True)
+        painter.draw_all(grid, tiles)
+        painter.bar(figure, grid, "right")
+        title = f"{first.recording}: {frame_title(first, index, self.frame)}"
+        return labelled(figure, ACROSS_LABEL, DOWN_LABEL, title)

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil, erf, floor, log10, sqrt
-from typing import Any
+from math import ceil, floor, log10
+from statistics import NormalDist
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,35 +13,37 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from lampest.panel.panel import Array
-from lampest.report.plots.maps import ACROSS
+from lampest.report.plots.maps import ABREAST
 from lampest.report.plots.style import (
     BLUE,
     ORANGE,
     SMALL_POINT,
     TEXT_POINT,
     half_figure,
+    labelled,
     plain_number,
+    round_numbers,
     shared_legend,
     short_title,
 )
+from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
-BINS, LEAST_REACH = 41, 5.0  # of a histogram; its reach in standard deviations
-TALLEST = 2.5  # a histogram's axis, against the highest bin of the standard normal
 DEVIATIONS = (-3000, -100, -3, 0, 3, 100, 3000)
 CHANGES = (-50, 100, -90, 900, -80, 400, -99, 9900, -95, 1900, 200, -98, 20, -20, 10, -10, 5, -5, 2, -2)  # percent
-DRAWABLE = (1e-4, 1e6)  # r/r₀, on a logarithmic axis
 
 
-def _grid(figures: int, across: int, tall: float, room: float) -> tuple[Figure, Any, Iterator[Axes]]:
+def _grid(titles: Sequence[str], across: int, tall: float, room: float) -> tuple[Figure, Any, Iterator[Axes]]:
     """A half figure, its grid, and its axes in order; numbers of columns below the lowest, what is left over hidden."""
-    across = min(across, figures)
-    down = ceil(figures / across)
+    across = min(across, len(titles))
+    down = ceil(len(titles) / across)
     figure = half_figure(tall * down + room)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for number, axes in enumerate(grid.flat):
-        axes.set_visible(number < figures)
-        axes.tick_params(labelsize=SMALL_POINT, length=2, labelbottom=number + across >= figures)
+        axes.set_visible(number < len(titles))
+        axes.tick_params(labelsize=SMALL_POINT, length=2, labelbottom=number + across >= len(titles))
+    for axes, title in zip(grid.flat, titles, strict=False):
+        axes.set_title(short_title(title, 90 // (across + 1)), fontsize=SMALL_POINT + 0.5)
     return figure, grid, iter(grid.flat)
 
 
@@ -53,19 +56,16 @@ def profile_figure(cases: Sequence[CaseResult], place: int, row: int) -> Figure:
 
     The axis is logarithmic in r/r₀, so that −90 % and +900 % are as far from zero as each other.
     """
-    figure, grid, every = _grid(len(cases), 2, 1.25, 0.65)
+    figure, grid, every = _grid([case.estimator for case in cases], 2, 1.25, 0.65)
     limits = _limits(cases, place, row)
     for case, axes in zip(cases, every, strict=False):
         _profile(axes, case, place, row, limits)
     _change_ticks(grid[0, 0].yaxis, *limits)
-    figure.supxlabel(f"position in row {row} [mm]", fontsize=TEXT_POINT)
-    figure.supylabel("relative change of resistance [%]", fontsize=TEXT_POINT)
     shared_legend(figure, grid)
-    return figure
+    return labelled(figure, f"position in row {row} [mm]", "relative change of resistance [%]")
 
 
 def _profile(axes: Axes, case: CaseResult, place: int, row: int, limits: tuple[float, float]) -> None:
-    axes.set_title(short_title(case.estimator, 30), fontsize=SMALL_POINT + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(*limits)
     axes.axhline(1, color="0.85", lw=0.6, zorder=0)
@@ -87,27 +87,26 @@ def _profile(axes: Axes, case: CaseResult, place: int, row: int, limits: tuple[f
 
 def _ratio(change: Array) -> Array:
     """r/r₀ of a change in percent, kept where a logarithmic axis can draw it."""
-    return np.clip(1 + change / 100, *DRAWABLE)
+    return np.clip(1 + change / 100, 1e-4, 1e6)
 
 
 def _limits(cases: Sequence[CaseResult], place: int, row: int) -> tuple[float, float]:
     """Three times as far in r/r₀ as the truth goes, or the estimates where it is unknown, if anything goes there."""
     first = cases[0]
-    estimates = [_ratio(case.relative_change[place, row]) for case in cases if case.solved[place]]
-    ends = [
-        end for case in cases for end in (case.relative_change_lower, case.relative_change_upper) if end is not None
-    ]
-    far = _finite(estimates + [_ratio(end[place, row]) for end in ends])
-    held = _finite(estimates)
+    held = [case.relative_change for case in cases if case.solved[place]]
+    bars = [end for case in cases for end in (case.relative_change_lower, case.relative_change_upper)]
+    low, high = _ends([*held, *(end for end in bars if end is not None)], place, row)
     if first.truth is not None and first.truth_baseline is not None:
-        held = _finite([first.truth[place, row] / first.truth_baseline[row]])
-    low, high = max(held.min() / 3, min(far.min(), held.min())), min(held.max() * 3, max(far.max(), held.max()))
-    return float(low) / 1.15, float(high) * 1.15
+        held = [percent_change(first.truth, first.truth_baseline)]
+    inner_low, inner_high = _ends(held, place, row)
+    return max(inner_low / 3, min(low, inner_low)) / 1.15, min(inner_high * 3, max(high, inner_high)) * 1.15
 
 
-def _finite(ratios: Sequence[Array]) -> Array:
-    """All that are finite, and 1."""
-    return np.concatenate([np.ones(1), *(part[np.isfinite(part)] for part in ratios)])
+def _ends(changes: Sequence[Array], place: int, row: int) -> tuple[float, float]:
+    """The smallest and the largest r/r₀ of one row of one frame, of all that are finite, and 1."""
+    ratios = np.concatenate([np.ones(1), *(_ratio(part[place, row]) for part in changes)])
+    known = ratios[np.isfinite(ratios)]
+    return float(known.min()), float(known.max())
 
 
 def _change_ticks(axis: Axis, low: float, high: float) -> None:
@@ -126,19 +125,19 @@ def histogram_figure(residuals: Sequence[tuple[str, Array]], weighted: bool) -> 
 
     In units of σ the bins widen as sinh so that large ones are seen, and a line gives the standard normal's shares.
     """
-    figure, grid, every = _grid(len(residuals), ACROSS, 1.1, 0.7)
-    reach = _reach([values for _, values in residuals])
-    edges = np.linspace(-reach, reach, BINS + 1)
+    figure, grid, every = _grid([name for name, _ in residuals], ABREAST, 1.1, 0.7)
+    known = np.abs(np.concatenate([values.ravel() for _, values in residuals]))
+    reach = max(float(np.percentile(known, 99.8)), 1e-9) if known.size else 1.0
+    # Forty-one bins; residuals beyond the outermost are counted in these.
+    edges = np.linspace(-reach, reach, 42)
     if weighted:
-        reach = float(np.arcsinh(max(reach, LEAST_REACH)))
-        edges = np.sinh(np.linspace(-reach, reach, BINS + 1))
-    for (name, values), axes in zip(residuals, every, strict=False):
-        axes.set_title(short_title(name), fontsize=SMALL_POINT + 0.5)
+        reach = float(np.arcsinh(max(reach, 5.0)))
+        edges = np.sinh(np.linspace(-reach, reach, 42))
+    for (_, values), axes in zip(residuals, every, strict=False):
         _histogram(axes, values, edges, weighted)
-    figure.supxlabel(f"(model − measured)/{'σ' if weighted else 'measured [%]'}", fontsize=TEXT_POINT)
-    figure.supylabel("share of readings [%]", fontsize=TEXT_POINT)
     shared_legend(figure, grid)
-    return figure
+    label = f"(model − measured)/{'σ' if weighted else 'measured [%]'}"
+    return labelled(figure, label, "share of readings [%]")
 
 
 def _histogram(axes: Axes, values: Array, edges: Array, weighted: bool) -> None:
@@ -153,10 +152,11 @@ def _histogram(axes: Axes, values: Array, edges: Array, weighted: bool) -> None:
     axes.stairs(shares, edges, fill=True, color=BLUE, alpha=0.7, label="residuals")
     if not weighted:
         return
-    normal = 100 * np.diff([0.5 * (1 + erf(edge / sqrt(2))) for edge in edges])
+    normal = 100 * np.diff([NormalDist().cdf(edge) for edge in edges])
     axes.stairs(normal, edges, color="black", lw=0.8, label="standard normal")
-    axes.set_ylim(0, TALLEST * normal.max())
-    if shares.max() > TALLEST * normal.max():
+    tallest = 2.5 * normal.max()
+    axes.set_ylim(0, tallest)
+    if shares.max() > tallest:
         place: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "top", "fontsize": SMALL_POINT - 0.5}
         axes.text(0.97, 0.95, f"up to {shares.max():.0f} %", **place)
 
@@ -167,10 +167,22 @@ def _fixed_ticks(axis: Axis, ticks: Sequence[float], text: Callable[[float, int 
     axis.set_minor_locator(NullLocator())
 
 
-def _reach(values: Sequence[Array]) -> float:
-    """What 99.8 % of the residuals do not exceed; those beyond are counted in the outermost bins."""
-    known = np.abs(np.concatenate([part.ravel() for part in values] or [np.zeros(0)]))
-    return max(float(np.percentile(known, 99.8)), 1e-9) if known.size else 1.0
+def _plain_ticks(axis: Axis, low: float, high: float) -> None:
+    """Ticks at 1, 2, 5, 10 …, or at powers of ten where there would be too many, written without powers."""
+    ticks = round_numbers(low, high)
+    if len(ticks) > 7:
+        ticks = [10.0**power for power in range(ceil(log10(low)), floor(log10(high)) + 1)]
+    if len(ticks) < 2:
+        ticks = [tick for tick in MaxNLocator(4).tick_values(low, high) if low <= tick <= high]
+    _fixed_ticks(axis, ticks)
+
+
+def _lines(axes: Axes, across: Literal["x", "y"], label: str) -> None:
+    """Thin lines across an axis, and what it says."""
+    axes.set(**{f"{across}label": label})
+    getattr(axes, f"{across}axis").label.set_fontsize(TEXT_POINT)
+    axes.grid(True, axis=across, color="0.92", lw=0.5)
+    axes.set_axisbelow(True)
 
 
 def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
@@ -178,25 +190,20 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
     figure = half_figure(2.6)
     axes = figure.subplots()
     place = np.arange(len(names))
-    shown = values if np.all(values > 0) else np.maximum(values, 0)
+    shown = np.maximum(values, 0)
     if np.all(shown > 0):
         axes.set_yscale("log")
         low, high = float(shown.min()) / 1.2, float(shown.max()) * 1.2
         axes.set_ylim(low, high)
         _plain_ticks(axes.yaxis, low, high)
     axes.plot(place, shown.T, "-", color="0.75", lw=0.5, zorder=1)
-    for at in place:
-        axes.plot(np.full(len(shown), at), shown[:, at], "o", color=BLUE, ms=2.4, mew=0, alpha=0.7, zorder=2)
-        axes.plot([at - 0.22, at + 0.22], [shown[:, at].mean()] * 2, color=ORANGE, lw=1.8, zorder=3)
+    axes.plot(np.broadcast_to(place, shown.shape), shown, "o", color=BLUE, ms=2.4, mew=0, alpha=0.7, zorder=2)
+    axes.hlines(shown.mean(axis=0), place - 0.22, place + 0.22, color=ORANGE, lw=1.8, zorder=3)
     axes.set_xlim(-0.5, len(names) - 0.5)
-    long = sum(map(len, names)) > 40
-    axes.set_xticks(
-        place, [short_title(name) for name in names], rotation=35 if long else 0, ha="right" if long else "center"
-    )
+    slant: dict[str, Any] = {"rotation": 35, "ha": "right"} if sum(map(len, names)) > 40 else {}
+    axes.set_xticks(place, [short_title(name) for name in names], **slant)
     axes.tick_params(labelsize=SMALL_POINT, which="both")
-    axes.set_ylabel(label, fontsize=TEXT_POINT)
-    axes.grid(True, axis="y", color="0.92", lw=0.5)
-    axes.set_axisbelow(True)
+    _lines(axes, "y", label)
     return figure
 
 
@@ -214,9 +221,8 @@ def forest_figure(forests: Sequence[Forest]) -> Figure:
     """Values with their intervals, forest below forest; filled where an interval excludes the reference."""
     high = [0.2 * len(forest.lines) + 0.45 for forest in forests]
     figure = half_figure(sum(high) + 0.3)
-    for axes, forest in zip(
-        figure.subplots(len(forests), squeeze=False, height_ratios=high).flat, forests, strict=True
-    ):
+    every = figure.subplots(len(forests), squeeze=False, height_ratios=high).flat
+    for axes, forest in zip(every, forests, strict=True):
         _forest(axes, forest)
     return figure
 
@@ -236,17 +242,4 @@ def _forest(axes: Axes, forest: Forest) -> None:
         _plain_ticks(axes.xaxis, *axes.get_xlim())
     else:
         axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.set_xlabel(forest.label, fontsize=TEXT_POINT)
-    axes.grid(True, axis="x", color="0.92", lw=0.5)
-    axes.set_axisbelow(True)
-
-
-def _plain_ticks(axis: Axis, low: float, high: float) -> None:
-    """Ticks at 1, 2, 5, 10 …, or at powers of ten where there would be too many, written without powers."""
-    powers = range(floor(log10(low)), ceil(log10(high)) + 1)
-    ticks = [step * 10.0**power for power in powers for step in (1, 2, 5) if low <= step * 10.0**power <= high]
-    if len(ticks) > 7:
-        ticks = [10.0**power for power in powers]
-    if len(ticks) < 2:
-        ticks = list(MaxNLocator(4).tick_values(low, high))
-    _fixed_ticks(axis, [tick for tick in ticks if low <= tick <= high])
+    _lines(axes, "x", forest.label)

@@ -9,23 +9,31 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array, Panel
-from lampest.report.plots.places import draw_patches
-from lampest.report.plots.style import HALF_INCH, SMALL_POINT, TEXT_POINT, half_figure, plain_number, short_title
+from lampest.report.plots.style import (
+    HALF_INCH,
+    SMALL_POINT,
+    TEXT_POINT,
+    half_figure,
+    plain_number,
+    round_numbers,
+    short_title,
+)
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
-STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)  # round ends of scales
 Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
-REFINEMENT = 8  # points of the interpolation to a cell
-ACROSS = 3  # maps side by side, half a page wide
+NEAR = 1.5  # pitches: the diagonal of a square and its rounding; between cells farther apart nothing was measured
+ABREAST = 3  # maps half a page wide
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,25 +52,33 @@ class Scale:
     proportional: bool = False
 
 
-def positive_scale(values: Sequence[Array], label: str) -> Scale:
-    """A logarithmic scale of round numbers that holds nearly all of the positive values."""
+def percent_scale(values: Sequence[Array], label: str) -> Scale:
+    """A logarithmic scale that ends at round numbers from 0.1 to 500 and holds 98 % of the positive values."""
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
     low, high = np.percentile(numbers, [1, 99]) if numbers.size else (1.0, 10.0)
-    first = max((tick for tick in STEPS if tick <= low), default=STEPS[0])
-    last = min((tick for tick in STEPS if tick >= high and tick > first), default=STEPS[-1])
-    ends = (bool(np.any(numbers < first)), bool(np.any([np.any(part > last) for part in values])))
-    ticks = tuple(tick for tick in STEPS if first <= tick <= last)
-    return Scale(LogNorm(first, last), colormaps["viridis"], label, _extend(*ends), ticks)
+    steps = round_numbers(0.1, 500)
+    first = max((step for step in steps if step <= low), default=steps[0])
+    last = min((step for step in steps if step >= high and step > first), default=steps[-1])
+    extend = _extend([np.where(part > 0, part, first) for part in values], first, last)
+    return Scale(LogNorm(first, last), colormaps["viridis"], label, extend, tuple(round_numbers(first, last)))
+
+
+def resistance_scale(values: Sequence[Array], label: str) -> Scale:
+    """From the 2nd to the 90th percentile of all positive values: cells in the air reach to any resistance."""
+    numbers = _finite(values)
+    numbers = numbers[numbers > 0]
+    low, high = np.percentile(numbers, [2, 90]) if numbers.size else (1.0, 10.0)
+    ticks = tuple(round_numbers(low, high))
+    return Scale(LogNorm(low, max(high, 1.1 * low)), colormaps["viridis"], label, "both", ticks or None)
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
     """A scale symmetric about zero that holds 98 % of the values, ±least at least and ±most at most."""
-    numbers = np.abs(_finite(values))
-    reach = min(max(least, float(np.percentile(numbers, 98)) if numbers.size else 0.0), most)
+    reach = min(max(least, _reach(values)), most)
     power = 10.0 ** np.floor(np.log10(reach))
     limit = float(next(step for step in (1, 2, 3, 5, 10) if step * power >= reach * (1 - 1e-9)) * power)
-    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _beyond(values, limit))
+    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _extend(values, -limit, limit))
 
 
 def resolution_scale() -> Scale:
@@ -75,15 +91,15 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
 
     The limit is the smallest round number that holds 98 % of all values, 100 at most; arrows stand for the rest.
     """
-    numbers = np.abs(_finite(values))
-    reach = np.percentile(numbers, 98) if numbers.size else 0.0
-    limit = next((step for step in STEPS if 1 <= step <= 100 and step >= reach), 100)
+    reach = _reach(values)
+    limit = next((step for step in round_numbers(1, 100) if step >= reach), 100.0)
     tenths = np.arange(1, 11) * limit / 10
     bands = colormaps[SIGNED](np.linspace(0.04, 0.96, 19))
     colours = ListedColormap(bands).with_extremes(under=colormaps[SIGNED](0.0), over=colormaps[SIGNED](1.0))
     norm = BoundaryNorm(np.concatenate([-tenths[::-1], tenths]), len(bands))
     ticks = tuple(np.linspace(-limit, limit, 11).tolist())
-    return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", _beyond(values, limit), ticks, proportional=True)
+    extend = _extend(values, -limit, limit)
+    return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", extend, ticks, proportional=True)
 
 
 def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
@@ -97,11 +113,14 @@ def _finite(values: Sequence[Array]) -> Array:
     return np.concatenate([np.zeros(0), *(part[np.isfinite(part)] for part in values)])
 
 
-def _beyond(values: Sequence[Array], limit: float) -> Extend:
-    return _extend(*(bool(np.any([np.any(sign * part > limit) for part in values])) for sign in (-1, 1)))
+def _reach(values: Sequence[Array]) -> float:
+    """What 98 % of the values do not exceed."""
+    numbers = np.abs(_finite(values))
+    return float(np.percentile(numbers, 98)) if numbers.size else 0.0
 
 
-def _extend(below: bool, above: bool) -> Extend:
+def _extend(values: Sequence[Array], low: float, high: float) -> Extend:
+    below, above = (any(np.any(sign * part > sign * end) for part in values) for sign, end in ((-1, low), (1, high)))
     return ("both" if above else "min") if below else ("max" if above else "neither")
 
 
@@ -141,9 +160,13 @@ class MapPainter:
             return
         bands = self.contoured and min(self.panel.shape) > 1  # there is something between cells, both ways
         if self.panel.cells is not None:
-            draw_patches(axes, self.panel, tile.values, self.scale.norm, self.scale.colours, bands)
+            self._patches(axes, tile.values[self.panel.present], bands)
+        elif bands:
+            axes.contourf(*_refined(self.panel, self._cut(tile.values)), **self._bands())
         else:
-            (self._bands if bands else self._squares)(axes, tile.values)
+            half = self.panel.pitch_mm / 2
+            edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
+            axes.pcolormesh(*edges, np.ma.masked_invalid(tile.values), **self._colours(NO_NUMBER))
         columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
@@ -196,34 +219,66 @@ class MapPainter:
         axes.tick_params(labelsize=SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 
-    def _bands(self, axes: Axes, values: Array) -> None:
-        assert isinstance(self.scale.norm, BoundaryNorm)
-        bounds = self.scale.norm.boundaries
-        # A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond.
-        beyond = 1.1 * bounds[-1]
-        look: dict[str, Any] = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
-        axes.contourf(*_refined(self.panel, np.clip(values, -beyond, beyond)), bounds, **look)
+    def _colours(self, missing: str) -> dict[str, Any]:
+        colours = self.scale.colours.with_extremes(bad=missing)
+        return {"cmap": colours, "norm": self.scale.norm, "edgecolor": "face", "lw": 0.2}
 
-    def _squares(self, axes: Axes, values: Array) -> None:
-        half = self.panel.pitch_mm / 2
-        edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
-        colours = self.scale.colours.with_extremes(bad=NO_NUMBER)
-        look: dict[str, Any] = {"cmap": colours, "norm": self.scale.norm, "edgecolor": "face", "lw": 0.2}
-        axes.pcolormesh(*edges, np.ma.masked_invalid(values), **look)
+    def _bands(self) -> dict[str, Any]:
+        assert isinstance(self.scale.norm, BoundaryNorm)
+        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
+        return look | {"levels": self.scale.norm.boundaries}
+
+    def _cut(self, values: Array) -> Array:
+        """A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond."""
+        assert isinstance(self.scale.norm, BoundaryNorm)
+        beyond = 1.1 * self.scale.norm.boundaries[-1]
+        return np.clip(values, -beyond, beyond)
+
+    def _patches(self, axes: Axes, values: Array, contoured: bool) -> None:
+        """Values (cells) as squares on a dark outline; contours over them where cells are neighbours."""
+        places = self.panel.places_mm[:, self.panel.present].T
+        corners, centres = _squares(self.panel, places), places[:, None]
+        outlines = centres + 1.3 * (corners - centres)
+        axes.add_collection(PolyCollection(list(outlines), facecolors="0.25", edgecolors="none", zorder=0.5))
+        patches = PolyCollection(list(corners), **self._colours("0.85"))
+        patches.set_array(np.ma.masked_invalid(values))
+        axes.add_collection(patches)
+        flat = np.linalg.matrix_rank(places - places.mean(axis=0)) < 2
+        if not contoured or flat or not np.isfinite(values).all():
+            return
+        mesh = Triangulation(*places.T)
+        sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
+        far = np.hypot(*sides.T).T.max(axis=1) > NEAR * self.panel.pitch_mm
+        mesh.set_mask(far)
+        if not far.all():
+            axes.tricontourf(mesh, self._cut(values), **self._bands() | {"extend": "both"})
+
+
+def _squares(panel: Panel, places: Array) -> Array:
+    """(cells, 4, 2) corners in millimetre: each square along the way to the cell's nearest neighbour."""
+    first, second, distance = panel.neighbours
+    number = np.cumsum(panel.present.ravel()) - 1
+    here, there = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
+    nearest_last = np.argsort(np.tile(distance, 2), kind="stable")[::-1]
+    way = np.tile([1.0, 0.0], (len(places), 1))
+    apart = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
+    way[here[nearest_last]] = ((places[there] - places[here]) / apart)[nearest_last]
+    across, half = np.stack([-way[:, 1], way[:, 0]], axis=1), panel.pitch_mm / 2
+    return np.stack([places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
 
 
 def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
-    """Bilinear interpolation on a finer grid, constant beyond the outer centres: no corners between cells."""
+    """Bilinear interpolation at eight points a cell, constant beyond the outer centres: no corners between cells."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
-    fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * REFINEMENT + 1) for own in (x, y)]
+    fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * 8 + 1) for own in (x, y)]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
 
 def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
     """Maps cell by cell, three abreast, on one scale; half a page wide."""
-    across = min(ACROSS, len(tiles))
+    across = min(ABREAST, len(tiles))
     down = ceil(len(tiles) / across)
     tall = ((HALF_INCH - 0.45) / across - 0.12) * panel.rows / panel.columns
     figure = half_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)))

@@ -1,9 +1,10 @@
-"""What all pictures share: sizes, colours, how they are begun, and how they become files."""
+"""What all pictures share: sizes, colours, texts, how they are begun, and how they become files."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from math import ceil, floor, log10
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,9 +19,9 @@ from lampest.runs.executors import each_of
 WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
 DOTS_PER_INCH = 200  # sharp on screens, small as files
-LONGEST_TITLE = 22  # signs
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
+PICTURES = f"pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -36,6 +37,15 @@ def half_figure(height: float) -> Figure:
     return new_figure(height, HALF_INCH)
 
 
+def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
+    """The figure with labels of all its axes together, and a title where there is one."""
+    figure.supxlabel(x, fontsize=TEXT_POINT)
+    figure.supylabel(y, fontsize=TEXT_POINT)
+    if title:
+        figure.suptitle(title, fontsize=TEXT_POINT + 1)
+    return figure
+
+
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure as .png, .svg or .pdf, whole or not at all; the same figure gives the same bytes.
 
@@ -43,7 +53,7 @@ def save(figure: Figure, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise InputError(f"{path}: pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+        raise InputError(f"{path}: {PICTURES}")
     _write(_drawn(figure, path.suffix[1:]), path)
 
 
@@ -101,26 +111,25 @@ def plain_number(value: float, _: int | None = None) -> str:
     return f"{value:g}".replace("-", "−")
 
 
-def short_title(name: str, longest: int = LONGEST_TITLE) -> str:
+def round_numbers(low: float, high: float) -> list[float]:
+    """1, 2, 5, 10, 20 … and their fractions from low to high, both positive."""
+    powers = range(floor(log10(low)), ceil(log10(high)) + 1)
+    return [step for power in powers for one in (1, 2, 5) if low <= (step := float(f"{one}e{power}")) <= high]
+
+
+def short_title(name: str, longest: int = 22) -> str:
     """A name that fits."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
-def shared_labels(grid: Any) -> dict[str, Any]:
-    """Label → handle over all axes, each label once."""
-    labelled: dict[str, Any] = {}
+def shared_legend(figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any) -> None:
+    """One legend for all axes, each label once, unless there are fewer labels than `least`."""
+    handles: dict[str, Any] = {}
     for axes in grid.flat:
-        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
-            labelled.setdefault(text, handle)
-    return labelled
-
-
-def shared_legend(figure: Figure, grid: Any) -> None:
-    """One legend above all axes."""
-    labelled = shared_labels(grid)
-    if labelled:
-        look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(labelled)}
-        figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", **look)
+        handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
+    if len(handles) >= least:
+        own: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
+        figure.legend(handles.values(), handles.keys(), **own | {"loc": f"outside {location}"} | look)
 
 
 def change_text(value: float, whole: float) -> str:

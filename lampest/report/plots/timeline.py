@@ -12,15 +12,12 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from lampest.loads.recognition.attachment import Attachment
 from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, plain_number, write_all
 
-HEIGHT_INCH = 3.4
 # Those of Okabe and Ito, apart for the colour-blind.
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
-STEPS_PERCENT, TICKS_PERCENT = (5, 20, 40, 60, 80, 100), (-100, -60, -20, 20, 60, 100)
 
 
 def plot_timelines(
@@ -28,9 +25,9 @@ def plot_timelines(
     folder: str | Path,
     on_picture: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
-    """Draw every recording into timeline_<recording>.png in a folder; returns the files.
+    """Draw every recording into timeline_<recording>.png in a folder: the files; on_picture as `write_all`.
 
-    on_picture : gets how many of how many pictures are drawn. Raises InputError where the folder cannot be written.
+    Raises InputError where the folder cannot be written.
     """
     shown = [answer for answer in answers if answer.course is not None]
     files = [Path(folder) / f"timeline_{answer.recording}.png" for answer in shown]
@@ -39,7 +36,7 @@ def plot_timelines(
 
 def timeline(answer: Detected) -> Figure:
     """One recording: how far the readings are from those at rest, with a band for each attachment; and a map."""
-    figure = new_figure(HEIGHT_INCH)
+    figure = new_figure(3.4)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
     _course(halves[0].subplots(), answer)
     _map(halves[1], answer)
@@ -74,21 +71,17 @@ def _map(figure: Any, answer: Detected) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing was there", ha="center", va="center", fontsize=SMALL_POINT)
         return
-    scale = stepped_scale(STEPS_PERCENT, "relative change of resistance [%]", TICKS_PERCENT)
+    label, ticks = "relative change of resistance [%]", (-100, -60, -20, 20, 60, 100)
+    scale = stepped_scale((5, 20, 40, 60, 80, 100), label, ticks)
     painter = MapPainter(answer.panel, scale)
     painter.draw(axes, Tile("what was recognised last", 100 * np.expm1(answer.change)))
     painter.bar(figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    for one in answer.attachments:
-        if one.here or not any(other.here for other in answer.attachments):
-            _circle(axes, one)
-
-
-def _circle(axes: Axes, one: Attachment) -> None:
-    """The outer edge of a load where it is round, and its centre."""
-    if one.diameter_mm is not None:
-        circle = Circle(one.place, one.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
-        circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
-        axes.add_patch(circle)
-    axes.plot(*one.place, "+", color="black", ms=5, mew=0.9)
+    present = [one for one in answer.attachments if one.here] or answer.attachments
+    for one in present:
+        if one.diameter_mm is not None:  # the outer edge of a load that is round
+            circle = Circle(one.place, one.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
+            circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
+            axes.add_patch(circle)
+        axes.plot(*one.place, "+", color="black", ms=5, mew=0.9)

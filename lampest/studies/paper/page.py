@@ -10,8 +10,10 @@ from lampest.files.whole import write_whole
 from lampest.loads.response import relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.page.template import Sheet, digits, filled
+from lampest.report.compare import Table
+from lampest.report.page.template import filled
 from lampest.report.plots.style import data_uri, plain_number, save, verbatim
+from lampest.report.words import digits
 from lampest.studies.paper import figures
 from lampest.studies.paper.sides import Published, Side, all_sides, published_numbers
 from lampest.studies.study import Reported, comma_separated
@@ -158,14 +160,14 @@ def step_times(sides: Sequence[Side], published: Published) -> list[PublishedNum
     return rows
 
 
-def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Sheet:
+def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
     """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
     headers, texts, best = ("", "place", "published", *names), [], set()
     for place, row in enumerate(rows):
         ours = ["–" if np.isnan(one) else digits(one) for one in row.ours[: len(names)]]
         texts.append((f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *ours))
         best |= {(place, 3 + number) for number in range(len(names)) if row.reproduced(number)}
-    return Sheet(headers, tuple(texts), frozenset(best))
+    return Table(headers, tuple(texts), best=frozenset(best))
 
 
 def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:

@@ -1,0 +1,30 @@
+"""Numbers and lists as a reader expects them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def counted(number: int, noun: str) -> str:
+    """'1 recording', '30 recordings', '1,200 frames'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """'A', 'A and B', 'A, B and C'."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def digits(value: float, count: int = 3, like: float | None = None) -> str:
+    """A number with so many significant digits, without an exponent wherever that is short: '0.0012', '3,050'.
+
+    like : another number, which takes so many digits; the value gets as many decimals.
+    """
+    if not np.isfinite(value):
+        return "not a number" if np.isnan(value) else ("−∞" if value < 0 else "∞")
+    size = abs(value if like is None else like)
+    if size and not 1e-4 <= size < 1e6:
+        mantissa, exponent = f"{value:.{count - 1}e}".split("e")
+        return f"{mantissa}e{int(exponent)}".replace("-", "−")
+    places = max(0, count - 1 - int(np.floor(np.log10(size)))) if size else 0
+    return f"{value:,.{places}f}".replace("-", "−")
