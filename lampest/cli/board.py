@@ -14,6 +14,7 @@ from lampest.cli.screen import (
     AssignToScene,
     check_positive,
     markless,
+    option,
     progress,
     say,
     say_text,
@@ -25,32 +26,27 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
-Port = Annotated[
-    str | None,
-    typer.Option("--port", help="Such as /dev/ttyACM0, or a URL; else the Arduino."),
-]
-SceneFile = Annotated[Path | None, typer.Option("--scene", help="YAML file of the scene; else what the board says.")]
-Count = Annotated[int | None, typer.Option("--count", min=1, help="End after so many frames, such as 600.")]
-OldCount = Annotated[int | None, typer.Option("--frames", min=1, hidden=True, help="Old name of --count, such as 600.")]
+Port = Annotated[str | None, option("--port", "Such as /dev/ttyACM0, or a URL; else the Arduino.")]
+SceneFile = Annotated[Path | None, option("--scene", "YAML file of the scene; else what the board says.")]
+Count = Annotated[int | None, option("--count", "End after so many frames, such as 600.", min=1)]
+OldCount = Annotated[int | None, option("--frames", "Old name of --count, such as 600.", min=1, hidden=True)]
 TOKEN = "What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up."
-Token = Annotated[str | None, typer.Option("--token", envvar="LAMPEST_TOKEN", help=TOKEN)]
+Token = Annotated[str | None, option("--token", TOKEN, envvar="LAMPEST_TOKEN")]
 PUBLISH = "lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest. Repeatable."
-Publish = Annotated[list[str] | None, typer.Option("--publish", metavar="WHERE", help=PUBLISH)]
-Period = Annotated[float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else 1.")]
+Publish = Annotated[list[str] | None, option("--publish", PUBLISH, metavar="WHERE")]
+Period = Annotated[float | None, option("--period", "Seconds between frames, such as 0.1; else 1.")]
 
 
 def record(
     out: Annotated[Path | None, written("--out", "The recording that is written; must not exist.")] = None,
     port: Port = None,
     count: Count = None,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="End after so many seconds, such as 60.")] = None,
+    seconds: Annotated[float | None, option("--seconds", "End after so many seconds, such as 60.")] = None,
     scene: SceneFile = None,
     assign: AssignToScene = None,
-    baseline: Annotated[
-        int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
-    ] = 0,
+    baseline: Annotated[int, option("--baseline", "So many first frames are unloaded, such as 3.", min=0)] = 0,
     period: Period = None,
-    listed: Annotated[bool, typer.Option("--list", help="List the serial ports, likely ones first, and end.")] = False,
+    listed: Annotated[bool, option("--list", "List the serial ports, likely ones first, and end.")] = False,
     frames: OldCount = None,
 ) -> None:
     """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
@@ -102,17 +98,13 @@ def calibrate(
     ],
     known: Annotated[
         list[str] | None,
-        typer.Option(
-            "--known", help="Resistors in place of the cells: ohm, or a .csv or .npy table of them; one for each file."
-        ),
+        option("--known", "Resistors in place of the cells: ohm, or a .csv or .npy table of them; one for each file."),
     ] = None,
     loads: Annotated[
-        Path | None,
-        typer.Option("--loads", help="YAML or CSV of known weights or pressures: finds the film's response instead."),
+        Path | None, option("--loads", "YAML or CSV of known weights or pressures: finds the film's response instead.")
     ] = None,
     tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", help="By which fraction resistors or loads may be off: 0.01 for those of 1 %."),
+        float, option("--tolerance", "By which fraction resistors or loads may be off: 0.01 for those of 1 %.")
     ] = 0.01,
     out: Annotated[Path | None, written("--out", "The scene that is written; else it is printed.")] = None,
 ) -> None:
@@ -172,20 +164,18 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
 
 def live(
     port: Port = None,
-    recording: Annotated[Path | None, typer.Option("--recording", help="A recording to replay instead.")] = None,
-    estimator: Annotated[
-        str | None, typer.Option("--estimator", help="smooth by default; with --config its first.")
-    ] = None,
-    config: Annotated[Path | None, typer.Option("--config", help="A run's YAML file with estimators.")] = None,
+    recording: Annotated[Path | None, option("--recording", "A recording to replay instead.")] = None,
+    estimator: Annotated[str | None, option("--estimator", "smooth by default; with --config its first.")] = None,
+    config: Annotated[Path | None, option("--config", "A run's YAML file with estimators.")] = None,
     assign: Assign = None,
-    speed: Annotated[float, typer.Option("--speed", help="So many times as fast as the recording, such as 10.")] = 1.0,
+    speed: Annotated[float, option("--speed", "So many times as fast as the recording, such as 10.")] = 1.0,
     http: Annotated[
-        str, typer.Option("--http", help="HOST:PORT of the page; only this computer sees 127.0.0.1.")
+        str, option("--http", "HOST:PORT of the page; only this computer sees 127.0.0.1.")
     ] = "127.0.0.1:8137",
     token: Token = None,
     count: Count = None,
     baseline: Annotated[
-        int, typer.Option("--baseline", min=1, help="The first so many are unloaded, unless a recording says which.")
+        int, option("--baseline", "The first so many are unloaded, unless a recording says which.", min=1)
     ] = 3,
     scene: SceneFile = None,
     period: Period = None,

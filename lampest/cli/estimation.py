@@ -11,6 +11,7 @@ from lampest.cli.screen import (
     Assign,
     AssignToScene,
     check_positive,
+    option,
     progress,
     say,
     say_text,
@@ -24,10 +25,10 @@ def init(
         Path, typer.Argument(metavar="DIR", help="Made where it is not there; nothing is replaced.")
     ] = Path(),
     readout: Annotated[
-        str, typer.Option("--readout", metavar="CIRCUIT", help="Yours: two_mux, pull_ups, grounded or amplifiers.")
+        str, option("--readout", "Yours: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
     ] = "two_mux",
-    rows: Annotated[int, typer.Option("--rows", min=1, help="Of your panel, such as 16.")] = 10,
-    columns: Annotated[int, typer.Option("--columns", min=1, help="Of your panel, such as 16.")] = 10,
+    rows: Annotated[int, option("--rows", "Of your panel, such as 16.", min=1)] = 10,
+    columns: Annotated[int, option("--columns", "Of your panel, such as 16.", min=1)] = 10,
 ) -> None:
     """Write files to begin with for your circuit: a scene, a run, a simulated recording and how it was made."""
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
@@ -52,10 +53,9 @@ def run(
     out: Annotated[Path | None, written("--out", "Folder of the results; results/<config> by default.")] = None,
     assign: Assign = None,
     jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", min=1, help="Processes, such as 2; else the file's executor, or all cores."),
+        int | None, option("--jobs", "Processes, such as 2; else the file's executor, or all cores.", min=1)
     ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Solve again what is done.")] = False,
+    fresh: Annotated[bool, option("--fresh", "Solve again what is done.")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
     from lampest.report.words import counted
@@ -102,35 +102,24 @@ def simulate(
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
     out: Annotated[Path, written("--out", "The recording that is written.")],
-    rows: Annotated[
-        int | None, typer.Option("--rows", min=1, help="Of the panel, such as 10; else the scene's.")
-    ] = None,
-    columns: Annotated[
-        int | None, typer.Option("--columns", min=1, help="Of the panel, such as 10; else the scene's.")
-    ] = None,
-    scene: Annotated[
-        Path | None, typer.Option("--scene", help="The scene's YAML file; lampest init writes one.")
-    ] = None,
+    rows: Annotated[int | None, option("--rows", "Of the panel, such as 10; else the scene's.", min=1)] = None,
+    columns: Annotated[int | None, option("--columns", "Of the panel, such as 10; else the scene's.", min=1)] = None,
+    scene: Annotated[Path | None, option("--scene", "The scene's YAML file; lampest init writes one.")] = None,
     assign: AssignToScene = None,
     unit: Annotated[
-        str | None,
-        typer.Option("--unit", help="ohm, kohm, volt, mV or code; else what the header or the values leave."),
+        str | None, option("--unit", "ohm, kohm, volt, mV or code; else what the header or the values leave.")
     ] = None,
     period: Annotated[
-        float | None, typer.Option("--period", help="Seconds between frames, such as 0.1; else the file's times.")
+        float | None, option("--period", "Seconds between frames, such as 0.1; else the file's times.")
     ] = None,
-    missing: Annotated[
-        str, typer.Option("--missing", help="Missing readings: mark (NaN), skip-frame or refuse.")
-    ] = "mark",
-    baseline: Annotated[
-        int, typer.Option("--baseline", min=0, help="So many first frames are unloaded, such as 3.")
-    ] = 0,
-    transpose: Annotated[bool, typer.Option("--transpose", help="Rows and columns of the file are swapped.")] = False,
+    missing: Annotated[str, option("--missing", "Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
+    baseline: Annotated[int, option("--baseline", "So many first frames are unloaded, such as 3.", min=0)] = 0,
+    transpose: Annotated[bool, option("--transpose", "Rows and columns of the file are swapped.")] = False,
     variable: Annotated[
-        str | None, typer.Option("--variable", help="The variable of a .mat or .npz file, the sheet of an .xlsx file.")
+        str | None, option("--variable", "The variable of a .mat or .npz file, the sheet of an .xlsx file.")
     ] = None,
     layout: Annotated[
-        str | None, typer.Option("--layout", help="What a table's columns are, such as time,row,column,value.")
+        str | None, option("--layout", "What a table's columns are, such as time,row,column,value.")
     ] = None,
 ) -> None:
     """Turn measurements of another program into a recording, and say how they were understood."""
@@ -151,7 +140,7 @@ def import_(
 
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, typer.Option("--frames", help="FIRST:END of frames without a load: 40:50 is 40 to 49.")],
+    frames: Annotated[str, option("--frames", "FIRST:END of frames without a load: 40:50 is 40 to 49.")],
     out: Annotated[Path, written("--out", "The recording that is written.")],
 ) -> None:
     """Make other frames the unloaded ones; all others count as measured, and no reading changes."""

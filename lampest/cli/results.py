@@ -2,25 +2,22 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import (
-    WRONG_INPUT,
-    mended,
-    print_notes,
-    progress,
-    say,
-    say_text,
-    written,
-)
+from lampest.cli.screen import WRONG_INPUT, mended, option, print_notes, progress, say, say_text, written
 from lampest.cli.tables import print_table
 from lampest.files.errors import InputError
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lampest.report.detect.answer import Detected
+    from lampest.report.detect.pressed import PressedCells
+
 FramesNamed = Annotated[
-    str | None,
-    typer.Option("--frames", metavar="FIRST:END", help="Some of the recordings' frames: 40:50 is 40 to 49."),
+    str | None, option("--frames", "Some of the recordings' frames: 40:50 is 40 to 49.", metavar="FIRST:END")
 ]
 
 
@@ -37,9 +34,9 @@ def compare(
     report: Annotated[
         Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
-    each: Annotated[bool, typer.Option("--each", help="A block for each recording, however many there are.")] = False,
+    each: Annotated[bool, option("--each", "A block for each recording, however many there are.")] = False,
     frames: FramesNamed = None,
-    published: Annotated[bool, typer.Option("--published", help="Figures that the run's file quotes, too.")] = False,
+    published: Annotated[bool, option("--published", "Figures that the run's file quotes, too.")] = False,
 ) -> None:
     """Table over methods and recordings: frames solved, time, data error, and cell error where the truth is known."""
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
@@ -64,21 +61,19 @@ def plot(
     out: Annotated[Path | None, written("--out", "Folder of the pictures, or one picture such as x.svg.")] = None,
     show: Annotated[
         str,
-        typer.Option(
-            "--show", metavar="KIND", help="Such as contours, certainty or pressure; any other word names all kinds."
-        ),
+        option("--show", "Such as contours, certainty or pressure; any other word names all kinds.", metavar="KIND"),
     ] = "contours",
     frame: Annotated[
-        int | None, typer.Option("--frame", min=0, help="Index into the recording, such as 12; else a strong one.")
+        int | None, option("--frame", "Index into the recording, such as 12; else a strong one.", min=0)
     ] = None,
     recording: Annotated[
-        list[str] | None, typer.Option("--recording", help="One that is drawn, such as mine; else all. Repeatable.")
+        list[str] | None, option("--recording", "One that is drawn, such as mine; else all. Repeatable.")
     ] = None,
     estimator: Annotated[
-        list[str] | None, typer.Option("--estimator", help="One that is drawn, such as LSM; else all. Repeatable.")
+        list[str] | None, option("--estimator", "One that is drawn, such as LSM; else all. Repeatable.")
     ] = None,
     form: Annotated[
-        str | None, typer.Option("--format", metavar="png|svg|pdf", help="Of the pictures; png unless --out says else.")
+        str | None, option("--format", "Of the pictures; png unless --out says else.", metavar="png|svg|pdf")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -103,14 +98,11 @@ def plot(
 
 def export(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, parquet, mat, zarr or nwb.")],
+    to: Annotated[str, option("--to", "csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
     out: Annotated[Path | None, written("--out", "The file that is written; else beside the results.")] = None,
-    recording: Annotated[
-        str | None, typer.Option("--recording", help="This recording alone; nwb holds no more than one.")
-    ] = None,
+    recording: Annotated[str | None, option("--recording", "This recording alone; nwb holds no more than one.")] = None,
     start: Annotated[
-        str | None,
-        typer.Option("--start", help="When it began, where it does not say: 2026-05-04T09:30:00+02:00; nwb asks."),
+        str | None, option("--start", "When it began, where it does not say: 2026-05-04T09:30:00+02:00; nwb asks.")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -124,23 +116,19 @@ def export(
 def detect(
     file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
     out: Annotated[Path | None, written("--out", "Folder of the output; else beside the file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answers as JSON, and write no files.")] = False,
+    as_json: Annotated[bool, option("--json", "Print the answers as JSON, and write no files.")] = False,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also notes, and of results the frame of the largest force, any load.")
+        bool, option("--all", "Also notes, and of results the frame of the largest force, any load.")
     ] = False,
-    patch: Annotated[
-        float | None, typer.Option("--patch", help="Edge of a film in mm, such as 6; else 0.6 pitches.")
-    ] = None,
+    patch: Annotated[float | None, option("--patch", "Edge of a film in mm, such as 6; else 0.6 pitches.")] = None,
     depth: Annotated[
-        float | None,
-        typer.Option("--depth", help="Depth of row 0 under water in mm, such as 50; else the scene's."),
+        float | None, option("--depth", "Depth of row 0 under water in mm, such as 50; else the scene's.")
     ] = None,
     noise: Annotated[
-        float | None,
-        typer.Option("--noise", help="Noise of a reading in percent, such as 0.5, where none is known."),
+        float | None, option("--noise", "Noise of a reading in percent, such as 0.5, where none is known.")
     ] = None,
     estimator: Annotated[
-        str | None, typer.Option("--estimator", help="Whose estimates say force and area, such as LSM; else the first.")
+        str | None, option("--estimator", "Whose estimates say force and area, such as LSM; else the first.")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -148,14 +136,9 @@ def detect(
 
     Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
     """
-    import json
-
     from lampest.loads.recognition.settings import RecognitionSettings
-    from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
     from lampest.report.detect.detection import detect_recording, detect_results, is_results
-    from lampest.report.detect.pressed import FILE as PRESSED
-    from lampest.report.detect.pressed import pressed, pressed_table, write_pressed
-    from lampest.report.plots.timeline import plot_timelines
+    from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
     try:
@@ -165,17 +148,26 @@ def detect(
     results = read_results(file, frames=_frames(frames)) if is_results(file) else None
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
+    loads: Sequence[PressedCells] = ()
     with progress("recordings") as on_case:
         if results is None:
             answers = [detect_recording(file, settings, _frames(frames))]
         else:
             answers = detect_results(results, settings, on_case)
-    named = None if results is None else results.named("estimator", (estimator or results.estimators()[0],))
-    loads = () if named is None else pressed(named)
+            loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
     if as_json:
-        say_text(json.dumps([one.content() for one in answers], indent=1, allow_nan=False, ensure_ascii=False))
-        return
-    folder = file.parent if out is None else out
+        _print_json([one.content() for one in answers])
+    else:
+        _tell(answers, loads, file.parent if out is None else out, everything)
+
+
+def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, everything: bool) -> None:
+    """Write the files of what was detected, and print sentences and tables."""
+    from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
+    from lampest.report.detect.pressed import FILE as PRESSED
+    from lampest.report.detect.pressed import pressed_table, write_pressed
+    from lampest.report.plots.timeline import plot_timelines
+
     with progress("pictures") as on_picture:
         files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
@@ -188,6 +180,12 @@ def detect(
         print_notes(tuple(f"{one.recording}: {note}" for one in answers for note in one.notes))
     for path in files:
         say(path)
+
+
+def _print_json(content: object) -> None:
+    import json
+
+    say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
 
 
 def terms() -> None:
@@ -238,7 +236,7 @@ def info(
 
 def check(
     files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
-    repair: Annotated[bool, typer.Option("--repair", help="Make clean recordings of what a crash left.")] = False,
+    repair: Annotated[bool, option("--repair", "Make clean recordings of what a crash left.")] = False,
 ) -> None:
     """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
     from lampest.report.info import checked_sentence

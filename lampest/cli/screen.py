@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-FIRST_SECONDS, LINE_SECONDS = (
-    8.0,
-    15.0,
-)  # until the first line and between lines of progress, where there is no terminal
+FIRST_SECONDS, LINE_SECONDS = 8.0, 15.0  # until the first line of progress and between lines, without a terminal
 
 
 def written(name: str, text: str) -> Any:
@@ -50,14 +47,15 @@ def is_written(annotation: Any) -> bool:
     return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
 
 
-Assign = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of the file: formulation=reduced. Repeatable."),
-]
-AssignToScene = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Override an entry of --scene: readout.adc_bits=12. Repeatable."),
-]
+def option(name: str, text: str, **further: Any) -> Any:
+    """The option of that name with its help."""
+    return typer.Option(name, help=text, **further)
+
+
+OVERRIDE = "Override an entry of the file: formulation=reduced. Repeatable."
+Assign = Annotated[list[str] | None, option("--set", OVERRIDE, metavar="PATH=VALUE")]
+OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable."
+AssignToScene = Annotated[list[str] | None, option("--set", OVERRIDE_SCENE, metavar="PATH=VALUE")]
 Folder = Annotated[Path | None, written("--out", "Folder of the output; results/<config> by default.")]
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, progress, say
+from lampest.cli.screen import Assign, Folder, option, progress, say
 from lampest.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -55,11 +55,10 @@ def weights(
     config: Config = None,
     out: Folder = None,
     withhold: Annotated[
-        float | None,
-        typer.Option("--withhold", help="Predict this share of the readings from all others, such as 0.1."),
+        float | None, option("--withhold", "Predict this share of the readings from all others, such as 0.1.")
     ] = None,
-    draws: Annotated[int, typer.Option("--draws", min=1, help="How often readings are drawn to be withheld.")] = 5,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws: the same seed, the same draws.")] = 0,
+    draws: Annotated[int, option("--draws", "How often readings are drawn to be withheld.", min=1)] = 5,
+    seed: Annotated[int, option("--seed", "Of the draws: the same seed, the same draws.")] = 0,
     assign: Assign = None,
 ) -> None:
     """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.
@@ -75,8 +74,8 @@ def weights(
 def starts(
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
     out: Folder = None,
-    random: Annotated[int, typer.Option("--random", min=1, help="Random starts for every frame.")] = 20,
-    seed: Annotated[int, typer.Option("--seed", help="Of the random starts: the same seed, the same starts.")] = 0,
+    random: Annotated[int, option("--random", "Random starts for every frame.", min=1)] = 20,
+    seed: Annotated[int, option("--seed", "Of the random starts: the same seed, the same starts.")] = 0,
     assign: Assign = None,
 ) -> None:
     """Say how often every case of a run reaches the best objective known from random starts; writes starts.csv."""
@@ -95,8 +94,8 @@ def paper(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder of the output.")] = Path("results/paper"),
-    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="Processes here; else all cores.")] = None,
+    out: Annotated[Path, option("--out", "Folder of the output.")] = Path("results/paper"),
+    jobs: Annotated[int | None, option("--jobs", "Processes here; else all cores.", min=1)] = None,
 ) -> None:
     """Draw the paper's figures and its table from shipped recordings, each beside the published numbers.
 

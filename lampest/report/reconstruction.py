@@ -17,7 +17,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.report.shades import shaded_map
+from lampest.report.info import shaded_map
 from lampest.report.strongest import strongest_index
 from lampest.runs.columns import FIGURES, Column
 from lampest.runs.filling import named_result

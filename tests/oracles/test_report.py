@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.report.page.advice import advise, doubts
 from lampest.report.page.batch import Batch, Subject, matched
-from lampest.report.page.compared import PREDICTION, compared, predicted
+from lampest.report.page.compared import PREDICTION, advise, compared, doubts, predicted
 from lampest.report.page.measures import block_length, disagreements, mean_interval, measures, median_interval, picks
 from lampest.runs.results import CaseResult
 

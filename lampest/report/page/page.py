@@ -9,9 +9,8 @@ import numpy as np
 from lampest.files.whole import write_whole
 from lampest.report.compare import Table
 from lampest.report.page import pictures
-from lampest.report.page.advice import Advice, advise, doubts
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
-from lampest.report.page.compared import Comparison, compared
+from lampest.report.page.compared import Advice, Comparison, advise, compared, doubts
 from lampest.report.page.measures import DRAWS, Measures, disagreements, measures
 from lampest.report.page.tables import batch_table, failures, pair_table, recording_table, standing_table, unit_table
 from lampest.report.page.template import SHARED, Illustration, filled
@@ -121,7 +120,7 @@ def section(
     if whole:
         shown += [
             *pictures.certainty(cases, place),
-            *pictures.residuals(cases, place),
+            *pictures.misfits(cases, place),
             *pictures.differences(cases, place, pairs),
         ]
     return Section(

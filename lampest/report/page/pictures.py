@@ -75,7 +75,7 @@ def _percent_errors(case: CaseResult) -> Array | None:
     return None if errors is None else 100 * errors / case.cell_resistance
 
 
-def residuals(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
+def misfits(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
     weighted = all(case.sigma is not None for case in cases)
 
