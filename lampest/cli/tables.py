@@ -3,7 +3,6 @@
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import groupby
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -31,14 +30,14 @@ def print_table(table: "Table") -> None:
     headers = [table.headers[number] for number in filled]
     rows = [[_escaped(cells[number]) for number in filled] for cells in table.cells]
     room = _room()
-    layout = _layout(headers, rows, room)
-    if layout.width <= room or len(headers) < 2:
-        _draw(headers, rows, layout)
+    widths, gap = _layout(headers, rows, room)
+    if _whole(widths, gap) <= room or len(headers) < 2:
+        _draw(headers, rows, widths, gap)
         return
     for name, block in groupby(rows, key=lambda cells: cells[0]):
         say(f"{name}:")
         others = [cells[1:] for cells in block]
-        _draw(headers[1:], others, _layout(headers[1:], others, room))
+        _draw(headers[1:], others, *_layout(headers[1:], others, room))
 
 
 def _room() -> int:
@@ -52,20 +51,13 @@ def _escaped(text: str) -> str:
     return TOGETHER.sub("\N{NO-BREAK SPACE}", "\n".join(map(printable, text.split("\n"))))
 
 
-@dataclass(frozen=True)
-class Layout:
-    """The columns' widths and the blanks between them; one blank more stands at each end."""
-
-    widths: tuple[int, ...]
-    gap: int
-
-    @property
-    def width(self) -> int:
-        return sum(self.widths) + self.gap * (len(self.widths) - 1) + 2
+def _whole(widths: Sequence[int], gap: int) -> int:
+    """The table's width; one blank more stands at each end."""
+    return sum(widths) + gap * (len(widths) - 1) + 2
 
 
-def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> Layout:
-    """What all columns hold on one line each, then, as long as that is too wide, the widest less.
+def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> tuple[list[int], int]:
+    """The columns' widths and the blanks between them: the widest column is narrowed as long as all are too wide.
 
     Headers give way first, then texts, then the blanks between columns, then names in the first column; no other column
     is narrower than the longest of its words and figures.
@@ -74,24 +66,23 @@ def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) ->
     words = [_longest_word(header) for header in headers]
     whole = [max(word, *map(_longest, column)) for word, column in zip(words, columns, strict=True)]
     least = [max(word, *map(_longest_word, column)) for word, column in zip(words, columns, strict=True)]
-    cut = [min(least[0], max(words[0], NAME_WIDTH)), *least[1:]]
-    full = tuple(max(len(header), held) for header, held in zip(headers, whole, strict=True))
-    for gap in (2, 1):
-        layout = _narrowed(_narrowed(Layout(full, gap), whole, room), least, room)
-        if layout.width <= room:
-            return layout
-    return _narrowed(layout, cut, room)
-
-
-def _narrowed(layout: Layout, floors: Sequence[int], room: int) -> Layout:
-    """The widest column that may be narrower by one, until all fit or none may."""
-    widths = list(layout.widths)
-    while replace(layout, widths=tuple(widths)).width > room:
-        spare = [number for number, width in enumerate(widths) if width > floors[number]]
-        if not spare:
+    names = [min(least[0], max(words[0], NAME_WIDTH)), *least[1:]]
+    full = [max(len(header), held) for header, held in zip(headers, whole, strict=True)]
+    for gap, steps in ((2, (whole, least)), (1, (whole, least, names))):
+        widths = full
+        for floors in steps:
+            widths = _narrowed(widths, floors, room - 2 - gap * (len(headers) - 1))
+        if _whole(widths, gap) <= room:
             break
-        widths[max(spare, key=lambda number: widths[number])] -= 1
-    return replace(layout, widths=tuple(widths))
+    return widths, gap
+
+
+def _narrowed(widths: Sequence[int], floors: Sequence[int], room: int) -> list[int]:
+    """The widest column that may be narrower by one, until all fit or none may."""
+    widths = list(widths)
+    while sum(widths) > room and (spare := [at for at, width in enumerate(widths) if width > floors[at]]):
+        widths[max(spare, key=lambda at: widths[at])] -= 1
+    return widths
 
 
 def _longest(text: str) -> int:
@@ -107,16 +98,16 @@ def _folded(text: str, width: int) -> Iterator[str]:
         yield from wrap(line, width, break_on_hyphens=False) or [""]
 
 
-def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], layout: Layout) -> None:
+def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], gap: int) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    padding = (0, layout.gap - 1, 0, 0)  # the box itself has a blank between columns
+    padding = (0, gap - 1, 0, 0)  # the box itself has a blank between columns
     drawn = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False)
-    for header, width in zip(headers, layout.widths, strict=True):
+    for header, width in zip(headers, widths, strict=True):
         drawn.add_column("\n".join(_folded(header, width)), no_wrap=True, width=width)
     for cells in rows:
-        parts = ("\n".join(_folded(cell, width)) for cell, width in zip(cells, layout.widths, strict=True))
+        parts = ("\n".join(_folded(cell, width)) for cell, width in zip(cells, widths, strict=True))
         drawn.add_row(*(part.replace("\N{NO-BREAK SPACE}", " ") for part in parts))
-    Console(width=layout.width, highlight=False, markup=False).print(drawn)
+    Console(width=_whole(widths, gap), highlight=False, markup=False).print(drawn)

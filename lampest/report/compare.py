@@ -20,20 +20,16 @@ T = TypeVar("T")
 LEAST = 1e-3  # percent or ms: less is rounding
 MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
 STEPS = {"all": "", "initial": " first", "following": " later"}
-SOLVED_NOTE = (
-    "solved: frames that converged to a local minimum, verified outside the solver; of several starts the lowest one "
-    "(lampest info has their number). Approximate formulations count as solved when they end"
-)
-LATER_NOTE = (
-    "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames after it"
-)
-ERROR_NOTES = {
+NOTES = {  # what a header that begins so means
+    "solved": "solved: frames that converged to a local minimum, verified outside the solver; of several starts the "
+    "lowest one (lampest info has their number). Approximate formulations count as solved when they end",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
     "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
+    "published": "published: of another recording, on another computer, as the run's file quotes it; figures of this "
+    "recording are not expected to equal it",
 }
-PUBLISHED_NOTE = (
-    "published: of another recording, on another computer, as the run's file quotes it; figures of this recording are "
-    "not expected to equal it"
+LATER_NOTE = (
+    "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames after it"
 )
 
 
@@ -225,11 +221,9 @@ def _grouped(rows: Sequence[Row], key: Callable[[Row], tuple[str, str]]) -> list
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
     """What the headers of the blocks mean, a sentence each."""
-    headers = {header for block in blocks for header in block.headers}
-    notes = [SOLVED_NOTE] if rows else []
-    notes += [note for header, note in ERROR_NOTES.items() if any(each.startswith(header) for each in headers)]
-    notes += [LATER_NOTE] if any(row.steps != "all" for row in rows) else []
-    return notes + ([PUBLISHED_NOTE] if any("published" in header for header in headers) else [])
+    headers = tuple(header for block in blocks for header in block.headers)
+    notes = [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
+    return notes + [LATER_NOTE] * any(row.steps != "all" for row in rows)
 
 
 def _title(group: Sequence[Row], several: bool) -> str:
