@@ -157,15 +157,9 @@ def predicted(case: CaseResult) -> Array:
     influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
     Technometrics 15, 1973.
     """
-    assert case.resolution is not None
-    return np.asarray(np.minimum(_residual(case) ** 2, 25.0) + 2 * case.resolution)
-
-
-def _residual(case: CaseResult) -> Array:
-    """(model − measured)/σ of a case that knows its σ."""
     residual = weighted_residual(case)
-    assert residual is not None
-    return residual
+    assert residual is not None and case.resolution is not None
+    return np.asarray(np.minimum(residual**2, 25.0) + 2 * case.resolution)
 
 
 CELL_ERROR = Criterion(
@@ -185,13 +179,6 @@ PREDICTION = Criterion(
     np.nanmean,
     decides=True,
 )
-WEIGHTED = Criterion(
-    "data error",
-    "σ",
-    "|model − measured|/σ, its median over readings and frames",
-    lambda case: np.abs(_residual(case)),
-    np.nanmedian,
-)
 DATA_ERROR = Criterion(
     "data error", "%", "100·|model − measured|/measured, its median over readings and frames", data_error, np.nanmedian
 )
@@ -208,11 +195,8 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     if len(match.estimators) < 2 or not match.subjects:
         return None
     cases = [case for name in match.estimators for case in match.cases(name)]
-    criterion = CELL_ERROR if known else PREDICTION
-    if not known and any(case.sigma is None for case in cases):
-        criterion = DATA_ERROR
-    elif not known and any(case.resolution is None for case in cases):
-        criterion = WEIGHTED
+    predictable = all(case.sigma is not None and case.resolution is not None for case in cases)
+    criterion = CELL_ERROR if known else PREDICTION if predictable else DATA_ERROR
     scores = Scores.of(match, criterion.per_cell, criterion.average)
     speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
     first, second, third = generator.spawn(3)

@@ -30,11 +30,10 @@ RESOLVED = (
 UNEXPLAINED = (
     "What the model leaves unexplained. A pattern means an effect that the model lacks, or too strong a penalty."
 )
-WEIGHTED = (
+DISTRIBUTED = (
     "Residuals of all frames. Estimates that follow their noise have narrower ones than the line; wider ones do not "
     "explain the readings. What is beyond the axis stands in the last bins."
 )
-PLAIN = "Residuals of all frames; the noise of the readings is unknown, so there is nothing to hold them against."
 DIFFERENT = (
     "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
     "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
@@ -76,21 +75,22 @@ def _percent_errors(case: CaseResult) -> Array | None:
 
 
 def misfits(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
-    """Maps of one frame and histograms of all, in units of the noise where that is known, else in percent."""
-    weighted = all(case.sigma is not None for case in cases)
-
-    def residual(case: CaseResult) -> Array:
-        own = weighted_residual(case) if weighted else None
-        return np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan) if own is None else own
-
-    label, least = ("(model − measured)/σ", 3.0) if weighted else ("(model − measured)/measured [%]", 0.1)
-    every = [(case.estimator, residual(case)) for case in cases]
-    histograms = histogram_figure([(name, own[np.isfinite(own)]) for name, own in every], weighted)
-    scale = partial(signed_scale, label=label, least=least)
+    """Maps of one frame and histograms of all, in units of the noise; where that is unknown, maps in percent."""
+    residuals = [weighted_residual(case) for case in cases]
+    known = [own for own in residuals if own is not None]
+    if len(known) < len(cases):
+        scale = partial(signed_scale, label="(model − measured)/measured [%]", least=0.1)
+        return _maps(cases, _tiles(cases, place, _percent_residual), scale, "the residuals", UNEXPLAINED)
+    scale = partial(signed_scale, label="(model − measured)/σ", least=3.0)
+    values = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(cases, known, strict=True)]
     return [
-        *_maps(cases, _tiles(cases, place, residual), scale, "the residuals", UNEXPLAINED),
-        Illustration(data_uri(histograms), "Histograms of the residuals", WEIGHTED if weighted else PLAIN),
+        *_maps(cases, _tiles(cases, place, weighted_residual), scale, "the residuals", UNEXPLAINED),
+        Illustration(data_uri(histogram_figure(values)), "Histograms of the residuals", DISTRIBUTED),
     ]
+
+
+def _percent_residual(case: CaseResult) -> Array:
+    return np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
 
 
 def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:

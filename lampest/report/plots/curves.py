@@ -120,39 +120,31 @@ def _change_ticks(axis: Axis, low: float, high: float) -> None:
     _fixed_ticks(axis, ticks, lambda ratio, _: f"{100 * (ratio - 1):+,.4g}".replace("-", "−") if ratio != 1 else "0")
 
 
-def histogram_figure(residuals: Sequence[tuple[str, Array]], weighted: bool) -> Figure:
-    """How many of the residuals of each estimator fall into which bin, in percent.
+def histogram_figure(residuals: Sequence[tuple[str, Array]]) -> Figure:
+    """How many of the residuals of each estimator, in units of σ, fall into which of 41 bins, in percent.
 
-    In units of σ the bins widen as sinh so that large ones are seen, and a line gives the standard normal's shares.
+    The bins widen as sinh so that large ones are seen, the outermost hold what is beyond; a line gives the standard
+    normal's shares.
     """
     figure, grid, every = _grid([name for name, _ in residuals], ABREAST, 1.1, 0.7)
-    known = np.abs(np.concatenate([values.ravel() for _, values in residuals]))
-    reach = max(float(np.percentile(known, 99.8)), 1e-9) if known.size else 1.0
-    # Forty-one bins; residuals beyond the outermost are counted in these.
-    edges = np.linspace(-reach, reach, 42)
-    if weighted:
-        reach = float(np.arcsinh(max(reach, 5.0)))
-        edges = np.sinh(np.linspace(-reach, reach, 42))
+    known = np.abs(np.concatenate([values for _, values in residuals]))
+    reach = float(np.arcsinh(max(5.0, np.percentile(known, 99.8) if known.size else 0.0)))
+    edges = np.sinh(np.linspace(-reach, reach, 42))
+    normal = 100 * np.diff([NormalDist().cdf(edge) for edge in edges])
     for (_, values), axes in zip(residuals, every, strict=False):
-        _histogram(axes, values, edges, weighted)
-    shared_legend(figure, grid)
-    label = f"(model − measured)/{'σ' if weighted else 'measured [%]'}"
-    return labelled(figure, label, "share of readings [%]")
-
-
-def _histogram(axes: Axes, values: Array, edges: Array, weighted: bool) -> None:
-    if weighted:
         axes.set_xscale("asinh")
         _fixed_ticks(axes.xaxis, [tick for tick in DEVIATIONS if abs(tick) < edges[-1]])
-    if values.size == 0:
-        _not_solved(axes)
-        return
-    counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
-    shares = 100 * counts / values.size
+        if values.size == 0:
+            _not_solved(axes)
+        else:
+            counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
+            _histogram(axes, 100 * counts / values.size, normal, edges)
+    shared_legend(figure, grid)
+    return labelled(figure, "(model − measured)/σ", "share of readings [%]")
+
+
+def _histogram(axes: Axes, shares: Array, normal: Array, edges: Array) -> None:
     axes.stairs(shares, edges, fill=True, color=BLUE, alpha=0.7, label="residuals")
-    if not weighted:
-        return
-    normal = 100 * np.diff([NormalDist().cdf(edge) for edge in edges])
     axes.stairs(normal, edges, color="black", lw=0.8, label="standard normal")
     tallest = 2.5 * normal.max()
     axes.set_ylim(0, tallest)
