@@ -25,12 +25,11 @@ NOTES = {  # what a header that begins so means
     "lowest one (lampest info has their number). Approximate formulations count as solved when they end",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
     "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
+    "first": "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames "
+    "after it",
     "published": "published: of another recording, on another computer, as the run's file quotes it; figures of this "
     "recording are not expected to equal it",
 }
-LATER_NOTE = (
-    "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames after it"
-)
 
 
 @dataclass(frozen=True)
@@ -221,9 +220,9 @@ def _grouped(rows: Sequence[Row], key: Callable[[Row], tuple[str, str]]) -> list
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
     """What the headers of the blocks mean, a sentence each."""
-    headers = tuple(header for block in blocks for header in block.headers)
-    notes = [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
-    return notes + [LATER_NOTE] * any(row.steps != "all" for row in rows)
+    headers = [header for block in blocks for header in block.headers]
+    headers += ["first"] * any(row.steps != "all" for row in rows)
+    return [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
 
 
 def _title(group: Sequence[Row], several: bool) -> str:

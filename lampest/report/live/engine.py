@@ -157,7 +157,7 @@ class Engine:
             state = self._with_findings(state)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
-                state = state.zero_asked(self._baseline)
+                state = replace(state, recent=(), missing=self._baseline)
             state, picture = solved_scan(state, news.thing, len(unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)

@@ -120,10 +120,6 @@ class PanelState:
         track = None if stream.estimator.relative else stream.track
         return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
 
-    def zero_asked(self, frames: int) -> "PanelState":
-        """The next frames, so many, shall be the unloaded panel."""
-        return replace(self, recent=(), missing=frames)
-
     def after(self, readings: Readings, step: Step, time: float) -> "PanelState":
         """Once a frame was solved: its zero is new where enough frames have come, or nothing touches the panel."""
         here = replace(self, zeroed="", recent=self._kept(readings))
@@ -146,15 +142,6 @@ class PanelState:
         baseline = None if stream.baseline is None else stream.baseline.bare()
         stream = replace(stream, hasty=False, prepared=None, track=self.track, baseline=baseline)
         return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
-
-    def without_outliers(self, readings: Readings) -> tuple["PanelState", Readings, int]:
-        """With a frame among those before the next; the frame without its outliers, and how many there are."""
-        stream = self.stream
-        if stream.parts:
-            return self, readings, 0
-        after = replace(self, before=self.before.after(readings))
-        known = stream.scene, stream.resting, stream.baseline_resistance
-        return after, *self.before.without_outliers(readings, *known)
 
     def ratio(self, step: Step) -> Array | None:
         """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
@@ -185,7 +172,11 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
 
     Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
     """
-    state, readings, outliers = state.without_outliers(readings)
+    stream, before, outliers = state.stream, state.before, 0
+    if not stream.parts:
+        state = replace(state, before=before.after(readings))
+        known = stream.scene, stream.resting, stream.baseline_resistance
+        readings, outliers = before.without_outliers(readings, *known)
     picture = replace(picture, outliers=outliers)
     try:
         stream, step = state.stream.push(readings)
