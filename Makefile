@@ -22,7 +22,7 @@ APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get insta
 OUT = results/table1
 QUICK = tests/laws tests/golden tests/contracts/test_architecture.py --ignore tests/laws/test_holes.py
 PYTEST = $(BIN)/python -m pytest -q
-SPREAD = --numprocesses auto --maxprocesses 4
+SPREAD = --numprocesses auto --maxprocesses 4 --dist loadgroup
 
 install: $(VENV)/.installed
 
@@ -32,11 +32,10 @@ run: install
 	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
 
 test: $(VENV)/.installed-dev board-packages
-	@$(PYTEST) $(SPREAD) -m 'not slow' --ignore tests/board
-	@$(PYTEST) tests/board
+	@$(PYTEST) $(SPREAD) -m 'not slow'
 
 test-all: test
-	@$(PYTEST) $(SPREAD) -m slow --ignore tests/board
+	@$(PYTEST) $(SPREAD) -m slow
 
 quick: $(VENV)/.installed-dev
 	@$(PYTEST) $(SPREAD) -m 'not slow' $(QUICK)

@@ -1,4 +1,9 @@
-"""The long versions of the board's tests carry the mark `soak` and run when asked for: pytest tests/board -m soak."""
+"""The board's tests run one after the other, in one process, since they keep time.
+
+Their long versions carry the mark `soak` and run when asked for: pytest tests/board -m soak.
+"""
+
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +13,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.xdist_group("board"))
     if "soak" in config.getoption("-m"):
         return
     long = [item for item in items if item.get_closest_marker("soak")]
