@@ -35,7 +35,6 @@ from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
 CHUNK_FRAMES = 16
-MOST_SESSIONS, MOST_LOST = 2**16 - 1, 2**32 - 1  # what their fields hold
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,8 @@ class Journal:
             [frame.device_ms for frame in frames],
             [frame.sequence for frame in frames],
             [frame.missed for frame in frames],
-            [min(sample.lost, MOST_LOST) for sample in samples],
-            [min(sample.session, MOST_SESSIONS) for sample in samples],
+            [sample.lost for sample in samples],
+            [sample.session for sample in samples],
         )
         self._push(frame_paths(self.group, self.signal), values, FRAME_CHECKSUM)
 
@@ -98,7 +97,7 @@ class Journal:
             rows = stored_rows(other, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
             lost = paths.index("acquisition/lost")
-            values[lost] = np.minimum(values[lost] + dropped[begin : begin + AT_ONCE], MOST_LOST)
+            values[lost] = values[lost] + dropped[begin : begin + AT_ONCE]
             self._push(paths, values, FRAME_CHECKSUM)
         events = whole_events(other)
         rows = stored_rows(other, EVENT_PATHS, slice(len(events)))
@@ -107,23 +106,22 @@ class Journal:
     def _push(self, paths: Sequence[str], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
         """Add rows; their checksums follow once the rows are in the file."""
         try:
-            columns = [
-                np.asarray(value, dtype=self.file[f"entry/{path}"].dtype)
-                for path, value in zip(paths, values, strict=True)
-            ]
-            for path, column in zip(paths, columns, strict=True):
-                self._extend(path, column)
+            columns = [self._extend(path, value) for path, value in zip(paths, values, strict=True)]
             self.file.flush()
             self._extend(checksum, checksums(columns))
             self.file[f"entry/{checksum}"].flush()
         except (OSError, RuntimeError) as error:
             raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
 
-    def _extend(self, path: str, column: NDArray[Any]) -> None:
+    def _extend(self, path: str, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+        """Add values as the dataset holds them; a number beyond its range is the largest."""
         dataset = self.file[f"entry/{path}"]
-        length = dataset.shape[0]
+        if dataset.dtype.kind == "u":
+            values = np.minimum(np.asarray(values, np.uint64), np.iinfo(dataset.dtype).max)
+        column, length = np.asarray(values, dataset.dtype), dataset.shape[0]
         dataset.resize(length + len(column), axis=0)
         dataset[length:] = column
+        return column
 
 
 def is_finished(path: Path) -> bool:

@@ -8,11 +8,11 @@ import os
 import select
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
+from typing import Any
 
 import serial
 from serial.tools import list_ports
@@ -33,14 +33,9 @@ from lampest.recording.board.protocol import (
     command,
 )
 
-# A Mega's bootloader listens for about a second after a reset; what is sent to it then may confuse it.
-BOOT_SECONDS = 2.0
+BOOT_SECONDS = 2.0  # a Mega's bootloader listens for about one after a reset; what is sent then may confuse it
 HELLO_SECONDS = 8.0
-ANSWER_SECONDS = 0.5
-TRIES = 4
-# At the end: what the port holds is read up to the answer to STOP, or until this long nothing came, or for so long.
-QUIET_SECONDS, DRAIN_SECONDS = 0.4, 3.0
-MOST_WAITING = 4096  # frames that come while an answer is awaited
+ANSWER_SECONDS, TRIES = 0.5, 4
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
 
 
@@ -84,7 +79,7 @@ class Board:
         self._port = port
         self._url = url
         self._receiver = Receiver()
-        self._waiting: deque[Message] = deque(maxlen=MOST_WAITING)
+        self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
         self._heard = 0
 
@@ -113,26 +108,14 @@ class Board:
 
     def messages(self) -> tuple[Message, ...]:
         """What became complete; waits at most 0.05 s for a byte. Raises InputError for another protocol version."""
-        waiting = tuple(self._waiting)
-        self._waiting.clear()
+        waiting, self._waiting = tuple(self._waiting), []
         return waiting or self._arrived()
 
     def last_messages(self) -> tuple[Message, ...]:
-        """Stop the board; all that it sent before, up to its answer, as far as that comes within 3 s."""
-        found = list(self._waiting)
-        self._waiting.clear()
-        tag = next(self._tags) % 256
-        until = quiet = time.monotonic() + DRAIN_SECONDS
-        with contextlib.suppress(OSError):
-            self._port.write(command(Kind.STOP, tag))
-            while time.monotonic() < min(until, quiet):
-                came = self._arrived()
-                found.extend(came)
-                if any(isinstance(item, Answer) and (item.command, item.tag) == (Kind.STOP, tag) for item in came):
-                    break
-                if came or quiet == until:
-                    quiet = time.monotonic() + QUIET_SECONDS
-        return tuple(found)
+        """Stop the board; all that it sent before, up to its answer, as far as that comes within 2 s."""
+        self.stop()
+        waiting, self._waiting = tuple(self._waiting), []
+        return waiting
 
     def hello(self) -> Hello:
         """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
@@ -151,42 +134,35 @@ class Board:
         said = "though the line is not silent" if self._heard else "and nothing came"
         raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {said}")
 
-    def order(self, kind: Kind, value: int = 0) -> Answer:
+    def order(self, kind: Kind, value: int = 0) -> None:
         """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
         tag = next(self._tags) % 256
-
-        def is_answer(item: Message) -> bool:
-            return isinstance(item, Answer) and (item.command, item.tag) == (kind, tag)
-
-        answer = self._ask(command(kind, tag, value), is_answer, kind.name)
-        assert isinstance(answer, Answer)
+        answer = self._ask(
+            command(kind, tag, value),
+            lambda item: isinstance(item, Answer) and (item.command, item.tag) == (kind, tag),
+            kind.name,
+        )
         # A board that runs already has carried out a START whose answer was lost.
-        if answer.result is Result.DONE or (kind, answer.result) == (Kind.START, Result.REFUSED_RUNNING):
-            return answer
-        raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
+        if answer.result is not Result.DONE and (kind, answer.result) != (Kind.START, Result.REFUSED_RUNNING):
+            raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
 
     def identify(self) -> Hello:
         """Ask for a HELLO. Raises NoBoardError where none comes."""
-        hello = self._ask(command(Kind.IDENTIFY), lambda item: isinstance(item, Hello), "IDENTIFY")
-        assert isinstance(hello, Hello)
+        hello: Hello = self._ask(command(Kind.IDENTIFY), lambda item: isinstance(item, Hello), "IDENTIFY")
         return hello
 
-    def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Message:
-        """Send until the wanted message comes; what else comes meanwhile waits to be read."""
+    def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
+        """Send until the wanted message comes; what else comes meanwhile waits to be read, without garbage."""
         for _ in range(TRIES):
             self._port.write(wire)
             until = time.monotonic() + ANSWER_SECONDS
             while time.monotonic() < until:
-                found = self._arrived()
-                for place, item in enumerate(found):
-                    if wanted(item):
-                        self._keep(found[:place] + found[place + 1 :])
-                        return item
-                self._keep(found)
+                found = [item for item in self._arrived() if not isinstance(item, Garbage)]
+                answers = [item for item in found if wanted(item)]
+                self._waiting += [item for item in found if item not in answers[:1]]
+                if answers:
+                    return answers[0]
         raise NoBoardError(f"{self._url}: the board does not answer {name}")
-
-    def _keep(self, found: tuple[Message, ...]) -> None:
-        self._waiting.extend(item for item in found if not isinstance(item, Garbage))
 
     def _arrived(self) -> tuple[Message, ...]:
         data = self._port.read(self._port.in_waiting or 1)
@@ -206,10 +182,9 @@ class Board:
         Returns the HELLO that states the settings. Raises InputError where the board refuses one.
         """
         self.order(Kind.STOP)
-        self._waiting.clear()
-        self.order(Kind.SET_ROWS, rows)
-        self.order(Kind.SET_COLUMNS, columns)
-        self.order(Kind.SET_READINGS, readings)
+        self._waiting = []
+        for kind, value in ((Kind.SET_ROWS, rows), (Kind.SET_COLUMNS, columns), (Kind.SET_READINGS, readings)):
+            self.order(kind, value)
         shortest = self.identify().shortest_period_us
         if period_us is not None and period_us < shortest:
             raise InputError(
@@ -222,9 +197,7 @@ class Board:
             raise NoBoardError(f"{self._url}: the board restarted while it was being set")
         self.order(Kind.START)
         # HELLOs from before the start would look like a restart.
-        frames = [item for item in self._waiting if isinstance(item, Frame)]
-        self._waiting.clear()
-        self._waiting.extend(frames)
+        self._waiting = [item for item in self._waiting if isinstance(item, Frame)]
         return settings
 
     def stop(self) -> None:
@@ -254,11 +227,7 @@ def pressed_keys() -> Iterator[Callable[[], str]]:
         before = termios.tcgetattr(descriptor)
         if os.tcgetpgrp(descriptor) != os.getpgrp():
             raise OSError("in the background, where touching the terminal would stop the process")
-    except (ImportError, OSError, ValueError, AttributeError):
-        # No POSIX terminal: then nothing can be marked.
-        yield lambda: ""
-        return
-    except termios.error:
+    except Exception:  # no POSIX terminal: then nothing can be marked
         yield lambda: ""
         return
     try:

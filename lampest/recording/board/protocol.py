@@ -34,29 +34,22 @@ def crc16(data: bytes) -> int:
 def stuffed(body: bytes) -> bytes:
     """COBS: the body without zeros. Source: Cheshire & Baker, IEEE/ACM Trans. Networking 7(2), 1999."""
     pieces = []
-    runs = body.split(b"\0")
-    for number, run in enumerate(runs):
-        while len(run) >= 254:
-            pieces.append(b"\xff" + run[:254])
-            run = run[254:]
-            if not run and number == len(runs) - 1:
-                return b"".join(pieces)
-        pieces.append(bytes([len(run) + 1]) + run)
-    return b"".join(pieces)
+    *runs, last = body.split(b"\0")
+    for run in runs:
+        pieces += [run[begin : begin + 254] for begin in range(0, len(run) + 1, 254)]
+    # A full piece at the end needs no empty one behind it.
+    pieces += [last[begin : begin + 254] for begin in range(0, max(len(last), 1), 254)]
+    return b"".join(bytes([len(piece) + 1]) + piece for piece in pieces)
 
 
 def unstuffed(data: bytes) -> bytes | None:
     """The body that COBS made `data` of, or None where its codes do not end with the data."""
-    pieces = []
-    place = 0
+    pieces, place = [], 0
     while place < len(data):
-        code = data[place]
-        end = place + code
+        code, end = data[place], place + data[place]
         if code == 0 or end > len(data):
             return None
-        pieces.append(data[place + 1 : end])
-        if code < 255 and end < len(data):
-            pieces.append(b"\0")
+        pieces.append(data[place + 1 : end] + (b"\0" if code < 255 and end < len(data) else b""))
         place = end
     return b"".join(pieces)
 

@@ -13,7 +13,6 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal, is_finished
@@ -69,11 +68,6 @@ class Recorded(FrameCount):
     noise_lsb: float | None
     silent: float = 0.0
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether a signal ended it."""
-        return bool(self.ended_by)
-
 
 @dataclass(frozen=True)
 class Progress:
@@ -101,8 +95,7 @@ def record(
 
     Parameters
     ----------
-    port_url : port name or pyserial URL; None for the only port that looks like an Arduino.
-    out : the file; must not exist.
+    port_url : port name or pyserial URL; None for the only port that looks like an Arduino. out : must not exist.
     frames, seconds : when to end; by default at Ctrl-C.
     scene : what the board must fit, and is set to; by default what the board says.
     baseline : the first so many frames are unloaded.
@@ -114,24 +107,22 @@ def record(
     where the board does not answer or does not fit, `out` exists, no frame came, or nothing fits any more; what came
     before is in the file then.
     """
-    _check_new(out)
+    check_output(out)
+    if out.exists():
+        raise InputError(f"{out}: exists already; a recording is never written over")
     port_url = port_url or only_port()
-    count, state = FrameCount(), ""
-
-    def on_state(sentence: str) -> None:
-        nonlocal state
-        state = sentence
-
-    with ending_signals(lambda: count.frames > 0 and not state) as asked:
+    count, states = FrameCount(), [""]
+    with ending_signals(lambda: count.frames > 0 and not states[-1]) as asked:
         try:
             with contextlib.ExitStack() as stack:
-                batches = board_samples(port_url, scene, period, on_state, lambda: bool(asked()))
+                batches = board_samples(port_url, scene, period, states.append, lambda: bool(asked()))
                 stack.enter_context(contextlib.closing(batches))
                 wanted = _wanted(batches, frames, seconds, period or 1.0)
                 for count, sample in _written(wanted, out, scene, baseline, stack, keys, asked):
-                    state = state if sample is None else ""
-                    if sample is not None or state:
-                        on_progress(Progress(sample, count.frames, count.lost, state))
+                    if sample is not None:
+                        states[:] = [""]
+                    if sample is not None or states[-1]:
+                        on_progress(Progress(sample, count.frames, count.lost, states[-1]))
         except KeyboardInterrupt:
             if not count.frames:
                 raise
@@ -144,17 +135,9 @@ def record(
             made = finished(out) if count.frames else None
         if made is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        agreed, _, noise = made
-        done = Recorded(path=out, scene=agreed, ended_by=asked(), noise_lsb=noise, **asdict(count))
-        short = seconds is not None and not done.interrupted and count.frames != frames
-        return dataclasses.replace(done, silent=round(max((seconds or 0.0) - count.until, 0.0), 3)) if short else done
-
-
-def _check_new(out: Path) -> None:
-    """Raise InputError where the recording cannot be made, or would be written over another."""
-    check_output(out)
-    if out.exists():
-        raise InputError(f"{out}: exists already; a recording is never written over")
+        short = seconds is not None and not asked() and count.frames != frames
+        silent = round(max((seconds or 0.0) - count.until, 0.0), 3) if short else 0.0
+        return Recorded(path=out, scene=made[0], ended_by=asked(), noise_lsb=made[2], silent=silent, **asdict(count))
 
 
 def _written(
@@ -207,17 +190,14 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            last = [number for number, sample in enumerate(batch) if _is_last(sample, seconds)]
-            batch = batch[: last[0] + 1] if last else batch
-            ended = bool(last) or time.monotonic() - began > 1.05 * seconds + period + 1
+            ends = [sample.time + sample.hello.period_us * 1e-6 for sample in batch]
+            until = next((number for number, end in enumerate(ends, 1) if end > seconds - 1e-3), None)
+            batch = batch[:until]
+            ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
         count += len(batch)
         yield batch
         if ended:
             return
-
-
-def _is_last(sample: Sample, seconds: float) -> bool:
-    return sample.time + sample.hello.period_us * 1e-6 > seconds - 1e-3
 
 
 def repair(path: Path) -> tuple[int, int]:
@@ -233,22 +213,18 @@ def repair(path: Path) -> tuple[int, int]:
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
-        whole, dropped = _salvaged(path, folder / path.name)
-        return finished(path, whole)[1], dropped
-
-
-def _salvaged(path: Path, beside: Path) -> tuple[Path, int]:
-    """(a journal without damage, damaged frames): the journal itself, or a copy of what is whole in it."""
-    with hdf5.existing_file(path) as file:
-        scene, group, _ = head_of(file, path)
-        frames, damaged = damaged_frames(file, scene, group)
-        if not len(damaged) and np.all(whole_events(file)):
-            return path, 0
-        if len(damaged) == frames:
-            raise InputError(f"{path}: every frame is damaged")
-        with Journal.create(beside, scene, int(hdf5.read_number(file, "/entry/raw", "readings"))) as journal:
-            journal.keep(file, damaged, frames)
-    return beside, len(damaged)
+        with hdf5.existing_file(path) as file:
+            scene, group, _ = head_of(file, path)
+            frames, damaged = damaged_frames(file, scene, group)
+            if not len(damaged) and np.all(whole_events(file)):
+                whole = path
+            elif len(damaged) == frames:
+                raise InputError(f"{path}: every frame is damaged")
+            else:
+                whole = folder / path.name
+                with Journal.create(whole, scene, int(hdf5.read_number(file, "/entry/raw", "readings"))) as journal:
+                    journal.keep(file, damaged, frames)
+        return finished(path, whole)[1], len(damaged)
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
@@ -286,22 +262,16 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """
     total, count, readout = 0.0, 0, None
     for part in parts:
-        readout, squares = part.scene.readout, _repeats(part)
-        total, count = total + float(np.sum(squares)), count + len(squares)
+        readout, sums = part.scene.readout, part.raw_sums
+        if readout is None or sums is None or part.raw_readings is None:
+            return None
+        mean_code = sums / part.raw_readings
+        pairs = (part.role[1:] == UNLOADED) & (part.role[:-1] == UNLOADED)
+        if part.acquisition is not None:
+            pairs &= np.diff(part.acquisition.session.astype(int)) == 0
+        inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
+        difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
+        total, count = total + float(np.sum(difference**2)), count + len(difference)
     if readout is None or count < FEWEST_REPEATS:
         return None
     return noise_of_variance(readout, total / count / 2)
-
-
-def _repeats(recording: Recording) -> Array:
-    """Squared differences of mean codes of successive unloaded frames, one after the other."""
-    sums = recording.raw_sums
-    if recording.scene.readout is None or sums is None or recording.raw_readings is None:
-        return np.zeros(0)
-    mean_code = sums / recording.raw_readings
-    pairs = (recording.role[1:] == UNLOADED) & (recording.role[:-1] == UNLOADED)
-    if recording.acquisition is not None:
-        pairs &= np.diff(recording.acquisition.session.astype(int)) == 0
-    inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
-    difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
-    return np.asarray(difference**2)

@@ -68,10 +68,13 @@ class Recorder:
                     self._begun.journal.mark(sample.time, "zero")
             if len(self._unloaded) < self._baseline:
                 self._unloaded.append(sample)
-            if self._asked and (self._begun is not None or len(self._unloaded) == self._baseline):
-                self._turned(self._asked.popleft(), sample)
+            if self._begun is not None and self._asked:
+                self._asked.clear()
+                self._end()
             elif self._begun is not None:
                 self._grown((sample,), 0)
+            elif self._asked and len(self._unloaded) == self._baseline:
+                self._begin(self._asked.popleft(), sample)
         except InputError as error:
             self._end(str(error))
 
@@ -83,10 +86,7 @@ class Recorder:
             for thread in self._finishing:
                 thread.join()
 
-    def _turned(self, name: str, sample: Sample) -> None:
-        if self._begun is not None:
-            self._end()
-            return
+    def _begin(self, name: str, sample: Sample) -> None:
         path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
         if path.exists():
             raise InputError(f"{path}: exists already; a recording is never written over")

@@ -8,7 +8,7 @@ from typing import Any
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import Board, NoBoardError
@@ -17,7 +17,7 @@ from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
 # What a board and a scene must say alike, by the board's wiring.
 SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
-    "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits"),
+    "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
 # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
 LOAD_TOLERANCE = 0.1
@@ -37,47 +37,39 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
-    if scene.readout is None:
+    ours, panel = scene.readout, scene.panel
+    if ours is None:
         return replace(scene, readout=declared)
-    if scene.readout.kind != hello.wiring:
+    if ours.kind != hello.wiring:
         raise InputError(
-            f"the scene's readout.kind is {scene.readout.kind}, but the board says that it is wired as {hello.wiring} "
+            f"the scene's readout.kind is {ours.kind}, but the board says that it is wired as {hello.wiring} "
             f"(firmware pins.h)"
         )
     for name in SHARED[hello.wiring]:
-        ours, theirs = getattr(scene.readout, name), getattr(declared, name)
-        if ours != theirs:
-            raise InputError(f"the scene's readout.{name} is {ours}, but the board says {theirs} (firmware pins.h)")
-    _check_loads(scene.readout, declared)
-    panel = scene.panel
-    most = (hello.most_rows, hello.most_columns, hello.most_readings)
-    asked = (panel.rows, panel.columns, scene.readout.readings)
-    for name, ours, theirs in zip(("panel.rows", "panel.columns", "readout.readings"), asked, most, strict=True):
-        if ours > theirs:
-            raise InputError(f"the scene's {name} is {ours}, but the board can do at most {theirs}")
+        mine, theirs = getattr(ours, name), getattr(declared, name)
+        if name == "load_ohm":
+            far = [load for load in as_tuple(mine) if abs(load / theirs - 1) > LOAD_TOLERANCE]
+            mine, theirs = (f"{far[0]:g}", f"{theirs:g}") if far else ("", "")
+        if mine != theirs:
+            raise InputError(f"the scene's readout.{name} is {mine}, but the board says {theirs} (firmware pins.h)")
+    for name, asked, most in (
+        ("panel.rows", panel.rows, hello.most_rows),
+        ("panel.columns", panel.columns, hello.most_columns),
+        ("readout.readings", ours.readings, hello.most_readings),
+    ):
+        if asked > most:
+            raise InputError(f"the scene's {name} is {asked}, but the board can do at most {most}")
     return scene
 
 
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """The circuit and the converter as the board declares them."""
     reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
-    declared: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
-    declared["readings"] = hello.readings
+    known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
+    known["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
-        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **declared)
-    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **declared)
-
-
-def _check_loads(ours: Readout, declared: Readout) -> None:
-    """Raise InputError where a load is not what the board says, give or take what resistors differ by."""
-    if not (isinstance(ours, LoadedColumnsReadout) and isinstance(declared, LoadedColumnsReadout)):
-        return
-    (nominal,) = as_tuple(declared.load_ohm)
-    for load in as_tuple(ours.load_ohm):
-        if abs(load / nominal - 1) > LOAD_TOLERANCE:
-            raise InputError(
-                f"the scene's readout.load_ohm is {load:g}, but the board says {nominal:g} (firmware pins.h)"
-            )
+        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **known)
+    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,23 +112,25 @@ class Scanning:
     stray: Frame | None = None
     since: float = field(default_factory=time.time)
 
+    @property
+    def period(self) -> float:
+        """s between frames."""
+        return self.hello.period_us * 1e-6
+
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
         stray = self.stray
-        if (
-            stray is not None
-            and (frame.sequence - stray.sequence) % ROUND == 1
-            and self._follows(frame, stray, time.time())
-            and (sample := self._resumed(stray)) is not None
-        ):
+        together = stray is not None and _steps(stray, frame) == 1 and self._follows(frame, stray, time.time())
+        if stray and together and (sample := self._resumed(stray)) is not None:
             run, samples = self._with(sample)
             run, more = run.taking(frame)
             return run, samples + more
         if self.before is None:
-            return self._with(self._placed(frame))
+            return self._with(self._first(frame))
         for before in (self.last, self.before):  # which differ where the last one is in doubt
             if before is not None and self._follows(frame, before.frame, before.host_time):
-                return replace(self, before=before)._with(self._placed(frame, before))
+                at = before.time + _elapsed_ms(before.frame, frame) / 1000
+                return replace(self, before=before)._with(self._sample(frame, at, _steps(before.frame, frame) - 1))
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
@@ -147,50 +141,51 @@ class Scanning:
         run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
         return run, (sample,)
 
+    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, jump: bool = False) -> Sample:
+        """At a time, but later than the last one; anew : 1 where the numbers began anew."""
+        now = time.time()
+        if self.last is not None and at <= self.last.time:
+            at = self.last.time + max(now - self.last.host_time, self.period)
+        return Sample(frame, self.hello, at, now, lost, self.session + anew, jump)
+
+    def _first(self, frame: Frame) -> Sample:
+        """The first of a run; numbers begin with 0, unless the clock had no time for so many frames."""
+        if self.last is None:
+            time_for_all = 990 * frame.sequence * self.period <= min(frame.device_ms + 2, self._most_ms(self.since))
+            return self._sample(frame, 0.0, frame.sequence if time_for_all else 0)
+        moved = max(time.time() - self.last.host_time, self.period)
+        return self._sample(frame, self.last.time + moved, max(round(moved / self.period) - 1, 0))
+
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
-        steps = (frame.sequence - before.sequence) % ROUND
-        elapsed_ms = (frame.device_ms - before.device_ms) % ROUND
-        period_ms, most_ms = self.hello.period_us / 1000, self._most_ms(host_time)
+        steps, most_ms = _steps(before, frame), self._most_ms(host_time)
         if steps == 1:  # the board counts what it missed since; a scan may begin up to a period late
-            most_ms = min(most_ms, 1.01 * (2 + frame.missed) * period_ms + 2)
-        return 0 < steps < ROUND // 2 and 0.99 * steps * period_ms - 2 <= elapsed_ms <= most_ms
+            most_ms = min(most_ms, 1010 * (2 + frame.missed) * self.period + 2)
+        return 0 < steps < ROUND // 2 and 990 * steps * self.period - 2 <= _elapsed_ms(before, frame) <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
         """By how much the board's clock can have advanced since a time of the host's."""
-        return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS) + 3e-3 * self.hello.period_us
-
-    def _placed(self, frame: Frame, before: Sample | None = None) -> Sample:
-        now, period, last = time.time(), self.hello.period_us * 1e-6, self.last
-        if last is None:
-            return Sample(frame, self.hello, 0.0, now, self._lost_at_first(frame), self.session)
-        moved = max(now - last.host_time, period)
-        if before is None:
-            return Sample(frame, self.hello, last.time + moved, now, max(round(moved / period) - 1, 0), self.session)
-        at = before.time + (frame.device_ms - before.frame.device_ms) % ROUND / 1000
-        lost = (frame.sequence - before.frame.sequence) % ROUND - 1
-        return Sample(frame, self.hello, at if at > last.time else last.time + moved, now, lost, self.session)
-
-    def _lost_at_first(self, frame: Frame) -> int:
-        """Numbers begin with 0, unless the clock says that there was no time for so many frames."""
-        least = 0.99e-6 * frame.sequence * self.hello.period_us
-        most = FASTEST * max(time.time() - self.since, 0.0) + AHEAD_SECONDS
-        return frame.sequence if least <= min(1e-3 * frame.device_ms + 2e-3, most) else 0
+        return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3 * self.period)
 
     def _resumed(self, frame: Frame) -> Sample | None:
         """The first frame after a jump of the clock or of the numbers; None where it was sent before."""
         assert self.before is not None and self.last is not None
-        now, period, before = time.time(), self.hello.period_us * 1e-6, self.before
-        steps = (frame.sequence - before.frame.sequence) % ROUND
-        elapsed_ms = (frame.device_ms - before.frame.device_ms) % ROUND
+        newest = max(self.before.time, self.last.time)
+        steps, elapsed_ms = _steps(self.before.frame, frame), _elapsed_ms(self.before.frame, frame)
         forward = 0 < elapsed_ms < ROUND // 2
-        if steps == 1 or (not forward and 0 < 1e3 * steps * period <= self._most_ms(before.host_time)):
-            at = max(before.time, self.last.time) + (steps + frame.missed) * period
-            return Sample(frame, self.hello, at, now, steps - 1, self.session, clock_jump=True)
+        if steps == 1 or (not forward and 0 < 1e3 * steps * self.period <= self._most_ms(self.before.host_time)):
+            return self._sample(frame, newest + (steps + frame.missed) * self.period, steps - 1, jump=True)
         if not forward:
             return None
-        moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(now - self.last.host_time, period))
-        at = max(before.time, self.last.time) + moved
-        return Sample(frame, self.hello, at, now, max(round(moved / period) - 1, 0), self.session + 1)
+        moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(time.time() - self.last.host_time, self.period))
+        return self._sample(frame, newest + moved, max(round(moved / self.period) - 1, 0), anew=1)
+
+
+def _steps(before: Frame, frame: Frame) -> int:
+    return (frame.sequence - before.sequence) % ROUND
+
+
+def _elapsed_ms(before: Frame, frame: Frame) -> int:
+    return (frame.device_ms - before.device_ms) % ROUND
 
 
 class UnfitError(InputError):
@@ -204,21 +199,17 @@ class Patience:
     """
 
     def __init__(self, url: str) -> None:
-        self._url = url
-        self._since = time.monotonic()
-        self._heard = Counter[str]()
+        self._url, self._since, self._heard = url, time.monotonic(), Counter[str]()
 
     def renew(self) -> None:
         """A frame fitted, or nobody is there."""
-        self._since = time.monotonic()
-        self._heard.clear()
+        self._since, self._heard = time.monotonic(), Counter()
 
     def hear(self, item: Message, out_of_order: bool) -> None:
         """Something came that is no frame that fits."""
+        kind = "pieces that are no message" if isinstance(item, Garbage) else "answers"
         if isinstance(item, Frame):
             kind = "frames out of order" if out_of_order else "frames of another size"
-        else:
-            kind = "pieces that are no message" if isinstance(item, Garbage) else "answers"
         self._heard[kind] += 1
 
     def check(self, period_us: int = 0) -> None:
@@ -358,22 +349,17 @@ def _one_run(board: Board, run: Scanning, patience: Patience, ending: Callable[[
 
 def _taken(run: Scanning, found: Sequence[Message], patience: Patience) -> tuple[Scanning, tuple[Sample, ...], bool]:
     """The run with all messages, the samples they make, and whether the board said that it no longer scans."""
-    samples: list[Sample] = []
+    samples: tuple[Sample, ...] = ()
+    size = run.hello.rows, run.hello.columns
     for item in found:
         if isinstance(item, Hello) and not item.running:
             patience.hear(item, False)
-            return run, tuple(samples), True
-        fits = isinstance(item, Frame) and _fits(item, run.hello)
-        more: tuple[Sample, ...] = ()
-        if isinstance(item, Frame) and fits:
-            run, more = run.taking(item)
+            return run, samples, True
+        fits = isinstance(item, Frame) and item.sums.shape == size and item.readings == run.hello.readings
+        run, more = run.taking(item) if isinstance(item, Frame) and fits else (run, ())
+        samples += more
         if more:
-            samples.extend(more)
             patience.renew()
         else:
             patience.hear(item, fits)
-    return run, tuple(samples), False
-
-
-def _fits(frame: Frame, hello: Hello) -> bool:
-    return frame.sums.shape == (hello.rows, hello.columns) and frame.readings == hello.readings
+    return run, samples, False
