@@ -144,8 +144,7 @@ def tare(
     out: Annotated[Path, written("--out", "The recording that is written.")],
 ) -> None:
     """Make other frames the unloaded ones; all others count as measured, and no reading changes."""
-    from lampest.recording.recording import Recording
-    from lampest.recording.tare import STILL, frames_named, tared
+    from lampest.recording.recording import STILL, Recording, frames_named, tared
 
     recording = Recording.load(file)
     named = frames_named(frames, len(recording.role))

@@ -23,7 +23,7 @@ FramesNamed = Annotated[
 
 def _frames(text: str | None) -> range | None:
     """The frames that an option names; None: all. Raises InputError unless it names some."""
-    from lampest.recording.tare import frames_between
+    from lampest.recording.recording import frames_between
 
     return None if text is None else frames_between(text)
 

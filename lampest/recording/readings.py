@@ -1,6 +1,6 @@
 """What recorded values say to an estimator: numbers, bounds, or nothing. All values, of a file or not, come in here."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,17 +14,14 @@ from lampest.panel.memory import without_memory
 from lampest.panel.panel import Array, Modules, beyond_any_panel
 from lampest.panel.scene import Scene
 
-SWEEPS = 6  # of the median polish; panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
 LEAST_SPREAD = 1e-3  # of log y: below that a frame is a simulation without noise
-LEVEL, TWO_SIDED = 0.95, 1.96  # what of the readings left out lies within so many times the spread
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
-NEAR_ZERO = 3.0  # σ: a resistance that is no larger says only that it is small
-TAIL = 3.0  # σ: a bound so near to the mean of the values beside it is their noise cut off, not another state
+NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to the mean of values is their noise
 
 
 @dataclass(frozen=True, eq=False)
 class StandIn:
-    """Of one frame. logarithm : (rows, columns) log y of the readings that are known, NaN of the others."""
+    """Of one frame (rows, columns): what the readings that are known let expect of the others."""
 
     logarithm: Array
 
@@ -42,9 +39,8 @@ class StandIn:
     def spread(self) -> Array:
         """(rows, columns) standard deviation of the value's logarithm; 1 throughout where nothing is known.
 
-        Of readings that are known, as if they were not: those of one diagonal after the other are left out, one a line.
-        Loads make few of them stray far; so it is the rms, or more where that does not hold 95 % of them. A line
-        without any known reading has the variance of the others' effects on top.
+        Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
+        A line without any known reading has the variance of the others' effects on top.
         """
         known = ~np.isnan(self.logarithm)
         if not known.any():
@@ -53,7 +49,7 @@ class StandIn:
         left = np.stack([np.where(diagonal == number, np.nan, self.logarithm) for number in range(max(known.shape))])
         alone = np.take_along_axis(_polished(left)[0], diagonal[None], axis=0)[0]
         stray = np.abs(alone - self.logarithm)[known]
-        size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, LEVEL, method="higher") / TWO_SIDED)
+        size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
         return np.asarray(np.maximum(np.sqrt(size**2 + self._expected[1]), LEAST_SPREAD))
 
     @cached_property
@@ -64,14 +60,14 @@ class StandIn:
 def _polished(rest: Array) -> tuple[Array, Array]:
     """(m + a_j + b_k, variance of the effects of lines of which nothing is known), any shape + (rows, columns).
 
-    Median polish of log y, NaN where unknown: a wild reading moves no line. A line of which nothing is known has the
-    mean of the others. 0 where nothing at all is known. Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
+    Median polish of log y, NaN where unknown; an unknown line has the mean of the others, and 0 stands where nothing is
+    known. Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     """
     unknown = np.isnan(rest)
     level = _median(rest, (-2, -1))
     rest = rest - level
     effects = {axis: np.zeros_like(_median(rest, axis)) for axis in (-1, -2)}
-    for _ in range(SWEEPS):
+    for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
         for axis in effects:
             step = _median(rest, axis)
             effects[axis], rest = effects[axis] + step, rest - step
@@ -113,10 +109,9 @@ class Readings:
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """The network's readings of recorded values, and what each of them says; one frame (rows, columns) or many.
 
-        Missing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at
-        or beyond a rail of the converter, infinity, and a resistance that is zero within three σ once the series
-        resistance is off, or below it by however much. Without a readout there are no rails, and without σ no noise:
-        then infinity is at least the largest, and what is not positive at most the smallest value of its frame.
+        Missing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at or
+        beyond a rail of the converter, infinity, and a resistance that is below three σ once the series resistance is
+        off. Bounds without a number are the largest or smallest value of their frame.
 
         Parameters
         ----------
@@ -146,11 +141,11 @@ class Readings:
         if not scene.whole:
             seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
-            least = np.zeros_like(network) if noise is None else NEAR_ZERO * _least_noise(scene, noise)
+            least = np.zeros_like(network) if noise is None else NEAR * _least_noise(scene, noise)
             small = (network <= least) & (side != AT_LEAST)
             side = np.where(small, AT_MOST, side)
             if noise is not None:
-                network = np.where(small, np.maximum(network, 0) + NEAR_ZERO * noise, network)
+                network = np.where(small, np.maximum(network, 0) + NEAR * noise, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         return cls(_standing_in(network, side, seen), None if noise is None else _filled(noise, seen), side, seen)
@@ -174,12 +169,13 @@ class Readings:
     @classmethod
     def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":
         """The readings of the whole image from those of its modules, in the order of their numbers."""
+        return cls._stacked(parts, lambda arrays: layout.joined(np.stack(arrays, axis=-3)))
 
-        def whole(name: str) -> Array:
-            return layout.joined(np.stack([getattr(part, name) for part in parts], axis=-3))
-
-        sigma = None if any(part.sigma is None for part in parts) else whole("sigma")
-        return cls(whole("value"), sigma, whole("side"), whole("seen"))
+    @classmethod
+    def _stacked(cls, parts: Sequence["Readings"], stack: Callable[[list[Array]], Array]) -> "Readings":
+        known = [part.sigma for part in parts if part.sigma is not None]
+        value, side, seen = (stack([getattr(part, name) for part in parts]) for name in ("value", "side", "seen"))
+        return cls(value, stack(known) if len(known) == len(parts) else None, side, seen)
 
     @classmethod
     def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
@@ -192,7 +188,7 @@ class Readings:
             return None
         network, noise = scene.circuit.from_recorded(recorded, scene), _noise(scene, recorded, None)
         assert noise is not None  # of a readout
-        small = NEAR_ZERO * noise if scene.circuit.unit == "ohm" else 0.0
+        small = NEAR * noise if scene.circuit.unit == "ohm" else 0.0
         if not (network > small).all() or not np.isfinite(network + noise).all():
             return None
         return cls(network, noise, np.zeros(network.shape), np.ones(network.shape))
@@ -205,8 +201,7 @@ class Readings:
     @property
     def plain(self) -> NDArray[np.bool_]:
         """Whether a reading is a value, neither a bound nor nothing."""
-        plain: NDArray[np.bool_] = (self.seen > 0) & (self.side == VALUE)
-        return plain
+        return np.asarray((self.seen > 0) & (self.side == VALUE))
 
     @property
     def plain_values(self) -> Array:
@@ -216,13 +211,11 @@ class Readings:
     @property
     def bounds(self) -> NDArray[np.bool_]:
         """Whether a reading only bounds the truth."""
-        bounds: NDArray[np.bool_] = (self.seen > 0) & (self.side != VALUE)
-        return bounds
+        return np.asarray((self.seen > 0) & (self.side != VALUE))
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
         """Whether a reading is missing of a cell, though the scene's faults do not make it blind."""
-        missing: NDArray[np.bool_] = self.seen == 0
-        return missing & scene.asked
+        return np.asarray((self.seen == 0) & scene.asked)
 
     @property
     def shown(self) -> Array:
@@ -232,9 +225,8 @@ class Readings:
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
         """Whether a frame can be estimated, of the leading shape: half of its readings are values, or M + N − 1 are.
 
-        So many numbers describe a panel whose lines alone differ, which is the least that every other cell can be known
-        apart from. Bounds do not count: cells that only obey bounds are any of many. Crossings without a cell, and
-        lines and readings that the scene's faults make blind, are not asked for.
+        So many numbers describe a panel whose lines alone differ. Crossings without a cell, and readings that the
+        scene's faults make blind, do not count.
         """
         if not self.partial:
             return np.ones(self.value.shape[:-2], dtype=bool)
@@ -256,15 +248,14 @@ class Readings:
     def mean(self) -> "Readings":
         """The mean over frames (frames, rows, columns), cell by cell over those that say something.
 
-        It is that of the values, unless bounds outnumber them, or lie within TAIL σ of their mean: then noise is cut
-        off at the bound, values alone would lean away from it, and the mean of all of them is a bound again. Bounds of
-        both sides alone count as missing.
+        It is that of the values, unless bounds outnumber them or lie within NEAR σ of their mean: then the mean of all
+        is a bound. Bounds of both sides alone count as missing.
         """
         value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
         among = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
-            near = bound & (np.abs(self.value - of_values) <= TAIL * self.sigma)
+            near = bound & (np.abs(self.value - of_values) <= NEAR * self.sigma)
             among |= near.any(axis=0)
         of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
         side = np.where(among, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
@@ -276,14 +267,7 @@ class Readings:
 
     def together(self, *others: "Readings") -> "Readings":
         """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
-        frames = (self, *others)
-        known = [frame.sigma for frame in frames if frame.sigma is not None]
-        return Readings(
-            np.stack([frame.value for frame in frames]),
-            np.stack(known) if len(known) == len(frames) else None,
-            np.stack([frame.side for frame in frames]),
-            np.stack([frame.seen for frame in frames]),
-        )
+        return self._stacked((self, *others), np.stack)
 
     def alone(self) -> "Readings":
         """One frame (rows, columns) as (1, rows, columns)."""

@@ -1,5 +1,7 @@
 """A recording: frames of two-point resistance, the scene they were taken in, and, for simulated ones, the truth."""
 
+import re
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
@@ -26,6 +28,7 @@ UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
+STILL = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
@@ -80,23 +83,24 @@ class Recording(Validated):
                 f"{self.name}: {self.path} is {found}, but the scene's panel asks for frames × "
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
+        where = f"{self.name}: {self._group}/"
         try:
             check_sigma(self.scene, self.recorded, self.sigma)
         except InputError as error:
-            raise InputError(f"{self.name}: {self._group}/{error}") from error
+            raise InputError(f"{where}{error}") from error
         object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
         if np.any(np.abs(self.time) > LATEST_S):
-            raise InputError(f"{self.name}: {self._group}/time goes beyond {LATEST_S:g} s")
+            raise InputError(f"{where}time goes beyond {LATEST_S:g} s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
-            raise InputError(f"{self.name}: {self._group}/time must hold one finite time for each frame")
+            raise InputError(f"{where}time must hold one finite time for each frame")
         if np.any(np.diff(self.time) < 0):
-            raise InputError(f"{self.name}: {self._group}/time must not decrease")
+            raise InputError(f"{where}time must not decrease")
         self._check_unit()
-        if self.role.shape != (frames,) or not np.all(np.isin(self.role, (UNLOADED, MEASURED))):
-            raise InputError(f"{self.name}: {self._group}/role must hold 0 or 1 for each frame")
-        for truth, path in ((self.truth_cell_resistance, "cell_resistance"), (self.truth_pressure, "pressure")):
+        if self.role.shape != (frames,) or not np.all(np.isin(self.role, ROLES)):
+            raise InputError(f"{where}role must hold 0 or 1 for each frame")
+        for truth, path in zip((self.truth_cell_resistance, self.truth_pressure), TRUTHS, strict=True):
             if truth is not None and truth.shape != self.recorded.shape:
-                raise InputError(f"{self.name}: /entry/truth/{path} has another shape than the frames")
+                raise InputError(f"{self.name}: {path} has another shape than the frames")
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
 
@@ -217,10 +221,8 @@ class Recording(Validated):
         group = self._frames_group(entry, group_of(circuit), circuit.signal)
         hdf5.write_dataset(group, circuit.signal, self.recorded, circuit.unit, circuit.signal_name, axes)
         if self.sigma is not None:
-            scales = axes[-self.sigma.ndim :]
-            hdf5.write_dataset(
-                group, "sigma", self.sigma, circuit.unit, f"standard deviation of {circuit.signal}", scales
-            )
+            deviation = f"standard deviation of {circuit.signal}"
+            hdf5.write_dataset(group, "sigma", self.sigma, circuit.unit, deviation, axes[-self.sigma.ndim :])
         role, flags = self.role.astype(np.uint8), {"flag_values": np.array(ROLES, dtype=np.uint8)}
         words = "0 unloaded baseline, 1 measured"
         hdf5.write_dataset(group, "role", role, "1", words, ("time",), **flags, flag_meanings="unloaded measured")
@@ -257,13 +259,10 @@ class Recording(Validated):
         layout = self.scene.panel.modules
         if layout is None:
             return (self,)
-
-        def inside(values: Any, number: int) -> Any:
-            return None if values is None else values[(..., *layout.cells(number))]
-
-        maps = ("recorded", "sigma", "truth_cell_resistance", "truth_pressure", "raw_sums")
+        names = ("recorded", "sigma", "truth_cell_resistance", "truth_pressure", "raw_sums")
+        maps = {name: values for name in names if (values := getattr(self, name)) is not None}
         return tuple(
-            replace(self, scene=scene, **{name: inside(getattr(self, name), number) for name in maps})
+            replace(self, scene=scene, **{name: each[(..., *layout.cells(number))] for name, each in maps.items()})
             for number, scene in enumerate(self.scene.of_modules)
         )
 
@@ -300,3 +299,47 @@ def _check_held(file: h5py.File, signal: str, *others: str) -> None:
 def group_of(circuit: Readout) -> str:
     """The group of a recording that holds the recorded values: two-point resistances have one of their own."""
     return "two_point" if circuit.unit == "ohm" else "readings"
+
+
+def frames_named(text: str, frames: int) -> range:
+    """'40:50' → frames 40 to 49 as Python counts, from 0 on; either side may be left out.
+
+    Raises InputError unless these are frames of a recording with so many.
+    """
+    named = frames_between(text, frames)
+    first, end = named.start, named.stop
+    if not first < end <= frames:
+        raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
+    return range(first, end)
+
+
+def frames_between(text: str, most: int = sys.maxsize) -> range:
+    """The same of a recording of unknown length; most : where no end is named.
+
+    Raises InputError unless the text names frames.
+    """
+    match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
+    if match is None:
+        raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
+    return range(int(match[1] or 0), int(match[2] or most))
+
+
+def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
+    """(the recording whose unloaded frames are these and no others, how much its readings change within them).
+
+    All other frames are measured ones, those that were unloaded before, too; no reading changes. The change is the
+    largest over the cells, relative, from the first half of the frames to the second; 0 for a single frame.
+
+    Raises InputError where no frame would be left to measure.
+    """
+    if len(frames) == len(recording.role):
+        raise InputError(f"{recording.name}: where all frames are unloaded, none is left to measure")
+    role = np.full(len(recording.role), MEASURED, dtype=np.uint8)
+    role[frames.start : frames.stop] = UNLOADED
+    shown = recording.readings()[frames.start : frames.stop].shown
+    half, change = len(shown) // 2, 0.0
+    if half:
+        known = np.isfinite(shown).all(axis=0)
+        before, after = shown[:half, known].mean(axis=0), shown[half:, known].mean(axis=0)
+        change = float(np.abs(after / before - 1).max(initial=0.0))
+    return replace(recording, role=role), change

@@ -18,7 +18,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 
 WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more
-LEAST_FRAMES = 16  # of a part, however large the panel is
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ class StoredRecording:
     @property
     def length(self) -> int:
         """Frames of a part."""
-        return max(LEAST_FRAMES, BLOCK // self.scene.panel.crossings)
+        return max(16, BLOCK // self.scene.panel.crossings)
 
     def blocks(self) -> tuple[range, ...]:
         """Frames that are estimated one after the other before they are written, part by part."""
@@ -91,14 +90,13 @@ def _of_each_frame(recording: Recording) -> list[str]:
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
     """The first unloaded frames, up to so many; None where there is none."""
     found: list[Recording] = []
-    left = most
     for frames in stored.blocks():
         part = stored.part(frames)
-        resting = np.flatnonzero(part.role == UNLOADED)[:left]
-        if len(resting):
-            found.append(only_frames(part, np.isin(np.arange(len(part.role)), resting)))
-            left -= len(resting)
-        if not left:
+        resting = part.role == UNLOADED
+        resting &= np.cumsum(resting) <= most
+        most -= int(resting.sum())
+        found += [only_frames(part, resting)] if resting.any() else []
+        if not most:
             break
     return of_parts(found) if found else None
 

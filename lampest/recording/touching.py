@@ -1,12 +1,8 @@
-"""Lines that seem to touch each other, found in readings alone: they are read alike, and no others are.
-
-Two rows that are one node are read alike by every column, whatever the cells are, as far as their channels are alike.
-"""
-
-from collections.abc import Iterator
+"""Lines that seem to touch each other: two rows that are one node are read alike by every column, and no others are."""
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from lampest.panel.panel import Array, Panel
 from lampest.recording.readings import Readings
@@ -25,7 +21,9 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     others = np.where(alike | (count < FEWEST), np.nan, unlike)
     with np.errstate(invalid="ignore"):
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > APART
-    return tuple(_groups(alike & distinct & distinct[:, None]))
+    groups, group = connected_components(alike & distinct & distinct[:, None], directed=False)
+    members = (np.flatnonzero(group == number) for number in range(groups))
+    return tuple(tuple(rows.tolist()) for rows in members if len(rows) > 1)
 
 
 def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:
@@ -50,16 +48,3 @@ def _differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
         count[row] = plain.sum(axis=0)
         mean[row] = square.sum(axis=0) / np.maximum(count[row], 1)
     return mean, count
-
-
-def _groups(alike: NDArray[np.bool_]) -> Iterator[tuple[int, ...]]:
-    """Rows that are alike, directly or through others, two or more at a time."""
-    left = set(range(len(alike)))
-    while left:
-        group = [left.pop()]
-        for row in group:  # grows while it is walked through
-            near = {int(other) for other in np.flatnonzero(alike[row])} & left
-            left -= near
-            group += near
-        if len(group) > 1:
-            yield tuple(sorted(group))

@@ -27,9 +27,10 @@ CASES = "cases"
 
 @dataclass(frozen=True)
 class Report:
-    """How a batch went: path of the results file, None where no case has a result, numbers of cases, and (case,
-    sentence) of those that failed. aside : where results of other cases that stood there went, None if there were none.
-    not_run : cases that wait for the next run, because whoever hands them out is gone, and lost : why, else ''.
+    """How a batch went.
+
+    results : the file, None where no case has a result. done, skipped : cases solved now and before. failed : (case,
+    sentence). aside : where results of other cases went. not_run : cases without an executor to run them; lost : why.
     """
 
     results: Path | None
@@ -64,10 +65,9 @@ def run_batch(
 ) -> Report:
     """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
 
-    on_case : told how many of how many cases are done. on_long : told every second, from another thread, how far those
-    are that are run part by part. A case that fails is named in the report and costs no other; an interruption keeps
-    what is finished. Raises InputError where the folder cannot be written, another run is using it, or its results
-    would replace a recording.
+    on_case : gets how many of how many cases are done; on_long : every second, from another thread, how far those are
+    that are run part by part. A case that fails costs no other; an interruption keeps what is finished. Raises
+    InputError where the folder cannot be written, another run is using it, or its results would replace a recording.
     """
     executor.ready()
     with exclusive(folder), sparing({case.path for case in run.cases}):
@@ -108,20 +108,14 @@ def run_batch(
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:
-    """Give results that hold a case of which these have none another name: results_1.h5 and so on; returns it.
-
-    What cannot be read as results keeps its content as well.
-    """
+    """Give a file that holds other cases, or is no results file, another name: results_1.h5 and so on; returns it."""
     if path.is_symlink() or not path.is_file():
         return None
     with suppress(InputError):
         if read_case_ids(path) <= {case.case_id for case in done}:
             return None
-    kept = next(
-        name for number in count(1) if not os.path.lexists(name := path.with_name(f"{path.stem}_{number}{path.suffix}"))
-    )
-    path.rename(kept)
-    return kept
+    names = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(1))
+    return path.rename(next(name for name in names if not os.path.lexists(name)))
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
@@ -138,10 +132,7 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, sha256: str) -> Recording | StoredRecording:
-    """A recording, read once by each process for the cases in a row that need it; too long a one is read by parts.
-
-    Raises InputError where the file is no longer the one that the run began with.
-    """
+    """A recording, read once for the cases in a row that need it. Raises InputError where it was replaced meanwhile."""
     recording = opened(path)
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
@@ -177,9 +168,6 @@ def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
 
 def _result(task: Task) -> CaseResult | StoredCase | None:
     """The case's result where it is there and readable; a damaged one is solved again."""
-    if not task.file.is_file():
-        return None
-    try:
-        return read_kept(task.file, task.case.case_id)
-    except InputError:
-        return None
+    with suppress(InputError):
+        return read_kept(task.file, task.case.case_id) if task.file.is_file() else None
+    return None

@@ -39,40 +39,20 @@ class CaseResult(Validated):
     Parameters
     ----------
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
-    case_id, case_yaml : hash and YAML text of the resolved case.
-    versions : library → version.
+    case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
     scene : the recording's, as the estimator was told it.
-    frame : (frames) index into the recording; time : (frames) s.
-    measured, measured_baseline : (frames, rows, columns) and (rows, columns), what the network reads: ohm with the
-        series resistance taken off, or volt across the load; NaN where a reading says nothing.
-    cell_resistance : (frames, rows, columns) ohm; reading_model : what it reads; NaN where a frame failed.
-    relative_change : (frames, rows, columns) percent of the baseline; NaN where a frame failed.
-    open_cell, at_lower_bound : (frames, rows, columns) 0 or 1.
-    baseline_resistance : (rows, columns) ohm.
-    status : (frames) how each solve ended, a sentence.
-    iterations, solve_time, objective, kkt_residual : (frames), solve_time in s. starts : (frames) of each
-        solve; None in results that do not say.
-    costs, weights : term → (frames). disc : an oral disc's number → (frames), where the cells follow from one.
-    contacts : line → its contact's resistance (frames) ohm, and with `_errors` behind it the standard deviation.
+    costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
+        a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     joint_start : whether the first frame was solved together with the baseline.
-    solved : (frames) False where a frame failed.
-    truth, truth_baseline : (frames, rows, columns) and (rows, columns) ohm, or None.
-    sigma, sigma_baseline : standard deviations of what was measured, same shapes and unit; None where unknown, infinite
-    where a reading is a bound or says nothing.
-    reading_side : (frames, rows, columns) 0 a value, 1 or -1 a bound. missing_readings, bound_readings : (frames) how
-    many; None in results that do not say.
-    misfit : chi_square, degrees_of_freedom and what else is said of the residuals against their noise → (frames).
     model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
-    where an older file does not say), and the sentence that says so.
-    noise_sentence : what the recording's own frames say against the noise that its scene tells; ''.
-    noise_learned : what they told of it, contradiction or not; ''.
-    reading_error : standard deviation of the logarithm of a factor on each reading, the same in all frames, as still
-        cells told it; 0 where they told none. frame_noise : what the readings of a frame share by chance, as unloaded
-        frames told it, see `lampest.runs.results.scene`; empty: nothing.
-    film_sentence : what the scene leaves open of the film, and what pressures take it for; ''.
+        where an older file does not say), and the sentence that says so.
+    noise_sentence, noise_learned, film_sentence : what frames say against the scene's noise; what they told of it; what
+        the scene leaves open of the film; ''.
+    reading_error : standard deviation of the logarithm of a factor on each reading, as still cells told it; 0: none.
+    frame_noise : what the readings of a frame share by chance; empty: nothing.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
-    the other arrays : as their columns say; None where nobody asked. NaN where a frame failed.
+    the other arrays : as the columns of their names say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 
     Raises InputError where a name is unfit, shapes disagree, or a value is impossible.

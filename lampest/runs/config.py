@@ -3,19 +3,22 @@
 import hashlib
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, make_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.cost.given import Background
+from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.sequence import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
 from lampest.files.errors import InputError
-from lampest.files.typed import typed
+from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
@@ -23,8 +26,42 @@ from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures, check_name
-from lampest.runs.terms import FORBID, Terms, terms_of
 from lampest.solvers.solution import Settings
+
+FORBID: dict[str, Any] = {"extra": "forbid"}
+
+
+def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
+    """A dataclass with a field for every kind of term, None by default."""
+    return make_dataclass(
+        "Terms",
+        [(kind, term | None, field(default=None)) for kind, term in kinds.items()],
+        bases=bases,
+        frozen=True,
+        namespace={
+            "__pydantic_config__": FORBID,
+            "__module__": __name__,
+            "__doc__": "The cost terms of an estimator, by kind.",
+        },
+    )
+
+
+class _WithInstalled:
+    """What is validated as these terms may name those of installed packages, too."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """The schema of a class with fields for them; called by the validating library."""
+        further = {kind: term for kind, term in term_types().items() if kind not in source.__dataclass_fields__}
+        return handler.generate_schema(terms_class(further, source)) if further else handler(source)
+
+
+Terms = terms_class({kind: term for term in shipped(AnyTerm) for kind in kinds_of(term)}, _WithInstalled)
+
+
+def terms_of(terms: Any) -> tuple[Term, ...]:
+    """The terms that an object of `Terms` names, in order."""
+    return tuple(term for kind in term_types() if (term := getattr(terms, kind, None)) is not None)
 
 
 @dataclass(frozen=True)
@@ -70,8 +107,8 @@ class RunFile:
 class Case:
     """One recording with one estimator.
 
-    sha256 : the recording's. resolved : all that decides the result, as YAML text, sha256 included. case_id : the hash
-    of that. stored : the recording, where it is too long for memory and therefore run part by part.
+    sha256 : the recording's. resolved : all that decides the result, as YAML text; case_id : its hash. stored : the
+    recording, where it is too long for memory and therefore run part by part.
     """
 
     path: Path
@@ -117,7 +154,9 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        _refuse_swept_executor(document, point.assignments)
+        for swept in point.assignments:
+            if swept.split(".")[0] == "executor":
+                raise document.error(("sweep", swept), "where cases run changes no result, so it cannot be swept")
         methods = [_Method.read(point, name) for name in _affected(run, point.assignments)]
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
@@ -128,15 +167,19 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     if faults[0] is not None and all(faults):
         raise faults[0]
     scenes = {file.stem: source.scene.assumed_text for file, source in recordings.items() if source.scene is not None}
-    return Run(_distinct(cases), published, executor, tuple((name, text) for name, text in scenes.items() if text))
+    # Recordings in order, their estimators together, each case once.
+    order = {case.recording: None for case in cases}
+    unique = {case.case_id: case for case in cases}.values()
+    distinct = tuple(case for name in order for case in unique if case.recording == name)
+    return Run(distinct, published, executor, tuple((name, text) for name, text in scenes.items() if text))
 
 
 @dataclass(frozen=True, eq=False)
 class _Source:
     """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text.
 
-    scene, readings : None of a file that is there and cannot be read, of which `fault` says why. stored : of a
-    recording that is too long for memory, of which `readings` are the first.
+    scene, readings : None where the file cannot be read, and fault : why. stored : where it is too long for memory;
+    then `readings` are its first.
     """
 
     path: Path
@@ -205,26 +248,21 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
     Raises InputError where a pattern matches nothing or two files share a stem.
     """
-    files: list[Path] = []
+    files: dict[str, Path] = {}
     for pattern in patterns:
-        target = config.parent / pattern
-        try:
+        target, found = config.parent / pattern, list[Path]()
+        with suppress(OSError, ValueError):  # a name that is too long
             # Two stars would walk through all folders below.
             several = "*" in target.name and "**" not in pattern
             found = sorted(target.parent.glob(target.name)) if several else [target]
-        except (OSError, ValueError):  # a name that is too long
-            found = []
         if not found or (len(found) == 1 and "*" in found[0].name):
             raise InputError(f"{config}: recordings: no file matches {pattern}")
-        files += found
-    for file in files:
-        note_read(file)
-    stems = [file.stem for file in files]
-    for stem in stems:
-        check_name(stem, "recording")
-        if stems.count(stem) > 1:
-            raise InputError(f"{config}: recordings: two files are called {stem}")
-    return files
+        for file in found:
+            note_read(file)
+            check_name(file.stem, "recording")
+            if files.setdefault(file.stem, file) is not file:
+                raise InputError(f"{config}: recordings: two files are called {file.stem}")
+    return list(files.values())
 
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
@@ -263,7 +301,7 @@ def _varied_name(name: str, assignments: dict[str, Any]) -> str:
         short = path.removeprefix(f"estimators.{name}.").removeprefix("terms.")
         text = value if isinstance(value, str) else json.dumps(value)
         parts.append(f"{short}={text}".replace("/", "|"))
-    return name + ("@" + ",".join(parts) if parts else "")
+    return "@".join(filter(None, (name, ",".join(parts))))
 
 
 def _blocks(entries: dict[str, Any]) -> dict[str, str]:
@@ -283,19 +321,6 @@ def _case(source: _Source, method: _Method) -> Case:
     case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
     name = source.path.stem
     return Case(source.path, source.sha256, name, method.name, method.estimator, resolved, case_id, source.stored)
-
-
-def _refuse_swept_executor(document: Document, assignments: dict[str, Any]) -> None:
-    for path in assignments:
-        if path.split(".")[0] == "executor":
-            raise document.error(("sweep", path), "where cases run changes no result, so it cannot be swept")
-
-
-def _distinct(cases: list[Case]) -> tuple[Case, ...]:
-    """Recordings in order, their estimators together, each case once."""
-    order = {case.recording: None for case in cases}
-    unique = {case.case_id: case for case in cases}
-    return tuple(case for recording in order for case in unique.values() if case.recording == recording)
 
 
 def json_schema() -> dict[str, Any]:

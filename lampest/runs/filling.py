@@ -11,13 +11,13 @@ from lampest.files.document import plain_content, to_yaml
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import FIGURES, Column, all_columns
 from lampest.runs.config import Case
-from lampest.runs.results.scene import arrays_of
+from lampest.runs.results.reader import arrays_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
-    """What the results file keeps of a run's case: every column that its estimates can fill.
+    """A run's case: every column that its estimates can fill.
 
     Raises InputError where a column's values are of another shape than its axes, or impossible.
     """

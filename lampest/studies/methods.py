@@ -9,7 +9,7 @@ from lampest.estimate.estimator import Bounds
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import OralDisc
 from lampest.recording.simulation.pressure import Course
-from lampest.runs.terms import Terms, terms_of
+from lampest.runs.config import Terms, terms_of
 
 LARGEST_SIDE = 1000  # of a simulated panel
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes

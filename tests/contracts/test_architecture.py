@@ -42,6 +42,7 @@ DOORS = {
         "loads",
         "cost.problem",
         "recording.calibration",
+        "recording.touching",
         "solvers",
         "posterior",
         "report.export.arrays",

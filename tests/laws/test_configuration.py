@@ -15,7 +15,7 @@ from lampest.files.document import Document, parse_document, plain_content, to_y
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.runs.terms import Terms
+from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)

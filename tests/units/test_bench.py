@@ -13,7 +13,7 @@ from lampest.cost.terms import Misfit
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
-from lampest.runs.terms import Terms
+from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
 from lampest.studies.bench import (

@@ -25,7 +25,7 @@ from lampest.report.detect.answer import Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 from lampest.runs.results import Results
-from lampest.runs.results.scene import frame_noise_of
+from lampest.runs.results.reader import frame_noise_of
 
 AS_PUBLISHED = RecognitionSettings()
 RESULTS = "results/"  # how the format of such a file begins

@@ -24,62 +24,40 @@ FRAMES, CELLS = MAPS[:1], MAPS[1:]
 # What the groups of a results file hold besides columns.
 RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "disc", "model_check")
 
-
 Solved = NDArray[np.bool_]  # (frames)
 Check = Callable[[Any, Solved], str | None]
 
 
-def finite(values: Array, solved: Solved) -> str | None:
-    """Every value is a number."""
-    return None if np.all(np.isfinite(values)) else "must be finite"
+def _everywhere(right: Callable[[Array], Any], said: str) -> Check:
+    """A check of each value."""
+    return lambda values, solved: None if np.all(right(np.asarray(values))) else said
 
 
-def positive(values: Array, solved: Solved) -> str | None:
-    """Every value is a number above zero."""
-    return None if np.all(np.isfinite(values) & (values > 0)) else "must be positive and finite everywhere"
+def _framewise(right: Callable[[Array, Solved], Any], said: str) -> Check:
+    """A check of the values (frames, all others) and whether each frame was solved."""
+    return lambda values, solved: None if np.all(right(np.reshape(values, (len(solved), -1)), solved)) else said
 
 
-def positive_or_missing(values: Array, solved: Solved) -> str | None:
-    """Every value is a number above zero, or NaN."""
-    fine = np.isnan(values) | (np.isfinite(values) & (values > 0))
-    return None if np.all(fine) else "must be positive and finite, or NaN"
-
-
-def positive_or_infinite(values: Array, solved: Solved) -> str | None:
-    """Every value is above zero."""
-    return None if np.all(values > 0) else "must be positive everywhere"
-
-
-def numbers_if_solved(values: Array, solved: Solved) -> str | None:
-    """(frames, ...): numbers where a frame was solved, NaN where it failed."""
-    frames = np.asarray(values).reshape(len(solved), -1)
-    right = np.where(solved, np.isfinite(frames).all(axis=1), np.isnan(frames).all(axis=1))
-    return None if np.all(right) else "must be numbers where solved is 1, and NaN elsewhere"
-
-
-def whole_frames_if_solved(values: Array, solved: Solved) -> str | None:
-    """(frames, ...): NaN where a frame failed; else all of it numbers, or none where there is no baseline."""
-    frames = np.asarray(values).reshape(len(solved), -1)
-    missing = np.isnan(frames).all(axis=1)
-    right = missing | (solved & np.isfinite(frames).all(axis=1))
-    return None if np.all(right) else "must be numbers or NaN throughout where solved is 1, and NaN elsewhere"
-
-
-def known_if_solved(values: Array, solved: Solved) -> str | None:
-    """(frames, ...): numbers or infinite where a frame was solved, NaN where it failed."""
-    missing = np.isnan(np.asarray(values).reshape(len(solved), -1))
-    right = np.where(solved, ~missing.any(axis=1), missing.all(axis=1))
-    return None if np.all(right) else "must be NaN where solved is 0, only"
-
-
-def not_negative(values: Array, solved: Solved) -> str | None:
-    """No value is below zero."""
-    return "must not be negative" if np.any(values < 0) else None
-
-
-def not_zero_or_less(values: Array, solved: Solved) -> str | None:
-    """No value is zero or below."""
-    return "must be positive" if np.any(values <= 0) else None
+finite = _everywhere(np.isfinite, "must be finite")
+positive = _everywhere(lambda values: np.isfinite(values) & (values > 0), "must be positive and finite everywhere")
+positive_or_missing = _everywhere(
+    lambda values: np.isnan(values) | (np.isfinite(values) & (values > 0)), "must be positive and finite, or NaN"
+)
+positive_or_infinite = _everywhere(lambda values: values > 0, "must be positive everywhere")
+not_negative = _everywhere(lambda values: ~(values < 0), "must not be negative")
+not_zero_or_less = _everywhere(lambda values: ~(values <= 0), "must be positive")
+numbers_if_solved = _framewise(
+    lambda values, solved: np.where(solved, np.isfinite(values).all(axis=1), np.isnan(values).all(axis=1)),
+    "must be numbers where solved is 1, and NaN elsewhere",
+)
+known_if_solved = _framewise(  # numbers, or infinite
+    lambda values, solved: np.where(solved, ~np.isnan(values).any(axis=1), np.isnan(values).all(axis=1)),
+    "must be NaN where solved is 0, only",
+)
+whole_frames_if_solved = _framewise(
+    lambda values, solved: np.isnan(values).all(axis=1) | (solved & np.isfinite(values).all(axis=1)),
+    "must be numbers or NaN throughout where solved is 1, and NaN elsewhere",
+)
 
 
 @dataclass(frozen=True)
@@ -187,14 +165,14 @@ class Figures:
     """Columns over the frames whose names only a case knows, in a folder of their own.
 
     name : what a case calls them. folder : the file. value : estimates → name → (frames).
-    units, long_name : of the figure of a name.
+    long_name, units : of the figure of a name.
     """
 
     name: str
     folder: str
     value: Callable[[Estimates], Mapping[str, Array]]
-    units: Callable[[str], str]
     long_name: Callable[[str], str]
+    units: Callable[[str], str] = lambda name: "1"
 
 
 def flag_attributes(flags: Sequence[tuple[int, str]], dtype: type[Any]) -> dict[str, Any]:

@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 from lampest.files.typed import ByKind
 from lampest.runs.executors.dask import Dask, Tls
-from lampest.runs.executors.executor import Executor, Function, LostError, cores
-from lampest.runs.executors.processes import Processes, Serial, Worker
+from lampest.runs.executors.processes import Executor, Function, LostError, Processes, Serial, Worker, cores
 
 __all__ = [
     "AnyExecutor",

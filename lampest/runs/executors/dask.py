@@ -6,20 +6,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
-from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from lampest.files.errors import InputError, extra
 from lampest.files.process import ENDING, ONE_THREAD
-from lampest.files.typed import Validated
-from lampest.runs.executors.executor import (
+from lampest.files.typed import Configuration, check_not_negative, check_ranges
+from lampest.runs.executors.processes import (
     DIED,
     MOST_TRIES,
     Function,
     LostError,
     Pairs,
-    check_workers,
     cores,
     one_thread,
 )
@@ -33,7 +31,7 @@ SCHEDULING = {
 
 
 @dataclass(frozen=True)
-class Tls(Validated):
+class Tls(Configuration):
     """Files by which all sides of a cluster know each other; without them whoever reaches a scheduler runs code on it.
 
     Parameters
@@ -42,7 +40,6 @@ class Tls(Validated):
     cert_file, key_file : the certificate of this side and its key, PEM.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     ca_file: str
     cert_file: str
     key_file: str
@@ -63,7 +60,7 @@ class Tls(Validated):
 
 
 @dataclass(frozen=True)
-class Dask(Validated):
+class Dask(Configuration):
     """Workers of Dask distributed with one thread each; files must have the same paths everywhere.
 
     Parameters
@@ -79,7 +76,6 @@ class Dask(Validated):
     processors are of one kind. Raises ValueError where the parameters exclude each other.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     kind: Literal["dask"] = "dask"
     workers: int | None = None
     address: str | None = None
@@ -88,13 +84,12 @@ class Dask(Validated):
     tls: Tls | None = None
 
     def __post_init__(self) -> None:
-        check_workers(self.workers)
+        check_ranges(self, 1, 10_000, "workers")
         if sum(part is not None for part in (self.workers, self.address, self.scheduler_file)) > 1:
             raise ValueError(
                 "address names a cluster that runs, and so does scheduler_file: one of them, without workers"
             )
-        if not (isfinite(self.wait_s) and self.wait_s >= 0):
-            raise ValueError("wait_s must be zero or positive, and finite")
+        check_not_negative(self, "wait_s")
 
     @property
     def _place(self) -> str | None:
@@ -153,7 +148,9 @@ class Dask(Validated):
                 raise InputError(
                     f"executor: no Dask scheduler with workers answers at {self._place} within {self.wait_s:g} s"
                 ) from error
-            _check_threads(client)
+            for worker, threads in client.nthreads().items():
+                if threads != 1:
+                    raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
             yield client
 
 
@@ -204,13 +201,6 @@ def _outcomes(distributed: Any, client: Any, function: Function, tasks: dict[int
             outcome = error
         future.release()
         yield numbers.pop(future), outcome
-
-
-def _check_threads(client: Any) -> None:
-    """Raise InputError where a worker would run two cases at once, or one on several threads."""
-    for worker, threads in client.nthreads().items():
-        if threads != 1:
-            raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
 
 
 def readable(path: Path, key: str) -> str:

@@ -1,29 +1,74 @@
-"""Calls in this process, one after the other, or in processes of this machine, each told one task after the other."""
+"""Executors: calls in this process, one after the other, or in processes of this machine, each given one at a time."""
 
+import os
 import pickle
 import signal
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal, Protocol
 
-from lampest.files.process import ENDING, EXPENDABLE, interrupted, libraries_to_the_log
-from lampest.files.typed import Validated
-from lampest.runs.executors.executor import DIED, HUNG, MOST_TRIES, Function, Pairs, check_workers, cores, one_thread
+from lampest.files.process import ENDING, EXPENDABLE, ONE_THREAD, interrupted, libraries_to_the_log
+from lampest.files.typed import Configuration, check_ranges
 
+MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
+DIED = f"its process died {MOST_TRIES} times"
+HUNG = (
+    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
+)
 PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
+
+Function = Callable[[Any], Any]
+Pairs = Generator[tuple[Any, Any], None, None]
+
+
+class LostError(RuntimeError):
+    """Whoever hands out the tasks is gone: those without a result have not failed, they were not run."""
+
+
+class Executor(Protocol):
+    """Something that calls a function once for every argument."""
+
+    def ready(self) -> None:
+        """Raise InputError where this executor cannot run here."""
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
+
+        Raises LostError where no further result will come. After the generator is closed no further call starts; a
+        call under way ends or dies, and writes no half file.
+        """
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes that are started within have one BLAS thread: numpy reads the environment when it is imported."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True)
-class Serial(Validated):
+class Serial(Configuration):
     """One call after the other in this process."""
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     kind: Literal["serial"] = "serial"
 
     def ready(self) -> None:
@@ -42,7 +87,7 @@ class Serial(Validated):
 
 
 @dataclass(frozen=True)
-class Processes(Validated):
+class Processes(Configuration):
     """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
 
     A process that dies costs the task it was at one of a few more tries, and no other task anything. One that
@@ -50,12 +95,11 @@ class Processes(Validated):
     Raises ValueError where the number of workers is out of range.
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     workers: int | None = None
     kind: Literal["processes"] = "processes"
 
     def __post_init__(self) -> None:
-        check_workers(self.workers)
+        check_ranges(self, 1, 10_000, "workers")
 
     def ready(self) -> None:
         """Always."""

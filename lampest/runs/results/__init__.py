@@ -3,8 +3,7 @@
 from lampest.runs.case import CaseResult, StoredCase, check_name
 from lampest.runs.results.kept import read_kept, write_kept
 from lampest.runs.results.reader import Results, read_case_ids, read_each, read_results, stored_cases
-from lampest.runs.results.scene import PublishedFigures, StepFigures
-from lampest.runs.results.writer import FORMAT, join_case, write_results
+from lampest.runs.results.writer import FORMAT, PublishedFigures, StepFigures, join_case, write_results
 
 __all__ = [
     "FORMAT",

@@ -1,7 +1,6 @@
-"""A case's result as a batch keeps it until results.h5 is written: all of it in two datasets, written in a millisecond.
+"""A case's result as a batch keeps it until results.h5 is written: two datasets, in a millisecond.
 
-A results file takes a dataset for everything it says, and thousands of cases would be written so twice. What holds more
-than MOST_PACKED bytes takes long enough to solve, and is kept as a results file of its own.
+What holds more than MOST_PACKED bytes is kept as a results file of its own.
 """
 
 import json

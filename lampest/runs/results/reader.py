@@ -1,9 +1,10 @@
 """A results file → its cases."""
 
+import json
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
@@ -12,16 +13,20 @@ import h5py
 import numpy as np
 
 from lampest.files import hdf5
+from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import typed
-from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, Water
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.runs.case import REQUIRED, SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
-from lampest.runs.results.scene import NAMES, PublishedFigures, published_from, stored_scene
-from lampest.runs.results.writer import FORMAT
+from lampest.runs.results.writer import FORMAT, PublishedFigures, StepFigures
 
 NONE = slice(0, 0)
+# Of the noise that readings of a frame share: numbers, and patterns in volt.
+NUMBERS, PATTERNS = ("gain", "unloaded"), ("together", "apart")
+NAMES = (*NUMBERS, *PATTERNS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +176,7 @@ def _in_order(file: h5py.File, path: str) -> list[str]:
 
 def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
     base = f"/entry/{name}/{SHARED}"
-    scene = stored_scene(file, base, f"{base}/{MEASURED.path}")
+    scene = _stored_scene(file, base, f"{base}/{MEASURED.path}")
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
     hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
@@ -246,10 +251,63 @@ def _read_figures(file: h5py.File, path: str, frames: FramesRead) -> dict[str, A
 
 
 def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
+    """Figures by estimator from JSON."""
     if "published" not in hdf5.attribute_names(file, "/entry"):
         return {}
-    text = str(hdf5.read_attribute(file, "/entry", "published"))
     try:
-        return published_from(text)
+        return {
+            str(name): PublishedFigures(
+                **{step: StepFigures(**values) for step, values in figures.items() if values is not None}
+            )
+            for name, figures in json.loads(str(hdf5.read_attribute(file, "/entry", "published"))).items()
+        }
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        names = ", ".join(item.name for item in fields(PublishedFigures))
+        raise InputError(f"{file.filename}: /entry@published is not figures by estimator and {names}") from error
+
+
+def _stored_scene(file: h5py.File, base: str, measured: str) -> Scene:
+    """The scene of a recording's group. Raises InputError where it is damaged or impossible.
+
+    measured : the dataset of the readings, whose shape says the panel's where a file has no scene.
+    """
+    if not hdf5.has(file, f"{base}/scene"):
+        return _from_attributes(file, base, hdf5.read_array(file, measured, 3).shape[1:])
+    document = parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene")
+    scene: Scene = validated(document, Scene)
+    return scene
+
+
+def _from_attributes(file: h5py.File, base: str, shape: tuple[int, int]) -> Scene:
+    """What files without a scene say of it."""
+    pitch, series = (hdf5.read_number(file, base, name) for name in ("pitch_mm", "series_resistance_ohm"))
+    water = "top_row_depth_mm" in hdf5.attribute_names(file, base)
+    depth = hdf5.read_number(file, base, "top_row_depth_mm") if water else None
+    try:
+        panel = Panel(*shape, pitch)
+        return Scene(panel, series_resistance_ohm=series, water=None if depth is None else Water(depth))
     except ValueError as error:
-        raise InputError(f"{file.filename}: /entry@published {error}") from error
+        raise InputError(f"{file.filename}: {base}: {error}") from error
+
+
+def arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
+    """Its numbers, and patterns in volt where there are such; nothing of None."""
+    found = {} if noise is None else {name: np.array(getattr(noise, name), dtype=float, order="C") for name in NAMES}
+    return {name: value for name, value in found.items() if value.size}
+
+
+def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
+    """The reverse. Raises ValueError where that is no such noise of the scene's panel."""
+    if scene.readout is None or not arrays:
+        return None
+    rows, columns = scene.panel.shape
+    channels = rows if scene.circuit.by_columns else columns
+    numbers = [np.asarray(arrays.get(name, np.nan)) for name in NUMBERS]
+    roots = [np.asarray(arrays.get(name, np.zeros((channels, 0)))) for name in PATTERNS]
+    if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in (*numbers, *roots)):
+        raise ValueError("frame_gain and what belongs to it must be finite numbers")
+    if any(number.shape for number in numbers) or numbers[0] < 0 or numbers[1] < 1:
+        raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
+    if any(root.ndim != 2 or len(root) != channels for root in roots):
+        raise ValueError(f"frame_together and frame_apart must have {channels} rows, one for each channel of a line")
+    return FrameNoise(scene, int(numbers[1]), float(numbers[0]), *(root.astype(float) for root in roots))

@@ -1,6 +1,8 @@
 """Cases → a results file, whole or not at all."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +12,52 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import copy_group, join_parts
-from lampest.files.typed import typed
+from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, SeriesPerLine, scene_text
 from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
-from lampest.runs.results.scene import ATTRIBUTES, PublishedFigures, fullest, published_text, write_scene
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
+# Attribute of a recording's group → a number of its scene, which stands beside them as YAML text.
+ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
+    "pitch_mm": lambda scene: scene.panel.pitch_mm,
+    "series_resistance_ohm": lambda scene: _one_series(scene),
+    "top_row_depth_mm": lambda scene: None if scene.water is None else scene.water.top_row_depth_mm,
+}
+
+
+@dataclass(frozen=True)
+class StepFigures(Configuration):
+    """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
+
+    Raises ValueError where a figure is negative or not finite.
+
+    >>> lampest.StepFigures(error_percent=1.33).error_percent
+    1.33
+    """
+
+    time_s: float | None = None
+    time_sd_s: float | None = None
+    error_percent: float | None = None
+    error_sd_percent: float | None = None
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, *(field.name for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class PublishedFigures(Configuration):
+    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline.
+
+    >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
+    16.45
+    """
+
+    all: StepFigures | None = None
+    initial: StepFigures | None = None
+    following: StepFigures | None = None
 
 
 @typed
@@ -52,7 +92,8 @@ def write_results(
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry", **({"default": cases[0].recording} if cases else {}))
         if published:
-            hdf5.set_attributes(entry, published=published_text(published))
+            text = json.dumps({name: asdict(figures) for name, figures in published.items()}, allow_nan=False)
+            hdf5.set_attributes(entry, published=text)
         for order, name in enumerate(dict.fromkeys(case.recording for case in cases)):
             group = entry.create_group(name)
             if name in stored:
@@ -86,7 +127,7 @@ def _copy_recording(group: h5py.Group, order: int, cases: list[StoredCase]) -> N
 
 def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
     """Cases of one recording must have been given the same."""
-    first, scene, seen = cases[0], fullest(case.scene for case in cases), set()
+    first, scene, seen = cases[0], _fullest(case.scene for case in cases), set()
     for case in cases:
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
@@ -95,7 +136,7 @@ def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
             *((name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()),
             *((each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared),
             ("start_time", case.start_time or first.start_time, first.start_time or case.start_time),
-            ("scene", fullest((case.scene, scene)), scene),
+            ("scene", _fullest((case.scene, scene)), scene),
         ):
             if (ours is None) != (theirs is None) or (ours is not None and not _same(ours, theirs)):
                 raise InputError(
@@ -112,11 +153,11 @@ def _same(ours: Any, theirs: Any) -> bool:
 
 def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:
     hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
-    scene = fullest(case.scene for case in cases)
+    scene = _fullest(case.scene for case in cases)
     start_time = next((case.start_time for case in cases if case.start_time), "")
     table = [column.of(scene.circuit) for column in table]
     given = _group_of_data(group, SHARED, MEASURED.of(scene.circuit).path)
-    write_scene(given, scene)
+    _write_scene(given, scene)
     if start_time:
         hdf5.write_dataset(
             given, "start_time", hdf5.ascii_array(start_time), "1", "date and time at 0 s of the time axis, ISO 8601"
@@ -139,6 +180,28 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
         hdf5.set_attributes(estimate, **{f"frame_{name}": value for name, value in case.frame_noise.items()})
         own = [*(column for column in table if not column.shared), FRAME]
         _write_datasets(estimate, case, own, FIGURES)
+
+
+def _write_scene(group: h5py.Group, scene: Scene) -> None:
+    """Write the scene and its attributes into a recording's group."""
+    numbers = {name: number(scene) for name, number in ATTRIBUTES.items()}
+    hdf5.set_attributes(group, **{name: float(number) for name, number in numbers.items() if number is not None})
+    hdf5.write_dataset(group, "scene", hdf5.ascii_array(scene_text(scene)), "1", "what was measured, YAML")
+
+
+def _fullest(scenes: Iterable[Scene]) -> Scene:
+    """The first that says more than the attributes of a file without a scene do; else the first."""
+    candidates = tuple(scenes)
+    bare = [
+        Scene(scene.panel, series_resistance_ohm=_one_series(scene) or 0.0, water=scene.water) for scene in candidates
+    ]
+    return next((scene for scene, left in zip(candidates, bare, strict=True) if scene != left), candidates[0])
+
+
+def _one_series(scene: Scene) -> float | None:
+    """The series resistance where one number says it."""
+    series = scene.series_resistance_ohm
+    return None if isinstance(series, SeriesPerLine) else series
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:

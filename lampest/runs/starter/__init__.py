@@ -1,6 +1,7 @@
 """`lampest init`: commented files to begin with: a run, a scene, a simulation and its recording, the schema."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
 
@@ -9,7 +10,6 @@ from lampest.files.errors import InputError, meant
 from lampest.files.whole import write_whole
 from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.config import json_schema
-from lampest.runs.starter.circuits import CIRCUITS, StarterCircuit
 
 TEMPLATES = Path(__file__).parent
 RUN, SCENE, SIMULATION, RECORDING, SCHEMA = (
@@ -35,9 +35,24 @@ WEIGHT = """\
 """
 
 
+@dataclass(frozen=True)
+class StarterCircuit:
+    """A circuit of circuits.yaml: the kind of its readout, a sketch of the wiring, YAML lines of the scene's readout.
+
+    software : the firmware's wiring, or what the user's own program does. page : where the circuit is explained.
+    """
+
+    kind: str
+    sketch: str
+    readout: str
+    software: str
+    page: str
+
+
 def circuit_called(word: str) -> StarterCircuit:
     """The circuit of that word. Raises InputError where there is none."""
-    known = {circuit.word: circuit for circuit in CIRCUITS}
+    text = (TEMPLATES / "circuits.yaml").read_text(encoding="utf-8")
+    known: dict[str, StarterCircuit] = validated(parse_document(text, "circuits.yaml"), dict[str, StarterCircuit])
     if word not in known:
         raise InputError(f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}")
     return known[word]
