@@ -19,7 +19,7 @@ from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError
 from lampest.runs.filling import case_result
 from lampest.runs.long_case import PartFiles, solve_long, watched
-from lampest.runs.results import CaseResult, StoredCase, read_case_ids, read_kept, write_kept, write_results
+from lampest.runs.results import CaseResult, StoredCase, read_kept, stored_cases, write_kept, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
@@ -112,7 +112,7 @@ def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | No
     if path.is_symlink() or not path.is_file():
         return None
     with suppress(InputError):
-        if read_case_ids(path) <= {case.case_id for case in done}:
+        if {case.case_id for case in stored_cases(path)} <= {case.case_id for case in done}:
             return None
     names = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(1))
     return path.rename(next(name for name in names if not os.path.lexists(name)))

@@ -14,7 +14,7 @@ from support import invented_case
 
 from lampest.files.errors import InputError
 from lampest.runs.case import CaseResult
-from lampest.runs.results import read_case_ids, read_kept, read_results, write_kept, write_results
+from lampest.runs.results import read_kept, read_results, stored_cases, write_kept, write_results
 from lampest.runs.results.kept import MOST_PACKED
 
 Command = Callable[..., SimpleNamespace]
@@ -89,7 +89,7 @@ def test_a_large_one_is_a_results_file(tmp_path: Path) -> None:
     assert [one.case_id for one in read_results(tmp_path / "a.h5").cases] == ["abc"]
     theirs = read_kept(tmp_path / "a.h5", "abc")
     assert theirs is not None and np.array_equal(theirs.cell_resistance, large.cell_resistance)
-    assert read_case_ids(tmp_path / "a.h5") == {"abc"}
+    assert {case.case_id for case in stored_cases(tmp_path / "a.h5")} == {"abc"}
 
 
 def test_a_batch_waits_for_the_disk_once(disk: SimpleNamespace, lampest: Command, monkeypatch: Any) -> None:

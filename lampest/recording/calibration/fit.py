@@ -16,11 +16,11 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import MOST_OHM, LineNumber, Side
 from lampest.panel.scene import Scene
-from lampest.recording.calibration.repeats import SHORT_OHM, Trial, usable_range, within_rails
+from lampest.recording.calibration.repeats import Trial, usable_range, within_rails
+from lampest.recording.simulation.measure import SHORT_OHM
 
 BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet
 RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, evenly
-DROP_VOLT = 0.05, 5.0  # from a Schottky diode to a blue LED
 # Numbers to find where the scene names them, and what they are like: 2.9 % of the channel before were seen of a real
 # board, and an ohm from cell to cell of conductive thread.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
@@ -116,7 +116,8 @@ class Circuit:
             else:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always tells which way to go.
-                limits = DROP_VOLT if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
+                volts = self.readout.lsb_volt, self.readout.supply_volt
+                limits = volts if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)
         circuit: Any = with_numbers(self.readout, fields)

@@ -15,13 +15,13 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import PerLine, Side
 from lampest.recording.recording import Recording
+from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
 FEWEST_REPEATS = 50  # they tell a noise to a tenth
 ENDLESS = 65535  # readings: what is then left of σ does not average out
 BELIEF = 4.0  # the scene's noise counts as much as so many repeats: few frames with equal codes do not mean no noise
 FEWEST_FRAMES = 5  # from which on a wild reading, or one that drifts, can be told
 WILD, MOST_WILD = 7.0, 0.02  # robust σ of a reading that is left out; share of such: spikes are some in ten thousand
-SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 CHANGE = "change from frame to frame, which fixed resistors do not"
 
 

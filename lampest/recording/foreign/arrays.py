@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.recording.foreign.clock import clock_of_numbers
-from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, Place, check_count
+from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, Place, check_count, clock_of_numbers
 from lampest.recording.foreign.words import role_of
 
 ArraysByName = dict[str, NDArray[Any]]
@@ -172,11 +171,11 @@ def _of_level_7(path: Path) -> ArraysByName:
     return arrays
 
 
-# Suffix → how its arrays are read, the orders of axes that are tried, and the number of the first place in an array.
-ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str], int]] = {
-    ".npy": (_of_npy, NUMPY_LAYOUTS, 0),
-    ".npz": (_of_npz, NUMPY_LAYOUTS, 0),
-    ".mat": (_of_mat, MATLAB_LAYOUTS, 1),
+# Suffix → how its arrays are read, and the orders of axes that are tried.
+ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str]]] = {
+    ".npy": (_of_npy, NUMPY_LAYOUTS),
+    ".npz": (_of_npz, NUMPY_LAYOUTS),
+    ".mat": (_of_mat, MATLAB_LAYOUTS),
 }
 
 
@@ -185,7 +184,7 @@ def frames_of_arrays(path: Path, shape: tuple[int, int], variable: str | None) -
 
     Raises InputError where the file is damaged, or none or several fit.
     """
-    read, layouts, first = ARRAYS[path.suffix.lower()]
+    read, layouts = ARRAYS[path.suffix.lower()]
     with _reading(path):
         arrays = read(path)
     fits = {name: [layout for layout in layouts if _fits(array.shape, layout, shape)] for name, array in arrays.items()}
@@ -201,7 +200,11 @@ def frames_of_arrays(path: Path, shape: tuple[int, int], variable: str | None) -
     values = (values.transpose(2, 0, 1) if layout == STACKED else values).reshape(-1, *shape)
     note = f"{f'array {name} ' if name else ''}read as {layout}{f' ({others[0]} would fit, too)' if others else ''}"
     return Frames(
-        values, _timing(path, arrays, name, len(values)), (note,), _place(where, layout, first, shape), (name,)
+        values,
+        _timing(path, arrays, name, len(values)),
+        (note,),
+        _place(where, layout, layouts is MATLAB_LAYOUTS, shape),
+        (name,),
     )
 
 
@@ -251,12 +254,12 @@ def _by(size: Sequence[int]) -> str:
     return " × ".join(str(part) for part in size) or "one value"
 
 
-def _place(where: str, layout: str, first: int, shape: tuple[int, int]) -> Place:
-    """A value's indices in the file's order, counted from `first`."""
+def _place(where: str, layout: str, from_one: bool, shape: tuple[int, int]) -> Place:
+    """A value's indices in the file's order."""
 
     def place(frame: int, row: int, column: int) -> str:
         index = {"frame": frame, "row": row, "column": column, "cell": row * shape[1] + column}
-        listed = ", ".join(str(index[axis] + first) for axis in AXES[layout])
-        return f"{where}({listed})" if first else f"{where}[{listed}]"
+        listed = ", ".join(str(index[axis] + from_one) for axis in AXES[layout])
+        return f"{where}({listed})" if from_one else f"{where}[{listed}]"
 
     return place

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.foreign.clock import UNIT_OF_WORD, clock_of, is_stamp
-from lampest.recording.foreign.frames import Clock
+from lampest.recording.foreign.frames import UNIT_OF_WORD, Clock, clock_of, is_stamp
 from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'

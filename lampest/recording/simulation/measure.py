@@ -17,6 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES
 
 AT_ONCE = 64  # readings
+SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,10 @@ from lampest.panel.panel import Array
 from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import Unmodelled, measured, random_stream, raw_sums
+from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
 
 MOST_VALUES = 20_000_000
-LEAST_OHM, MOST_OHM = 1e-3, 1e12
 COPIES = 10  # of all values, at the worst: pressures, cells, their factors, readings, sums
 
 
@@ -190,8 +189,8 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
         cells: Array = unloaded * drift * ratio
         if scene.temperature is not None:
             cells[simulation.baseline_frames :] *= np.exp(scene.temperature.logarithm)
-    if not np.all((cells > LEAST_OHM) & (cells < MOST_OHM)):
-        raise ValueError(f"a cell's resistance leaves the range of {LEAST_OHM:g} to {MOST_OHM:g} ohm")
+    if not np.all((cells > SHORT_OHM) & (cells < OPEN_OHM)):
+        raise ValueError(f"a cell's resistance leaves the range of {SHORT_OHM:g} to {OPEN_OHM:g} ohm")
     return cells
 
 

@@ -2,7 +2,7 @@
 
 from lampest.runs.case import CaseResult, StoredCase, check_name
 from lampest.runs.results.kept import read_kept, write_kept
-from lampest.runs.results.reader import Results, read_case_ids, read_each, read_results, stored_cases
+from lampest.runs.results.reader import Results, read_each, read_results, stored_cases
 from lampest.runs.results.writer import FORMAT, PublishedFigures, StepFigures, join_case, write_results
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "StoredCase",
     "check_name",
     "join_case",
-    "read_case_ids",
     "read_each",
     "read_kept",
     "read_results",

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from math import prod
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import h5py
 import numpy as np
@@ -138,35 +138,17 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
 @contextmanager
 def _results_file(path: Path) -> Iterator[h5py.File]:
     with hdf5.existing_file(path) as file:
-        _check_format(file)
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+        if not isinstance(form, str) or form != FORMAT:
+            raise InputError(f"{file.filename}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
         yield file
 
 
-@dataclass(frozen=True)
-class FramesRead:
+class FramesRead(NamedTuple):
     """Axis → how many there are of a recording, and which part of its frames is read."""
 
     sizes: dict[str, int]
     part: slice
-
-    @property
-    def count(self) -> int:
-        """FramesRead that are read."""
-        return len(range(self.sizes[MAPS[0]])[self.part])
-
-
-def read_case_ids(path: Path) -> frozenset[str]:
-    """The identities of the cases of a results file, without what they found. Raises InputError as `read_results`."""
-    with _results_file(path) as file:
-        groups = [f"/entry/{name}" for name in hdf5.child_groups(file, "/entry")]
-        cases = [f"{group}/{name}" for group in groups for name in hdf5.child_groups(file, group) if name != SHARED]
-        return frozenset(str(hdf5.read_attribute(file, case, "case_id")) for case in cases)
-
-
-def _check_format(file: h5py.File) -> None:
-    form = hdf5.read_attribute(file, "/", "lampest_format")
-    if not isinstance(form, str) or form != FORMAT:
-        raise InputError(f"{file.filename}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
 
 
 def _in_order(file: h5py.File, path: str) -> list[str]:
@@ -184,7 +166,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     frames = FramesRead(dict(zip(MAPS, shape, strict=True)), part)
     estimators = [child for child in _in_order(file, f"/entry/{name}") if child != SHARED]
     maps = sum(column.axes == MAPS and not column.shared for column in table)
-    if len(estimators) * maps * frames.count * prod(shape[1:]) > hdf5.MOST_VALUES:
+    if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MOST_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
@@ -202,7 +184,7 @@ def _read_case(
     frames: FramesRead,
 ) -> CaseResult:
     recording, name = names
-    base = f"/entry/{recording}/{name}"
+    base, start = f"/entry/{recording}/{name}", f"/entry/{recording}/{SHARED}/start_time"
     values = given | _read_columns(file, base, [column for column in table if not column.shared], frames)
     texts = {attribute: hdf5.read_attribute(file, base, attribute) for attribute in hdf5.attribute_names(file, base)}
     try:
@@ -219,7 +201,7 @@ def _read_case(
             reading_error=hdf5.read_number(file, base, "reading_error", 0.0),
             frame_noise={name: np.asarray(texts[f"frame_{name}"]) for name in NAMES if f"frame_{name}" in texts},
             **{field: str(texts.get(name, "")) for name, field in SENTENCES.items()},
-            start_time=_start_time(file, recording),
+            start_time=hdf5.read_text(file, start) if hdf5.has(file, start) else "",
             joint_start=bool(hdf5.read_number(file, base, "joint_start")),
             **{folder.name: _read_figures(file, f"{base}/{folder.folder}", frames) for folder in FIGURES},
         )
@@ -227,11 +209,6 @@ def _read_case(
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(file.filename) else f"{file.filename}: {error}") from error
     return case
-
-
-def _start_time(file: h5py.File, recording: str) -> str:
-    path = f"/entry/{recording}/{SHARED}/start_time"
-    return hdf5.read_text(file, path) if hdf5.has(file, path) else ""
 
 
 def _read_columns(file: h5py.File, base: str, columns: Sequence[Column], frames: FramesRead) -> dict[str, Any]:
